@@ -11,7 +11,7 @@ from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Block, Driver, MotionDevice, PacedDevice, Row
 from leactl.driver.i2c_port import I2cPort
-from leactl.driver.safe_state import doubt, make_safe
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
@@ -108,7 +108,7 @@ class Bench:
                         for device, confirmation in confirmations.items()
                         if not confirmation.detail.endswith(cause)
                     }
-                not_confirmed = doubt(confirmations, cause)
+                not_confirmed = unconfirmed_devices(confirmations, cause)
                 self.close()
                 if not isinstance(error, DeviceError):
                     if not_confirmed:
@@ -147,7 +147,7 @@ class Bench:
         except (LeactlError, MemoryError):
             raise
         except Exception as error:
-            raise _broken(drive, error) from error
+            raise _driver_error(drive, error) from error
         return row
 
     def pace(self, period: float) -> None:
@@ -177,7 +177,7 @@ class Bench:
         except (LeactlError, MemoryError):
             raise
         except Exception as error:
-            raise _broken(driver, error) from error
+            raise _driver_error(driver, error) from error
         return rows
 
     def notices(self) -> list[tuple[str, str]]:
@@ -190,13 +190,13 @@ class Bench:
             drive.feed()
 
 
-def _broken(driver: object, error: BaseException) -> DeviceError:
+def _driver_error(driver: object, error: BaseException) -> DeviceError:
     """A DeviceError for an unexpected exception of a driver, which ends a run like a failure of the device."""
     name = getattr(driver, "name", "a driver")
     return DeviceError(f"{name}: its driver broke: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where")
 
 
-def refuse_blind(bench: Bench, document: yamlfile.Document) -> None:
+def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -> None:
     """Refuse interlocks without a device that measures their quantity, and temperatures without an interlock.
 
     Raises

@@ -175,7 +175,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     return bench, usable, document
 
 
-def asked_for(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
+def devices_of_run(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
     """The devices of a run: all, but those `on_demand` only if they measure one of the quantities `asked`."""
     return [
         device
@@ -205,7 +205,7 @@ def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
     return {device.name: device.settings.host_silence_s for device in devices}
 
 
-def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
+def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
     """Buses changed by words `NAME=INTERFACE:CHANNEL` (CAN) or `NAME=serial:PORT`, by name.
 
     Raises

@@ -27,7 +27,7 @@ class HostFinding:
     mend: str = ""
 
 
-def examine(root: Path = Path("/")) -> list[HostFinding]:
+def run_checks(root: Path = Path("/")) -> list[HostFinding]:
     """Run all checks; buses and devices are searched under `root`."""
     checks = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
     return [finding for findings in checks for finding in findings]

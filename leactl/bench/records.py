@@ -95,7 +95,7 @@ def bench_of_run(run: Path) -> yamlfile.Document:
     return yamlfile.parse(text, f"{run}: bench")
 
 
-def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
+def with_run_folders(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
     """Devices whose relative folders of exports are moved below the directory of the runs.
 
     With `run_id`, each run has a folder of its own below that, because emulated runs may execute at the same time.
@@ -110,19 +110,19 @@ def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> li
     return relocated
 
 
-def awaited(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
+def devices_with_exports(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
     """Devices of a bench, by name, whose exports are attached to a run at its end."""
     sources = {name: driver for name, driver in drivers.items() if isinstance(driver, BatchSource)}
     return {name: source for name, source in sources.items() if source.exports.folder is not None}
 
 
-def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
+def attach_exports(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
     """Attach the exports since the bench was opened to a run; one line for each device that failed.
 
     A failure is no error of the run, which is closed and complete: the record can be attached by hand later.
     """
     failures = []
-    for name, source in awaited(drivers).items():
+    for name, source in devices_with_exports(drivers).items():
         try:
             _attach_fresh(source, RecordDevice(document, name), run)
         except Exception as fault:  # noqa: BLE001 (one plug-in's mistake is no reason to lose the records of the others)

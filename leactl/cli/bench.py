@@ -126,8 +126,8 @@ def serve(
     seed: int = typer.Option(None, min=0, help="Seed instead of the bench file's."),
 ) -> None:
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
-    from leactl.bench.benchfile import put_elsewhere
-    from leactl.bench.records import placed
+    from leactl.bench.benchfile import changed_buses
+    from leactl.bench.records import with_run_folders
     from leactl.emulation.bench.emulated_bench import EmulatedBench
     from leactl.emulation.wires.serving import bridged, stub_chips
     from leactl.emulation.wires.serving import serve as serve_until
@@ -135,8 +135,8 @@ def serve(
     from leactl.runner.signals import listening
 
     file, devices, _document = load_checked(bench)
-    file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
-    emulated = EmulatedBench(file, placed(devices, RUNS), setup, condition, seed)
+    file = file.model_copy(update={"buses": file.buses | changed_buses(file, bus)})
+    emulated = EmulatedBench(file, with_run_folders(devices, RUNS), setup, condition, seed)
     with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():

@@ -181,11 +181,11 @@ def read(
     from dataclasses import asdict
 
     from leactl.cli.run import finish
-    from leactl.protocol.by_hand import reading
+    from leactl.protocol.by_hand import reading_steps
     from leactl.report.readings import readings, table
     from leactl.runfile.read.reader import Run
 
-    outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus, everything=True)
+    outcome = _perform("read", reading_steps(hold_s), bench, setup, out, realtime, served, bus, everything=True)
     channels = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
@@ -208,9 +208,9 @@ def zero(
 ) -> None:
     """Take the zero of the torque sensor as a protocol does, and say how far it is from the bench file's."""
     from leactl.cli.run import finish
-    from leactl.protocol.by_hand import zeroing
+    from leactl.protocol.by_hand import tare_steps
 
-    outcome = _perform("zero", zeroing(), bench, setup, out, realtime, served, bus)
+    outcome = _perform("zero", tare_steps(), bench, setup, out, realtime, served, bus)
     zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
     if as_json:
         typer.echo(json.dumps(outcome.as_json() | {"zeros": zeros}))
@@ -243,7 +243,7 @@ def jog(
     from leactl.cli.run import finish, print_end
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
-    from leactl.protocol.by_hand import Jog, reading
+    from leactl.protocol.by_hand import Jog, reading_steps
     from leactl.runfile.read.reader import Run
 
     wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
@@ -254,7 +254,7 @@ def jog(
     motion.check()
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
-        before = _perform("read", reading(0.2), bench, setup, out, realtime, served, bus)
+        before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)
         finish(before, [])
         with Run.open(before.path) as run:
             stands_at = float(run.channel("angle", role).values[-1])

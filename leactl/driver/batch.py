@@ -25,10 +25,10 @@ from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-AtLeastZero = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Place = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
-Called = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+ChannelPath = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
+ChannelName = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,32 +48,32 @@ class FileRecord:
 class OffsetEstimate(Block):
     """Estimate a clock's offset from two channels that measured the same quantity."""
 
-    channel: Called
-    against: Place
-    within_s: Above = 1.0
+    channel: ChannelName
+    against: ChannelPath
+    within_s: Positive = 1.0
 
 
 class Onset(Block):
     """Estimate a clock's offset from events: when `against` jumps, `channel` begins to rise or fall."""
 
-    channel: Called
-    against: Place
-    jump: Above  # of `against`, in its units
-    fit_s: Above = 5.0  # fitted length of the channel before and after the event
-    within_s: Above = 60.0
+    channel: ChannelName
+    against: ChannelPath
+    jump: Positive  # of `against`, in its units
+    fit_s: Positive = 5.0  # fitted length of the channel before and after the event
+    within_s: Positive = 60.0
 
 
 class RecordClock(Block):
     """How the stamps of a record are aligned with the clock of the run; exactly one method is given."""
 
-    wall_within_s: Above | None = None  # both clocks show the time of day, and agree within this (95 %)
+    wall_within_s: Positive | None = None  # both clocks show the time of day, and agree within this (95 %)
     offset_s: Number | None = None  # added to the record's own stamps
-    offset_within_s: AtLeastZero | None = None  # uncertainty of that offset (95 %)
+    offset_within_s: NonNegative | None = None  # uncertainty of that offset (95 %)
     estimate: OffsetEstimate | None = None
     onset: Onset | None = None
     near_s: Number | None = None  # centre of the search of `estimate` or `onset`; default by the wall clocks, else 0
-    delays_within_s: AtLeastZero = 0.0  # bound of the delay between the compared channels (95 %)
-    drift_within_ppm: Above = 100.0  # bound of the drift between the clocks (95 %), as prior
+    delays_within_s: NonNegative = 0.0  # bound of the delay between the compared channels (95 %)
+    drift_within_ppm: Positive = 100.0  # bound of the drift between the clocks (95 %), as prior
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -133,7 +133,7 @@ def number_order(path: Path) -> list[tuple[int, str]]:
     return [(int(part), part) if odd else (0, part) for part, odd in zip(parts, itertools.cycle((False, True)))]
 
 
-def in_number_order(paths: Sequence[Path]) -> None:
+def refuse_text_order(paths: Sequence[Path]) -> None:
     """Raise if frame files are sorted as text (frame10 before frame2); their order is the only time information.
 
     Raises

@@ -33,7 +33,7 @@ def _supplies(device: Driver) -> bool:
         return False
 
 
-def doubt(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
+def unconfirmed_devices(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
     """One line that names the devices without a confirmed safe state; empty if all confirmed.
 
     The reason of a device is left out if it equals `cause`, which the caller's message already contains.

@@ -66,7 +66,7 @@ class Jog(NamedTuple):
         return [f"mode: {{{self.role}: {self.mode}}}", *moves, f"mode: {{{self.role}: off}}"]
 
 
-def reading(duration_s: float) -> list[str]:
+def reading_steps(duration_s: float) -> list[str]:
     """Steps that record for `duration_s` with every drive off.
 
     Raises
@@ -78,14 +78,12 @@ def reading(duration_s: float) -> list[str]:
     return [f"hold: {{name: read, duration_s: {duration_s!r}}}"]
 
 
-def zeroing() -> list[str]:
+def tare_steps() -> list[str]:
     """Steps that tare the torque sensor, with every drive off."""
     return [f"tare: {{samples: {TARE_SAMPLES}}}"]
 
 
-def turning_and_pulling(
-    setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float
-) -> list[str]:
+def motion_steps(setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float) -> list[str]:
     """Steps that move the drives as the set-up allows; coupled, the load drive turns and the test drive applies torque.
 
     Parameters
@@ -111,7 +109,7 @@ def turning_and_pulling(
     return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
 
 
-def written(name: str, setup: str, steps: Sequence[str]) -> Plan:
+def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:
     """Expand a protocol of these steps to a plan.
 
     Raises

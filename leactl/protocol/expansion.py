@@ -121,7 +121,7 @@ def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        parameters = _told(timeline, content.role, spelling, value, pass_number)
+        parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
         timeline.hold(step, "set", (0.0, 0.0), content.role, value, parameters)
 
 
@@ -160,11 +160,13 @@ def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        parameters = _told(timeline, content.role, spelling, value, pass_number)
+        parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
         timeline.hold(step, content.name, times, content.role, value, parameters, until)
 
 
-def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
+def _hold_parameters(
+    timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int
+) -> dict[str, float | str]:
     direction = timeline.roles[role].goes_to(value)
     return {spelling.setpoint: value, "direction": direction, "role": role, "repeat": pass_number}
 

@@ -424,7 +424,7 @@ class Plan:
         start = 0.0
         for action, modes in self._with_modes():
             if isinstance(action, Segment):
-                shown = [f"{role} {_shown(profile, modes[role])}" for role, profile in action.setpoints.items()]
+                shown = [f"{role} {_profile_text(profile, modes[role])}" for role, profile in action.setpoints.items()]
                 if action.until is not None:
                     shown.append(f"at most {action.duration_s:g} s, until {action.until}")
                 if action.trial is not None:
@@ -432,7 +432,7 @@ class Plan:
                 rows.append(TimelineRow(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:
-                rows.append(TimelineRow(start, _NAMES[type(action)], self._lasts(action), 0.0, _told(action)))
+                rows.append(TimelineRow(start, _NAMES[type(action)], self._lasts(action), 0.0, _action_text(action)))
                 start += self._lasts(action)
         return rows
 
@@ -463,7 +463,7 @@ _NAMES: dict[type, str] = {
 }
 
 
-def _shown(profile: SetpointProfile, mode: Mode) -> str:
+def _profile_text(profile: SetpointProfile, mode: Mode) -> str:
     unit = UNITS[SETPOINT_QUANTITY[mode]]
     if isinstance(profile, Ramp):
         return f"{profile.start:g} -> {profile.stop:g} {unit}"
@@ -472,7 +472,7 @@ def _shown(profile: SetpointProfile, mode: Mode) -> str:
     return f"{profile.low:g} .. {profile.high:g} {unit}"
 
 
-def _told(action: Action) -> str:
+def _action_text(action: Action) -> str:
     match action:
         case Engage(modes):
             return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())

@@ -71,7 +71,7 @@ class ResultLimit(Block):
 
     def misfits(self, _steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         """Keys at fault with reasons; whether the analysis has the result is checked later."""
-        yield from _disordered(self)
+        yield from _faults_of_bounds(self)
 
 
 class ChannelLimit(Block):
@@ -88,8 +88,8 @@ class ChannelLimit(Block):
 
     def misfits(self, steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         """Keys at fault with reasons; `steps` are the names of the protocol's steps."""
-        yield from _disordered(self)
-        yield from _strange_unit(self.unit, self.channel, self.channel)
+        yield from _faults_of_bounds(self)
+        yield from _faults_of_unit(self.unit, self.channel, self.channel)
         if self.step and self.step not in steps:
             close = get_close_matches(self.step, steps, n=1)
             expected = close[0] if close else f"one of {', '.join(steps)}" if steps else "a step with a duration"
@@ -109,22 +109,22 @@ class BisectLimit(Block):
 
     def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         """Keys at fault with reasons; `searches` has the quantity that each bisection sets, by name."""
-        yield from _disordered(self)
+        yield from _faults_of_bounds(self)
         if self.bisect in searches:
-            yield from _strange_unit(self.unit, searches[self.bisect], self.bisect)
+            yield from _faults_of_unit(self.unit, searches[self.bisect], self.bisect)
         else:
             known = f"one of {', '.join(searches)}" if searches else "a bisect step"
             yield "bisect", f"'{self.bisect}' is the name of no bisection; {known} was expected"
 
 
-def _strange_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
+def _faults_of_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
     conversion = converter(unit, quantity)
     if conversion is None or conversion.target != UNITS[quantity]:
         known = ", ".join(CONVERSIONS[UNITS[quantity]])
         yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {known} was expected"
 
 
-def _disordered(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
+def _faults_of_bounds(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
     if limit.low is None and limit.high is None:
         yield "", "low, high or both were expected"
     elif limit.low is not None and limit.high is not None and limit.low > limit.high:

@@ -86,7 +86,7 @@ class Numbers(NamedTuple):
     outside: dict[str, int]  # count of each over-range cell
 
 
-def take_apart(text: str, missing: frozenset[str]) -> NumberCell | None:
+def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
     """Split a cell into its parts; None if it is neither a number nor a mark for a missing sample."""
     plain = text.translate(SPACES).strip()
     if plain in missing:
@@ -121,7 +121,7 @@ def read_numbers(
     for heading, cells in columns.items():
         cells_by_text[heading] = {}
         for text in dict.fromkeys(cells):
-            cell = take_apart(text, missing)
+            cell = split_cell(text, missing)
             if cell is not None:
                 cells_by_text[heading][text] = cell
             elif len(faults) < 5:
@@ -131,20 +131,22 @@ def read_numbers(
         raise InputError(faults)
     readings = [
         (convention, values)
-        for convention in conventions(form, cells_by_text)
-        if (values := read_as(convention, cells_by_text, bounds)) is not None
+        for convention in possible_formats(form, cells_by_text)
+        if (values := read_in_format(convention, cells_by_text, bounds)) is not None
     ]
     if not readings:
-        raise InputError(unreadable(columns, form, cells_by_text, cell_name, bounds))
+        raise InputError(unreadable_message(columns, form, cells_by_text, cell_name, bounds))
     convention, values = readings[0]
     for other, different in readings[1:]:
-        refuse_difference(columns, cell_name, (convention, values), (other, different))
+        refuse_ambiguity(columns, cell_name, (convention, values), (other, different))
     return {
-        heading: numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
+        heading: column_of_numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
     }, convention
 
 
-def conventions(form: TableFormat, cells_by_text: Mapping[str, Mapping[str, NumberCell]]) -> Iterator[NumberFormat]:
+def possible_formats(
+    form: TableFormat, cells_by_text: Mapping[str, Mapping[str, NumberCell]]
+) -> Iterator[NumberFormat]:
     """Number formats that the settings allow and whose thousands mark occurs in a cell."""
     used = set("".join(cell.number for cells in cells_by_text.values() for cell in cells.values()))
     for decimal in (".", ",") if form.decimal is None else (form.decimal,):
@@ -153,7 +155,7 @@ def conventions(form: TableFormat, cells_by_text: Mapping[str, Mapping[str, Numb
                 yield NumberFormat(decimal, thousands)
 
 
-def read_as(
+def read_in_format(
     convention: NumberFormat,
     cells_by_text: Mapping[str, Mapping[str, NumberCell]],
     bounds: Mapping[str, tuple[float, float]],
@@ -174,7 +176,7 @@ def read_as(
     return read
 
 
-def refuse_difference(
+def refuse_ambiguity(
     columns: Mapping[str, Sequence[str]],
     cell_name: Where,
     first: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
@@ -190,7 +192,7 @@ def refuse_difference(
                 raise InputError(f"{where}: {text!r} reads {value:.15g} or {second:.15g}; {key} decides")
 
 
-def unreadable(
+def unreadable_message(
     columns: Mapping[str, Sequence[str]],
     form: TableFormat,
     cells_by_text: Mapping[str, Mapping[str, NumberCell]],
@@ -199,7 +201,7 @@ def unreadable(
 ) -> str:
     """Message for a file that no format reads: the first failing cell of the format that reads most cells."""
     furthest, message = -1, ""
-    for convention in conventions(form, cells_by_text):
+    for convention in possible_formats(form, cells_by_text):
         passed = 0
         for heading, cells in cells_by_text.items():
             low, high = bounds.get(heading, (-np.inf, np.inf))
@@ -220,7 +222,9 @@ def unreadable(
     return f"{message}; no decimal and thousands mark reads every number of the file"
 
 
-def numbers(cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]) -> Numbers:
+def column_of_numbers(
+    cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]
+) -> Numbers:
     """Build a column; over-range cells become NaN and are counted."""
     marks = {text for text, cell in cells_by_text.items() if cell.outside}
     missing_texts = {text for text, cell in cells_by_text.items() if not cell.number}

@@ -25,7 +25,7 @@ class Ordered(NamedTuple):
     remarks: list[str]
 
 
-def in_order(
+def order_rows(
     time: Array,
     values: Array,
     where: Callable[[int], str],
@@ -66,11 +66,11 @@ def in_order(
         time, values = np.delete(time, backward_rows), np.delete(values, backward_rows, axis=0)
     repeats = np.diff(time) == 0
     if len(repeats) >= FEWEST and repeats.mean() > COARSE:
-        time = spread(time, resolution, frame_rate, where)
+        time = times_by_count(time, resolution, frame_rate, where)
         remarks.append(f"{int(repeats.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
         repeats = np.zeros(len(repeats), bool)
     doubled = np.flatnonzero(repeats) + 1
-    repeated_values = alike_rows(values)
+    repeated_values = repeated_rows(values)
     if len(doubled):
         different = doubled[~repeated_values[doubled - 1]]
         if len(different):
@@ -82,20 +82,20 @@ def in_order(
             np.delete(values, doubled, axis=0),
             np.delete(repeated_values, doubled - 1),
         )
-    remarks += gaps(time)
+    remarks += gap_remarks(time)
     if values.shape[1] > 1 and repeated_values.any():
         remarks.append(f"{int(repeated_values.sum())} rows repeat the one before in every column")
     return Ordered(time, values, remarks)
 
 
-def alike_rows(values: Array) -> npt.NDArray[np.bool_]:
+def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
     """Mask (n - 1,) of rows that equal the row before in every column; rows of only NaN do not count."""
     before, after = values[:-1], values[1:]
     equal: npt.NDArray[np.bool_] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
     return equal & np.isfinite(after).any(axis=1)
 
 
-def spread(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
+def times_by_count(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
     """Replace stamps of a coarse resolution by counting frames at a constant rate.
 
     Raises
@@ -122,7 +122,7 @@ def spread(time: Array, resolution: float, frame_rate: float | None, where: Call
     return placed
 
 
-def gaps(time: Array) -> list[str]:
+def gap_remarks(time: Array) -> list[str]:
     """Remarks on the usual interval, and on gaps with the estimated number of missing frames."""
     if len(time) < 3:
         return []

@@ -22,7 +22,7 @@ MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16
 MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
 DELIMITERS = (",", ";", "\t", "|")
-NAMED = {"\t": "tab"}
+DELIMITER_NAMES = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
 UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
@@ -62,7 +62,7 @@ class Table:
         ------
         InputError : several columns have this name.
         """
-        matches = [heading for heading in self.headings if wanted in called(heading)]
+        matches = [heading for heading in self.headings if wanted in column_names(heading)]
         if len(matches) > 1:
             raise InputError(
                 f"{self.path}: {wanted!r} stands over {len(matches)} columns: {', '.join(map(repr, matches))}"
@@ -75,7 +75,7 @@ class Table:
         return [row[at] for row in self.rows]
 
 
-def called(heading: str) -> set[str]:
+def column_names(heading: str) -> set[str]:
     """Names of a column: its heading with and without the unit in brackets."""
     return {heading, UNIT_IN_BRACKETS.sub("", heading)}
 
@@ -86,7 +86,7 @@ def unit_of(heading: str) -> str:
     return match[1].strip() if match else ""
 
 
-def one_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
+def common_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
     """The common unit of a heading and its cells; empty if neither has one.
 
     Raises
@@ -99,7 +99,7 @@ def one_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
     return "".join(named)
 
 
-def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
+def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
     """Text and encoding of a file: by its byte order mark, else as stated, else detected as UTF-16 or UTF-8.
 
     Raises
@@ -126,7 +126,7 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
         text = raw.decode(chosen)
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: {other_readings(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
+            f"{path}: {decoding_fault(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
         ) from None
     if len(text) > MOST_CHARACTERS:
         raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
@@ -144,7 +144,7 @@ def looks_like_utf16(raw: bytes) -> bool:
     return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
 
 
-def other_readings(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
+def decoding_fault(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
     """Message for undecodable bytes: their line in other encodings, unless the encoding was stated."""
     if is_stated:
         return f"not {encoding} at byte {start}"
@@ -161,28 +161,28 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
     ------
     InputError : no line has the headings, several delimiters fit, or rows have another number of cells.
     """
-    text, encoding = text_of(path, form.encoding)
+    text, encoding = read_text(path, form.encoding)
     lines = text.splitlines(keepends=True)
     first, declared = 0, SEP_LINE.match(lines[0])
     if declared:
         first = 1
     candidates = [form.delimiter] if form.delimiter else [declared[1]] if declared else [*DELIMITERS]
     headers = [
-        (delimiter, at) for delimiter in candidates if (at := header(lines, first, delimiter, wanted)) is not None
+        (delimiter, at) for delimiter in candidates if (at := find_header(lines, first, delimiter, wanted)) is not None
     ]
     if not headers:
-        raise InputError(f"{path}: {no_header(lines[first:], candidates, wanted)}")
+        raise InputError(f"{path}: {missing_headings(lines[first:], candidates, wanted)}")
     if len(headers) > 1:
-        names = " or ".join(NAMED.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
+        names = " or ".join(DELIMITER_NAMES.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
         raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
     delimiter, at = headers[0]
     table = Table(path, [])
     table.remarks.append(
-        f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}"
+        f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}"
     )
     for k, line in enumerate(lines[first:at], start=first + 1):
-        note_aside(table, k, trimmed(line.split(delimiter)))
-    fill(table, lines[at:], at, delimiter, every_row)
+        note_aside(table, k, strip_cells(line.split(delimiter)))
+    read_rows(table, lines[at:], at, delimiter, every_row)
     if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
         table.remarks.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
         table.rows.pop()
@@ -199,16 +199,16 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         return []
 
 
-def header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
+def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
     """Index of the first line with all wanted headings; None if there is none."""
     needles = set(wanted)
     for at in range(first, min(len(lines), first + MOST_PREAMBLE)):
-        if needles <= {name for cell in cells_of(lines[at], delimiter) for name in called(cell.strip())}:
+        if needles <= {name for cell in cells_of(lines[at], delimiter) for name in column_names(cell.strip())}:
             return at
     return None
 
 
-def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
+def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
     """Message for missing headings: those wanted, and the cells of the most similar line."""
     rows = [
         cells
@@ -217,19 +217,21 @@ def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[
         if (cells := [cell.strip() for cell in cells_of(line, delimiter) if cell.strip()])
         and sum(any(c.isalpha() for c in cell) for cell in cells) > len(cells) / 2
     ]
-    best = max(rows, key=lambda cells: (sum(bool(called(cell) & {*wanted}) for cell in cells), len(cells)), default=[])
+    best = max(
+        rows, key=lambda cells: (sum(bool(column_names(cell) & {*wanted}) for cell in cells), len(cells)), default=[]
+    )
     has = ", ".join(map(repr, best[:40])) or "no line that looks like headings"
-    lacking = [repr(name) for name in wanted if all(name not in called(cell) for cell in best)]
+    lacking = [repr(name) for name in wanted if all(name not in column_names(cell) for cell in best)]
     return f"no line has the headings {', '.join(lacking)}; the file has {has}"
 
 
-def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
+def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
     """Read all lines from the headings on; each is a row, repeated headings, an aside, blank, or a fault."""
     reader = csv.reader(lines, delimiter=delimiter)
     faults: list[str] = []
     uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
     try:
-        headings = table.headings = trimmed(next(reader))
+        headings = table.headings = strip_cells(next(reader))
         if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
             table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
         width, rows, line_numbers = len(headings), table.rows, table.lines
@@ -242,7 +244,7 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_
             last_line = reader.line_num
             plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
             if not plain:
-                filled = trimmed(cells)
+                filled = strip_cells(cells)
                 if not filled:
                     if every_row and len(cells) >= width:
                         empty.append((before + reader.line_num, cells))
@@ -277,7 +279,7 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_
         raise InputError(faults)
 
 
-def trimmed(cells: Sequence[str]) -> list[str]:
+def strip_cells(cells: Sequence[str]) -> list[str]:
     """Strip the cells and drop empty ones at the end."""
     kept = [cell.strip() for cell in cells]
     while kept and not kept[-1]:

@@ -67,7 +67,7 @@ class EmulatedDrill:
         self._roles = drives(devices)
         longest = max([item.drill.within_s for item in self._rehearsals], default=0.5)
         self._setup = setup_of(self._file, self._roles)
-        self._steps = by_hand.turning_and_pulling(
+        self._steps = by_hand.motion_steps(
             self._setup,
             self._roles.values(),
             min(MOST_VELOCITY_RAD_S, 0.25 * self._file.limits.velocity_rad_s),

@@ -23,8 +23,8 @@ MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 RATED = 0.15  # share of its rating by which a model's own limits may differ
 BEYOND = 1.2  # times its limits: what a supply does not show
-ASTRAY, ASTRAY_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
-ASTRAY_V, ASTRAY_A = 0.1, 0.1  # and beside that
+REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
+REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
 
 
 class Bk1688bDialogue:
@@ -43,7 +43,7 @@ class Bk1688bDialogue:
 
     def in_step(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
-        held: LevelCounts = yield from _asked(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
+        held: LevelCounts = yield from _ask(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -54,15 +54,15 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from _asked(Query(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _asked(Query(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
-            yield from _asked(Query("GETS", _at_the_end(2, _with(volts)), patient=True, last=OK))
-            shown: Display = yield from _asked(DISPLAY)
+            yield from _ask(Query(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query("GETS", _at_the_end(2, _levels_with(volts)), patient=True, last=OK))
+            shown: Display = yield from _ask(DISPLAY)
             if not self._on(shown):
-                return Confirmation(True, f"output off, {_told(shown)}")
-            off_trouble.text = f"the output is still on, {_told(shown)}"
+                return Confirmation(True, f"output off, {_display_text(shown)}")
+            off_trouble.text = f"the output is still on, {_display_text(shown)}"
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Switch off, check the model by its limits, and set the lowest levels.
@@ -75,7 +75,7 @@ class Bk1688bDialogue:
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
-            most: LevelCounts = yield from _asked(Query("GMAX", answers.levels, last=OK))
+            most: LevelCounts = yield from _ask(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:
             notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
@@ -107,9 +107,9 @@ class Bk1688bDialogue:
 
     def _put(self, wanted: LevelCounts) -> Script[None]:
         self._held, self._astray_since = wanted, None
-        yield from _asked(_command(f"CURR{wanted.amperes:03d}"))
-        yield from _asked(_command(f"VOLT{wanted.volts:03d}"))
-        held: LevelCounts = yield from _asked(Query("GETS", answers.levels, last=OK))
+        yield from _ask(_command(f"CURR{wanted.amperes:03d}"))
+        yield from _ask(_command(f"VOLT{wanted.volts:03d}"))
+        held: LevelCounts = yield from _ask(Query("GETS", answers.levels, last=OK))
         if held != wanted:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
@@ -121,12 +121,12 @@ class Bk1688bDialogue:
         DeviceFault : the output is not in the demanded state.
         """
         self._astray_since = None
-        yield from _asked(_command(ON if on else OFF))
+        yield from _ask(_command(ON if on else OFF))
         for _ in range(LOOKS):
-            shown: Display = yield from _asked(DISPLAY)
+            shown: Display = yield from _ask(DISPLAY)
             if self._on(shown) is on:
                 return
-        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
+        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_display_text(shown)}")
 
     def measured(self) -> Script[SupplyReading]:
         """Measure voltage, current and regulation mode; every `SETTINGS_S`, also read the settings.
@@ -141,7 +141,7 @@ class Bk1688bDialogue:
         volts, amperes = self._most
         if shown.voltage > BEYOND * volts or shown.current > BEYOND * amperes:
             raise Unreadable(
-                f"GETD was answered by {_told(shown)} where no more than {volts:g} V and {amperes:g} A can be"
+                f"GETD was answered by {_display_text(shown)} where no more than {volts:g} V and {amperes:g} A can be"
             )
         on = self._on(shown)
         mode = ("constant current" if shown.limited else "constant voltage") if on else ""
@@ -158,19 +158,19 @@ class Bk1688bDialogue:
         return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
     def _astray(self, shown: Display, answer: Reply) -> str:
-        """A fault if the output is off its set level for longer than `ASTRAY_S`; else empty.
+        """A fault if the output is off its set level for longer than `REGULATION_S`; else empty.
 
         This also detects a supply of another model, whose current has other steps, if it does not report its limits.
         """
         volts, amperes = self._held.volts * STEP_V, self._held.amperes * self._step
-        room_v, room_a = ASTRAY * volts + ASTRAY_V, ASTRAY * amperes + ASTRAY_A
+        room_v, room_a = REGULATION_SHARE * volts + REGULATION_V, REGULATION_SHARE * amperes + REGULATION_A
         regulated = shown.current - amperes >= -room_a if shown.limited else shown.voltage - volts >= -room_v
         within = regulated and shown.voltage - volts <= room_v and shown.current - amperes <= room_a
         if within or self._astray_since is None:
             self._astray_since = answer.seen
-        if answer.seen - self._astray_since < ASTRAY_S:
+        if answer.seen - self._astray_since < REGULATION_S:
             return ""
-        return f"out of regulation, {_told(shown)}; {self._spelt(self._held)} are set"
+        return f"out of regulation, {_display_text(shown)}; {self._spelt(self._held)} are set"
 
     def _on(self, shown: Display) -> bool:
         return shown.voltage > self._settings.off_voltage_V or shown.current > self._settings.off_current_A
@@ -184,7 +184,7 @@ def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], 
     return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
-def _with(volts: int) -> Callable[[bytes], LevelCounts]:
+def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:
     """Parser of settings that refuses any other voltage."""
 
     def read(answer: bytes) -> LevelCounts:
@@ -200,11 +200,11 @@ def _command(text: str) -> Query:
     return Query(text, answers.done, last=OK)
 
 
-def _told(shown: Display) -> str:
+def _display_text(shown: Display) -> str:
     return f"{shown.voltage:.2f} V and {shown.current:.2f} A"
 
 
-def _asked(question: Query) -> Script[Any]:
+def _ask(question: Query) -> Script[Any]:
     """Script that sends a query and returns the value of its reply."""
     answer = yield question
     assert answer is not None

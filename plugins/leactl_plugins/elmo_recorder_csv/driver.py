@@ -16,8 +16,8 @@ from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
 from leactl.driver.tables.number_format import Numbers, read_numbers
-from leactl.driver.tables.row_order import in_order
-from leactl.driver.tables.text_table import Table, one_unit, read_table, unit_of
+from leactl.driver.tables.row_order import order_rows
+from leactl.driver.tables.text_table import Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.units import CONVERSIONS, SECONDS, converter
@@ -117,7 +117,7 @@ class ElmoRecorderCsv(Driver):
         def where(row: int) -> str:
             return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
-        rows = in_order(time, values, where)
+        rows = order_rows(time, values, where)
         empty = [name for name, kept in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
@@ -136,7 +136,7 @@ class ElmoRecorderCsv(Driver):
         if stamps is None:
             interval = settings.interval_s or math.nan
             return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
-        named = one_unit(heading, stamps.units, f"{table.path}: {heading!r}")
+        named = common_unit(heading, stamps.units, f"{table.path}: {heading!r}")
         units = settings.time_units or (named if named in SECONDS_NAMED else None)
         if units is None:
             raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")

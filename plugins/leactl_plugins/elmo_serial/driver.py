@@ -27,8 +27,8 @@ from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
+from leactl_plugins.elmo_serial.commissioning import COUNTS_OF_32_BITS, READINGS, DriveLimits, SerialCommissioning
 from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Interpreter, Replies
-from leactl_plugins.elmo_serial.meeting import COUNTS_OF_32_BITS, READINGS, DriveLimits, Meeting
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status, left_operation
@@ -177,15 +177,15 @@ class ElmoSerial(EngagingDrive):
         self._port.discard()
         self._record, self._safe, self._proved = _Record(), False, False
         self._follow(Mode.OFF)
-        meeting = Meeting(self.name, self.settings, self._interpreter, self._clock)
+        setup = SerialCommissioning(self.name, self.settings, self._interpreter, self._clock)
         try:
-            self._echoed = meeting.echo_off()
-            self._identity = meeting.identity()
-            self._status = meeting.check_status()
-            self._limits = meeting.limits()
-            self._position = meeting.position()
-            meeting.arm_dead_man()
-            self._exchange_s = meeting.exchange_s()
+            self._echoed = setup.echo_off()
+            self._identity = setup.identity()
+            self._status = setup.check_status()
+            self._limits = setup.limits()
+            self._position = setup.position()
+            setup.arm_dead_man()
+            self._exchange_s = setup.exchange_s()
             self._patience_s = min(self.settings.answer_timeout_s, max(3.0 * self._exchange_s, LEAST_PATIENCE_S))
         except DeviceError as error:
             text = str(error)

@@ -56,7 +56,7 @@ class ScpiDialogue:
 
     def in_step(self) -> Script[InstrumentIdentity]:
         """Ask who answers: what comes before that answer was meant for an earlier question, and is dropped."""
-        who: InstrumentIdentity = yield from _asked(IDENTIFY)
+        who: InstrumentIdentity = yield from _ask(IDENTIFY)
         return who
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -67,11 +67,11 @@ class ScpiDialogue:
         while True:
             yield self._dialect.off
             self._check((yield from self.in_step()))
-            on = yield from _asked(FIRST)
+            on = yield from _ask(FIRST)
             if on:
                 off_trouble.text = "the output is still on"
                 continue
-            current = yield from _asked(self._current)
+            current = yield from _ask(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
             off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
@@ -116,8 +116,8 @@ class ScpiDialogue:
         for protection, (key, limit) in zip(
             (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
         ):
-            level = yield from _asked(Query(protection.level, answers.number))
-            armed = yield from _asked(Query(protection.armed, answers.truth))
+            level = yield from _ask(Query(protection.level, answers.number))
+            armed = yield from _ask(Query(protection.armed, answers.truth))
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
@@ -159,7 +159,7 @@ class ScpiDialogue:
         for protection, level, armed in protections:
             yield from _written(protection.set_level, protection.level, level)
             yield f"{protection.switch} {'ON' if armed else 'OFF'}"
-            if (yield from _asked(Query(protection.armed, answers.truth))) is not armed:
+            if (yield from _ask(Query(protection.armed, answers.truth))) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
         return [before.protection.name for before in protections]
 
@@ -171,7 +171,7 @@ class ScpiDialogue:
         DeviceFault : the instrument says that it is not.
         """
         yield f"OUTP {'ON' if on else 'OFF'}"
-        if (yield from _asked(OUTPUT)) is not on:
+        if (yield from _ask(OUTPUT)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
@@ -179,8 +179,8 @@ class ScpiDialogue:
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
-        on = yield from _asked(OUTPUT)
-        condition = yield from _asked(CONDITION)
+        on = yield from _ask(OUTPUT)
+        condition = yield from _ask(CONDITION)
         errors = yield from _errors()
         fault = yield from self._tripped()
         mode = REGULATED.get(condition, "") if on else ""
@@ -192,7 +192,7 @@ class ScpiDialogue:
     def _tripped(self) -> Script[str]:
         """Which protection has tripped; empty where none has."""
         for protection in (self._dialect.voltage, self._dialect.current):
-            if (yield from _asked(Query(protection.tripped, answers.truth))):
+            if (yield from _ask(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
         return ""
 
@@ -200,16 +200,16 @@ class ScpiDialogue:
 def _protect(protection: Protection, level: float) -> Script[None]:
     yield from _written(protection.set_level, protection.level, level)
     yield f"{protection.switch} ON"
-    if not (yield from _asked(Query(protection.armed, answers.truth))):
+    if not (yield from _ask(Query(protection.armed, answers.truth))):
         raise DeviceError(f"{protection.name} does not stay on")
-    if (yield from _asked(Query(protection.tripped, answers.truth))):
+    if (yield from _ask(Query(protection.tripped, answers.truth))):
         raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
 
 def _written(command: str, query: str, value: float) -> Script[None]:
     """Write a level and read it back; further away than rounding takes it, it was refused."""
     yield f"{command} {value:.4f}"
-    held = yield from _asked(Query(query, answers.number))
+    held = yield from _ask(Query(query, answers.number))
     if not abs(held - value) <= _off_by(value):
         raise DeviceError(f"{command} holds {held:g} after {value:g} was written")
 
@@ -222,14 +222,14 @@ def _off_by(value: float) -> float:
 def _errors() -> Script[tuple[ErrorEntry, ...]]:
     """Empty the error queue."""
     errors: list[ErrorEntry] = []
-    while (entry := (yield from _asked(ERROR))).number:
+    while (entry := (yield from _ask(ERROR))).number:
         errors.append(entry)
         if len(errors) > MOST_ERRORS:
             raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
     return tuple(errors)
 
 
-def _asked(question: Query) -> Script[Any]:
+def _ask(question: Query) -> Script[Any]:
     """The value of an answer."""
     answer = yield question
     assert answer is not None

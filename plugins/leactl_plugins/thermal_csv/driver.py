@@ -14,7 +14,7 @@ from leactl.driver.batch import ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.tables.row_order import in_order
+from leactl.driver.tables.row_order import order_rows
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl_plugins.thermal_csv.matrix import read_matrices
@@ -101,7 +101,7 @@ class ThermalCsv(Driver):
 
         times = self.settings.time
         resolution = max(sheet.clock.resolution for sheet in files)
-        rows = in_order(time, values, where, times.backward, resolution, times.frame_rate_Hz)
+        rows = order_rows(time, values, where, times.backward, resolution, times.frame_rate_Hz)
         empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")

@@ -7,18 +7,26 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.driver.batch import in_number_order
+from leactl.driver.batch import refuse_text_order
 from leactl.driver.tables.number_format import read_numbers
-from leactl.driver.tables.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, one_unit, text_of, trimmed
+from leactl.driver.tables.text_table import (
+    DELIMITER_NAMES,
+    DELIMITERS,
+    SEP_LINE,
+    Aside,
+    common_unit,
+    read_text,
+    strip_cells,
+)
 from leactl.errors import InputError
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
     Array,
     CameraFile,
-    by_order,
-    emissivities,
-    marks_told,
+    emissivity_remarks,
+    missing_remarks,
+    times_without_stamps,
     to_celsius,
     unit_in,
 )
@@ -51,17 +59,17 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
     frames: list[PixelFrame] = []
     remarks: list[str] = []
     for path in paths:
-        text, encoding = text_of(path, settings.encoding)
+        text, encoding = read_text(path, settings.encoding)
         lines = text.splitlines()
         delimiter = delimiter_of(path, lines, settings)
-        remarks.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
+        remarks.append(f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells")
         frames += frames_in(path, lines, delimiter, settings)
         if not text.endswith(("\n", "\r")):
             remarks.append(f"{path.name} has no end of its last line: the last pixel may be cut")
     remarks = list(dict.fromkeys(remarks))
     if settings.time.line is None:
-        in_number_order(paths)
-    frames, width, left_out = even(frames, delimiter)
+        refuse_text_order(paths)
+    frames, width, left_out = frames_of_one_size(frames, delimiter)
     remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
 
     def where(row: int) -> str:
@@ -88,19 +96,19 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         axis=1,
     )
     if settings.time.line is None:
-        clock = by_order(len(frames), settings, where)
+        clock = times_without_stamps(len(frames), settings, where)
     else:
         stamps = [stamp_of(frame, settings.time.line) for frame in frames]
         if looks_plain(stamps[0]):
             plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
             stamp_numbers, line = plain[settings.time.line], settings.time.line
             clock = read_plain(
-                stamp_numbers.values, one_unit("", stamp_numbers.units, where(0)), settings.time, line, where
+                stamp_numbers.values, common_unit("", stamp_numbers.units, where(0)), settings.time, line, where
             )
         else:
             clock = read_stamps(stamps, settings.time, where)
-    remarks += [str(convention), f"temperatures in {unit}", clock.description, *marks_told(headings, numbers)]
-    return CameraFile(clock, values, where, remarks + emissivities(asides))
+    remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
+    return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
@@ -108,22 +116,22 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
-    sample = [line for line in lines[:200] if line.strip() and not tells(line, settings)][:50]
+    sample = [line for line in lines[:200] if line.strip() and not is_text_line(line, settings)][:50]
     fitting = [
         mark
         for mark in DELIMITERS
         if sample
-        and len({len(trimmed(line.split(mark))) for line in sample}) == 1
-        and len(trimmed(sample[0].split(mark))) > 1
+        and len({len(strip_cells(line.split(mark))) for line in sample}) == 1
+        and len(strip_cells(sample[0].split(mark))) > 1
         and all(looks_plain(cell) or not any(c.isdigit() for c in cell) for cell in sample[0].split(mark))
     ]
     if len(fitting) != 1:
-        names = " and ".join(NAMED.get(mark, repr(mark)) for mark in fitting) or "no mark"
+        names = " and ".join(DELIMITER_NAMES.get(mark, repr(mark)) for mark in fitting) or "no mark"
         raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides")
     return fitting[0]
 
 
-def tells(line: str, settings: ThermalCsvSettings) -> bool:
+def is_text_line(line: str, settings: ThermalCsvSettings) -> bool:
     """Whether a line begins with a word and is no row of pixels; marks of missing pixels may be letters too."""
     first = CELL_ENDS.split(line, maxsplit=1)[0].strip("\"' ")
     return LETTER.match(first) is not None and first not in settings.missing
@@ -135,12 +143,12 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
             continue
-        cells = trimmed(line.split(delimiter))
-        if not cells or tells(line, settings):
+        cells = strip_cells(line.split(delimiter))
+        if not cells or is_text_line(line, settings):
             if frames[-1].rows:
                 frames.append(PixelFrame(path, number + 1))
             if cells:
-                note(frames[-1], number, cells)
+                note_named_value(frames[-1], number, cells)
             continue
         if not frames[-1].rows:
             frames[-1].line = number
@@ -148,14 +156,14 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
     return [frame for frame in frames if frame.rows]
 
 
-def note(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
+def note_named_value(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
     """Store the named value of a line between frames: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
     match = NAME_VALUE.fullmatch(cells[0])
     name, value = (match[1], match[2]) if match else (cells[0], "")
     frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
 
 
-def even(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
+def frames_of_one_size(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
     """Check that frames have one size; an incomplete last frame is left out. Returns frames, width and remarks.
 
     Raises
@@ -164,7 +172,7 @@ def even(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], in
     """
     if not frames:
         raise InputError("no frame of numbers was found")
-    sizes = [{len(trimmed(row.split(delimiter))) for row in frame.rows} for frame in frames]
+    sizes = [{len(strip_cells(row.split(delimiter))) for row in frame.rows} for frame in frames]
     width, height = max(sizes[0]), len(frames[0].rows)
     remarks = []
     last = frames[-1]

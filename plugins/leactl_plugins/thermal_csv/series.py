@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.driver.tables.number_format import Numbers, read_numbers
-from leactl.driver.tables.text_table import Aside, Table, one_unit, read_table, unit_of
+from leactl.driver.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
@@ -56,11 +56,11 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
         return table.place(heading or table.headings[0], row)
 
     if not stamps:
-        clock = by_order(len(table.rows), settings, where)
+        clock = times_without_stamps(len(table.rows), settings, where)
     elif is_number:
         clock = read_plain(
             numbers_by_heading[heading].values,
-            one_unit(heading, numbers_by_heading[heading].units, where(0)),
+            common_unit(heading, numbers_by_heading[heading].units, where(0)),
             time,
             heading,
             where,
@@ -70,15 +70,15 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     by_name = {name: numbers_by_heading[table.heading(column)] for name, column in regions.items()}
     headings = {name: table.heading(column) for name, column in regions.items()}
     unit = unit_in(path, settings, headings, by_name, table.asides)
-    remarks += [f"temperatures in {unit}", clock.description, *marks_told(headings, by_name)]
+    remarks += [f"temperatures in {unit}", clock.description, *missing_remarks(headings, by_name)]
     if table.repeated_headers:
         remarks.append(f"{table.repeated_headers + 1} blocks under the same headings")
-    remarks += emissivities(table.asides) + emissivity_columns(table)
+    remarks += emissivity_remarks(table.asides) + emissivity_column_remarks(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
     return CameraFile(clock, values, where, remarks)
 
 
-def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
+def times_without_stamps(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
     """Times of rows without stamps, from the frame rate."""
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 
@@ -132,7 +132,7 @@ def to_celsius(values: Array, unit: str) -> Array:
     return converted
 
 
-def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
+def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
     """Remarks on missing and over-range cells, one for each column."""
     remarks = []
     for name, numbers in columns.items():
@@ -143,7 +143,7 @@ def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> l
     return remarks
 
 
-def emissivities(asides: list[Aside]) -> list[str]:
+def emissivity_remarks(asides: list[Aside]) -> list[str]:
     """A remark on the camera's emissivity and its changes; empty if the file has none."""
     emissivity_lines = [aside for aside in asides if EMISSIVITY.search(aside.name)]
     changes = [
@@ -156,7 +156,7 @@ def emissivities(asides: list[Aside]) -> list[str]:
     return [f"emissivity {first.value}{later_values and ' CHANGES'}{later_values}"]
 
 
-def emissivity_columns(table: Table) -> list[str]:
+def emissivity_column_remarks(table: Table) -> list[str]:
     """Remarks on columns of emissivities and their changes."""
     remarks = []
     for column, heading in enumerate(table.headings):

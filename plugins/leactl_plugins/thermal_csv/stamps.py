@@ -65,7 +65,7 @@ def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> 
         texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
     stamp_texts, fractions, digits = without_fractions(texts)
     first_rows = {key: row for row, key in reversed(list(enumerate(stamp_texts)))}
-    stamps = {key: take_apart("".join(key), where(first_rows[key])) for key in dict.fromkeys(stamp_texts)}
+    stamps = {key: parse_stamp("".join(key), where(first_rows[key])) for key in dict.fromkeys(stamp_texts)}
     day_of, order_text = read_days(stamps, settings, lambda key: where(first_rows[key]))
     kind = kind_of(stamps, settings, where)
     base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
@@ -111,7 +111,7 @@ def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Arra
     return stamp_texts, fractions, digits
 
 
-def take_apart(text: str, where: str) -> StampParts:
+def parse_stamp(text: str, where: str) -> StampParts:
     """Parse one stamp.
 
     Raises

@@ -25,7 +25,7 @@ class DriveLimits(NamedTuple):
     high: float  # VH[2], counts/s
 
 
-class Meeting:
+class SerialCommissioning:
     """The set-up of one drive; every method raises `DeviceError` if the drive does not answer."""
 
     def __init__(self, name: str, settings: ElmoSerialSettings, interpreter: Interpreter, clock: Clock) -> None:
