@@ -1,7 +1,7 @@
-"""Recordings that an Elmo drive makes inside itself, read from the text that the maker's tool saves.
+"""Recordings of an Elmo drive's internal recorder, read from the text files that the maker's tool saves.
 
-The drive samples faster than its bus can tell; what it recorded joins the run afterwards, tied by a signal that both
-have, since the recorder's clock begins with the recording and tells no time of day.
+The drive samples faster than its bus can transfer. A recording is attached to the run afterwards; the clocks are
+aligned by a common signal, since the recorder's clock begins with the recording and has no time of day.
 """
 
 import math
@@ -48,15 +48,15 @@ class ElmoRecorderCsv(Driver):
         self.exports = ExportFolder(settings.exports_folder)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: files move nothing."""
+        """Confirm at once: files move nothing."""
         return Confirmation(True, "reads files only")
 
     def open(self) -> None:
-        """See which files are there already: those that come later are of the run."""
+        """Remember the present files, so that later ones are known to belong to the run."""
         self.exports.look()
 
     def close(self) -> None:
-        """Nothing to do: no file stays open."""
+        """Do nothing: no file stays open."""
 
     @classmethod
     def far_end(cls, settings: ElmoRecorderCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
@@ -74,12 +74,12 @@ class ElmoRecorderCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the recorder's clock is tied to that of a run."""
+        """How the recorder's clock is aligned with that of a run."""
         return self.settings.clock
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:
-        """One channel a signal; its location tells it from the same quantity over the bus."""
+        """One channel for each signal; its location distinguishes it from the same quantity over the bus."""
         return tuple(
             ChannelSpec(name, signal.quantity, self.role, self.name, signal.column, "recorder", dtype="f8")
             for name, signal in self.settings.signals.items()

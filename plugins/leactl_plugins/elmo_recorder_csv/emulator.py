@@ -1,4 +1,4 @@
-"""The drive's recorder: so many samples at a fixed interval, saved as text once the buffer is full."""
+"""Emulator of the drive's recorder: it samples at a fixed interval and saves a text file when its buffer is full."""
 
 import math
 from pathlib import Path
@@ -16,7 +16,7 @@ UNITS = {"q_axis_current": "A", "velocity": "cnt/sec", "angle": "cnt", "bus_volt
 
 
 class RecorderEmulator:
-    """A recorder that fills its buffer once, and the tool that saves it."""
+    """A recorder that fills its buffer once, with the tool that saves it."""
 
     def __init__(self, folder: Path, name: str, settings: ElmoRecorderCsvSettings, machine: Machine) -> None:
         if unknown := [s.quantity for s in settings.signals.values() if s.quantity not in READS]:
@@ -37,11 +37,11 @@ class RecorderEmulator:
 
     @property
     def due(self) -> float:
-        """When the next sample is taken."""
+        """Time of the next sample [s]."""
         return math.inf if self._saved else self._starts + len(self._rows) * self._interval
 
     def tick(self, now: float) -> None:
-        """Take a sample; save when the buffer is full."""
+        """Take a sample; save the buffer if it is full."""
         if self._saved or now < self.due - 1e-9:
             return
         if not self._rows:

@@ -1,4 +1,4 @@
-"""Settings of one drive's recordings: which column is which signal, in which units, sampled how."""
+"""Settings of one drive's recordings: columns of the signals, their units, and the sampling."""
 
 from typing import Annotated, Literal, Self
 

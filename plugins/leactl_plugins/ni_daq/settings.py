@@ -11,7 +11,7 @@ MOST_SAMPLES = 200_000_000  # of a finite acquisition, which its buffer holds
 
 
 class DaqInput(BaseModel):
-    """One input and what hangs at it: value = sign x scale_per_V x voltage."""
+    """One input and its sensor: value = sign x scale_per_V x voltage."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -26,7 +26,7 @@ class DaqInput(BaseModel):
 
     @property
     def pair(self) -> int:
-        """Place of the quantity among the three pairs of leads."""
+        """Index of the quantity among the three pairs of leads."""
         return PAIRS.index(self.quantity)
 
 
@@ -45,11 +45,11 @@ class NiDaqSettings(DriverSettings):
 
     @property
     def samples(self) -> int | None:
-        """Of each input in a finite acquisition; None where it goes on."""
+        """Samples of each input in a finite acquisition; None if it has no end."""
         return None if self.duration_s is None else max(1, round(self.duration_s * self.rate_Hz))
 
     def shown(self) -> list[Shown]:
-        """What each input can tell."""
+        """Measurable range of each input."""
         places = enumerate(self.inputs)
         ends = [(index, item, item.range_V * item.scale_per_V) for index, item in places]
         return [Shown(("inputs", index), item.quantity, -end, end) for index, item, end in ends]

@@ -1,4 +1,4 @@
-"""Numbers of a drive's parameters, which differ from firmware to firmware: the maker's `flat_endpoints.json`."""
+"""Numbers of a drive's parameters, which depend on the firmware, from the maker's `flat_endpoints.json`."""
 
 import json
 import struct
@@ -50,7 +50,7 @@ class Endpoint(NamedTuple):
 
 
 class EndpointTable(NamedTuple):
-    """The parameters that are needed of one firmware on one hardware."""
+    """The needed parameters of one firmware on one hardware."""
 
     firmware: str  # "0.6.10"
     hardware: str  # "4.4.58"
@@ -59,7 +59,7 @@ class EndpointTable(NamedTuple):
 
 @lru_cache(maxsize=8)
 def read_table(path: str) -> EndpointTable:
-    """Read the maker's file, or the emulated drive's.
+    """Read the maker's file, or that of the emulated drive.
 
     Raises
     ------

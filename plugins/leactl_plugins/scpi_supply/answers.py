@@ -1,4 +1,4 @@
-"""What a supply's answers mean; whatever is not exactly an answer of its kind is refused, never guessed at."""
+"""Parse a supply's replies; a reply that does not have exactly the expected form is Unreadable."""
 
 import re
 from typing import NamedTuple
@@ -13,7 +13,7 @@ TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
 class InstrumentIdentity(NamedTuple):
-    """Four fields of IEEE 488.2, 10.14."""
+    """The four fields of `*IDN?` (IEEE 488.2, 10.14)."""
 
     maker: str
     model: str
@@ -22,14 +22,14 @@ class InstrumentIdentity(NamedTuple):
 
 
 class ErrorEntry(NamedTuple):
-    """One entry of the instrument's error queue; number 0 says that it is empty."""
+    """One entry of the instrument's error queue; number 0 means that the queue is empty."""
 
     number: int
     text: str
 
 
 def number(line: bytes) -> float:
-    """A level that is set.
+    """Parse a set level.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def number(line: bytes) -> float:
 
 
 def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
-    """A measured voltage or current, which nothing else confirms: the rest of an answer may be a number as well.
+    """Parse a measured voltage or current strictly, because a part of a reply may be a number as well.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
 
 
 def truth(line: bytes) -> bool:
-    """On or off, tripped or not.
+    """Parse a boolean.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def truth(line: bytes) -> bool:
 
 
 def register(line: bytes) -> int:
-    """A status register's value.
+    """Parse the value of a status register.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def register(line: bytes) -> int:
 
 
 def entry(line: bytes) -> ErrorEntry:
-    """An entry of the error queue.
+    """Parse an entry of the error queue.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def entry(line: bytes) -> ErrorEntry:
 
 
 def identity(line: bytes) -> InstrumentIdentity:
-    """Who answers.
+    """Parse the identity of the instrument.
 
     Raises
     ------

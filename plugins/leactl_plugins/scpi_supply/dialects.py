@@ -1,4 +1,4 @@
-"""How two families of supplies spell what SCPI leaves open: protection, ranges, readings, a way out of a deadlock."""
+"""Commands of two families of supplies that SCPI does not standardise: protection, ranges, readings, device clear."""
 
 import re
 from typing import Final, NamedTuple
@@ -16,7 +16,7 @@ class Protection(NamedTuple):
 
 
 class ScpiDialect(NamedTuple):
-    """What is sent to an instrument of one family."""
+    """Commands of one family of instruments."""
 
     voltage: Protection
     current: Protection
@@ -26,7 +26,7 @@ class ScpiDialect(NamedTuple):
 
     @property
     def off(self) -> bytes:
-        """What switches the output off from any state: the line feed ends what somebody has left half sent."""
+        """Bytes that switch the output off from any state; the line feed ends an incomplete earlier command."""
         return self.clear + b"\nSYST:REM\nOUTP OFF\n"
 
 

@@ -1,4 +1,4 @@
-"""What is said to a supply: to get in step with it, to take its output away, to set it up, to command it, to measure.
+"""Commands of an SCPI supply, as scripts: synchronise, switch off, set up, set levels, measure.
 
 Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
 """
@@ -27,7 +27,7 @@ ERROR = Query("SYST:ERR?", answers.entry)
 
 
 class ProtectionBefore(NamedTuple):
-    """How a protection stood before it was set."""
+    """State of a protection before it was changed."""
 
     protection: Protection
     level: float
@@ -35,7 +35,7 @@ class ProtectionBefore(NamedTuple):
 
 
 class ScpiDialogue:
-    """What is said to the supply of these settings."""
+    """Dialogue with the supply of these settings."""
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
@@ -51,16 +51,16 @@ class ScpiDialogue:
 
     @property
     def off(self) -> bytes:
-        """What switches the output off from any state."""
+        """Bytes that switch the output off from any state."""
         return self._dialect.off
 
     def in_step(self) -> Script[InstrumentIdentity]:
-        """Ask who answers: what comes before that answer was meant for an earlier question, and is dropped."""
+        """Query the identity and drop all replies before it, which belong to earlier queries."""
         who: InstrumentIdentity = yield from _ask(IDENTIFY)
         return who
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
-        """Switch off until the instrument says so and no current flows, however often that takes.
+        """Switch off repeatedly until the instrument reports it and no current flows.
 
         The first command may be lost to a half-sent one or to an answer under way, so it is repeated.
         """
@@ -77,7 +77,7 @@ class ScpiDialogue:
             off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
 
     def _check(self, who: InstrumentIdentity) -> None:
-        """Refuse another instrument."""
+        """Raise DeviceError if another instrument answers."""
         settings, self.met = self._settings, who
         if who.model != settings.model:
             raise DeviceError(f"{who.maker} {who.model} answers; {settings.model} was expected")
@@ -85,7 +85,7 @@ class ScpiDialogue:
             raise DeviceError(f"serial number {who.serial_number} answers; {settings.serial_number} was expected")
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Make off, then arm both protections at their limits, with nothing set; errors of whoever was there before.
+        """Switch off, set levels to 0 and arm both protections at their limits; returns earlier errors as notices.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class ScpiDialogue:
         return [f"had an error from before: {number}, {text}" for number, text in before]
 
     def _as_found(self, limits: Mapping[str, float]) -> Script[list[ProtectionBefore]]:
-        """How the protections stand; one that somebody has armed closer than the limits is not loosened."""
+        """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
         protections = []
         for protection, (key, limit) in zip(
             (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
@@ -127,7 +127,7 @@ class ScpiDialogue:
         return protections
 
     def put(self, voltage: float, current: float) -> Script[None]:
-        """Set both levels [V, A], arm the over-voltage protection at its own, and read everything back.
+        """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
 
         The voltage follows the current: the protection is raised before a larger one, and lowered after a smaller one.
 
@@ -151,7 +151,7 @@ class ScpiDialogue:
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Put both protections back as they were found; what was put back."""
+        """Restore both protections; returns their names."""
         protections, self._found = self._found, []
         if not protections:
             return ()
@@ -164,7 +164,7 @@ class ScpiDialogue:
         return [before.protection.name for before in protections]
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and see that it is.
+        """Switch the output and check its state.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class ScpiDialogue:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
-        """Voltage, current, and how the instrument fares."""
+        """Measure voltage and current, and read output, condition, errors and protections."""
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
@@ -190,7 +190,7 @@ class ScpiDialogue:
         return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
     def _tripped(self) -> Script[str]:
-        """Which protection has tripped; empty where none has."""
+        """Text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.voltage, self._dialect.current):
             if (yield from _ask(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
@@ -207,7 +207,7 @@ def _protect(protection: Protection, level: float) -> Script[None]:
 
 
 def _written(command: str, query: str, value: float) -> Script[None]:
-    """Write a level and read it back; further away than rounding takes it, it was refused."""
+    """Write a level and read it back; raise if it differs by more than rounding."""
     yield f"{command} {value:.4f}"
     held = yield from _ask(Query(query, answers.number))
     if not abs(held - value) <= _off_by(value):
@@ -215,12 +215,12 @@ def _written(command: str, query: str, value: float) -> Script[None]:
 
 
 def _off_by(value: float) -> float:
-    """By how much a level may come back otherwise than it was written."""
+    """Tolerance of a level that is read back."""
     return ROUNDED * value + ROUNDED_BESIDE
 
 
 def _errors() -> Script[tuple[ErrorEntry, ...]]:
-    """Empty the error queue."""
+    """Read the error queue until it is empty."""
     errors: list[ErrorEntry] = []
     while (entry := (yield from _ask(ERROR))).number:
         errors.append(entry)
@@ -230,7 +230,7 @@ def _errors() -> Script[tuple[ErrorEntry, ...]]:
 
 
 def _ask(question: Query) -> Script[Any]:
-    """The value of an answer."""
+    """Script that sends a query and returns the value of its reply."""
     answer = yield question
     assert answer is not None
     return answer.value
