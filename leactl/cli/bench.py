@@ -107,7 +107,7 @@ def reset(
 
 
 def _confirmed(question: str) -> bool:
-    """Ask on stderr alone: `typer.confirm` writes a space to stdout, where JSON may follow."""
+    """Ask the user on stderr only: `typer.confirm` writes a space to stdout, where JSON may follow."""
     typer.echo(f"{question} [y/N]: ", err=True, nl=False)
     answer = sys.stdin.readline()
     if not answer.endswith("\n"):

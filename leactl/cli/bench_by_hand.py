@@ -1,4 +1,4 @@
-"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: what is done at a bench beside a protocol."""
+"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: operations at a bench outside a protocol."""
 
 import json
 import time
@@ -88,11 +88,11 @@ def remark(
 
 
 def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answer: str) -> None:
-    """Ask every run on a bench for something, and say who was asked.
+    """Call `ask` with every run on a bench, and print the runs that were asked.
 
     Raises
     ------
-    DeviceError : nothing runs there, or a run cannot be asked.
+    DeviceError : no run is active there, or a run cannot be reached.
     """
     from leactl.errors import DeviceError
     from leactl.runner import runs_underway
@@ -119,9 +119,9 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
 
 
 def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Underway]":
-    """Those of a bench as its run was told it; its file is read only where that does not settle it.
+    """Runs on a bench, by the bench name or path that each was started with, else by the name in the bench file.
 
-    A run that holds the bench, and whose file cannot be found, is added to the faults.
+    Adds to `faults` a bench that a process locks although no run's file describes that process.
     """
     from leactl.runner.runs_underway import unseen
 
@@ -143,7 +143,7 @@ def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Und
 
 
 def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
-    """How a run ended, and what of it could not be confirmed."""
+    """Describe for JSON how a run ended, and what could not be confirmed about its safe state."""
     last_words = run.told()
     safe = last_words.get("safe", {})
     unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]

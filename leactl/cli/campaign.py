@@ -1,4 +1,4 @@
-"""`leactl campaign`: many runs in order, gone on with after any interruption."""
+"""`leactl campaign`: many runs in sequence, resumable after an interruption."""
 
 import json
 import sys
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 
 class RunByDefault(WholeSentences):
-    """`leactl campaign FILE` is `leactl campaign run FILE`."""
+    """A group that treats `leactl campaign FILE` as `leactl campaign run FILE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the command in where none is named."""
+        """Insert the command `run` where the first word is no command."""
         named = args and args[0] in (*self.commands, *ctx.help_option_names)
         return super().parse_args(ctx, args if named or not args else ["run", *args])
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Offer what the command that is put in would take first, beside the commands."""
+        """Complete the commands and also the first argument of `run`."""
         first = next(param for param in self.commands["run"].params if param.param_type_name == "argument")
         return [*super().shell_complete(ctx, incomplete), *first.shell_complete(ctx, incomplete)]
 

@@ -1,4 +1,4 @@
-"""`leactl doctor`: what this machine has and lacks, and the command that mends it."""
+"""`leactl doctor`: what is installed on this machine, what is missing, and the command that installs it."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""`leactl driver`: which drivers are there, what they take, and whether they keep the contract."""
+"""`leactl driver`: list drivers and their settings, and check them against the driver contract."""
 
 import json
 from pathlib import Path

@@ -21,15 +21,15 @@ JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 
 
 class JsonToFileOrStdout(TyperCommand):
-    """Lets `--json` stand alone, for stdout as in every other command, or before the file to write."""
+    """A command whose `--json` takes an optional file; without one, JSON goes to stdout."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `-` behind a `--json` that no file to write follows: an option, a run or nothing does."""
+        """Insert `-` after a `--json` that is followed by an option, a run or nothing."""
         return super().parse_args(ctx, completed(args))
 
 
 def completed(args: list[str]) -> list[str]:
-    """The words of a command line with `-` behind a `--json` that no file to write follows."""
+    """Return the words of a command line with `-` inserted after a `--json` without a file."""
     complete: list[str] = []
     for index, word in enumerate(args):
         complete.append(word)

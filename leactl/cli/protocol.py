@@ -1,4 +1,4 @@
-"""`leactl protocol`: protocol files."""
+"""`leactl protocol`: list, show and check protocol files."""
 
 import json
 from typing import TYPE_CHECKING
@@ -140,7 +140,7 @@ def plan(
 
 
 def _checked(protocol: str) -> "Plan":
-    """The plan of a protocol whose limits can be judged; CSV files of one on stdin are looked for where we are."""
+    """Return the plan of a protocol, its limits checked; from stdin, CSV paths are relative to the working folder."""
     import sys
     from pathlib import Path
 

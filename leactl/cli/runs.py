@@ -22,7 +22,7 @@ INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by defaul
 
 
 def remark(line: str) -> None:
-    """Say what a person should know beside the answer."""
+    """Print a remark for the user on stderr."""
     typer.echo(f"leactl: {line}", err=True)
 
 
@@ -206,7 +206,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     for name, facts in instruments.items():
         typer.echo(row(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
-        typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
+        typer.echo(f"stream {name}: {stream['rows']} rows{attachment_note(stream)}")
         for channel in opened.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     for search in searches(steps):
@@ -355,7 +355,7 @@ def import_foreign(
 
     if map_out is not None and str(mapping) != AUTO:
         raise InputError(f"--map-out {map_out}: goes with --map {AUTO}")
-    document = proposed(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
+    document = propose_mapping(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
     runs = read_by_mapping(sources, document, joint)
     files = targets_of(runs, out) if check else write_runs(runs, out)
     previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
@@ -370,15 +370,15 @@ def import_foreign(
     typer.echo("\n".join(lines))
 
 
-def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
-    """The mapping that a person and the first source make; without a person, what the source alone says of it.
+def propose_mapping(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
+    """Propose a mapping from the first source, and ask the user its open questions at a terminal.
 
     Raises
     ------
-    InputError : nobody can be asked what is open; the proposal is in `map_out`, or on stdout.
+    InputError : questions are open and no user can be asked; the proposal is in `map_out`, or on stdout.
     """
     from leactl import yamlfile
-    from leactl.cli.mapping_questions import asked, is_attended
+    from leactl.cli.mapping_questions import ask_open_questions, is_attended
     from leactl.runfile.importing.importer import expand_patterns
     from leactl.runfile.importing.proposal.proposal import propose
     from leactl.runfile.importing.proposal.survey import survey
@@ -386,8 +386,8 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
 
     if map_out is not None:
         refuse_existing(map_out)
-    seen = survey(expand_patterns(sources)[0])
-    proposal = asked(seen) if is_attended() else propose(seen, {})
+    source_survey = survey(expand_patterns(sources)[0])
+    proposal = ask_open_questions(source_survey) if is_attended() else propose(source_survey, {})
     if map_out is not None:
         with new_file(map_out) as aside:
             aside.write_text(proposal.text, encoding="utf-8")
@@ -399,8 +399,8 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
     return yamlfile.parse(proposal.text, str(map_out or AUTO))
 
 
-def attached_told(stream: dict[str, Any]) -> str:
-    """Where a stream that joined later came from and how well its stamps are known; empty for a recorded one."""
+def attachment_note(stream: dict[str, Any]) -> str:
+    """Describe the source file and time uncertainty of an attached stream; empty for a recorded stream."""
     if "attached" not in stream:
         return ""
     provenance = stream["attached"]

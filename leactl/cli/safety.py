@@ -155,7 +155,7 @@ def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str],
 
 
 def _agreed(text: str) -> bool:
-    """Ask on stderr: stdout may be JSON's."""
+    """Ask the user on stderr, since stdout may carry JSON."""
     typer.echo(f"{text}\nGo on? [y/N]: ", err=True, nl=False)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
