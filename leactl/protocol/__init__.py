@@ -1,1 +1,1 @@
-"""Protocols: YAML files are checked and expanded to plans, which say before a bench moves what it will do."""
+"""Protocols: YAML files are checked and expanded to plans, which list every action before a bench moves."""

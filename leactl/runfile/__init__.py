@@ -4,15 +4,15 @@ A kill at any moment loses at most the last unflushed second, nothing is ever ov
 MATLAB open what is written here.
 
     write/      record a run: rows into memory, memory into a live file, at the end the compressed file
-    read/       ask a run for channels, steps, events and notes
+    read/       read channels, steps, events and notes of a run
     verify/     check, recover, annotate and convert run files
-    importing/  recordings of other programs and a mapping in, run files out
+    importing/  convert recordings of other programs to run files, as a mapping states
     attach.py   add the record of another device to a closed run
-    export.py   CSV, MATLAB and Parquet out
+    export.py   write CSV, MATLAB and Parquet files
     catalog/    list the runs of a folder: summaries, index, tags, selection
-    align/      tie one clock to another by signals that were recorded on both
+    align/      find the offset and drift between two clocks from signals recorded on both
     hdf5/       open HDF5 files of unknown origin safely
 
 `layout` (names of groups and attributes), `seal` (digests), `summary`, `publish` (write whole files or none) and
-`instruments` are what these rooms share.
+`instruments` are shared by these packages.
 """

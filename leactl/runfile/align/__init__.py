@@ -1,1 +1,1 @@
-"""Tie one clock to another by signals that were recorded on both."""
+"""Find the offset and drift between two clocks from signals that were recorded on both."""

@@ -1,1 +1,1 @@
-"""List the runs of a folder: summaries, their index, tags, and which runs a person asks for."""
+"""List the runs of a folder: their summaries, an index of these, tags, and the selection by conditions."""

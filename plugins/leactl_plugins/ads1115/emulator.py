@@ -48,7 +48,7 @@ class Ads1115Emulator:
             self._begin(now)
 
     def keep(self, store: RegisterStore, now: float) -> None:
-        """Serve single shots through a plain register store: start what the host wrote there, store the result in time.
+        """Run single conversions on a register store: start one when the host writes its start, and store the result.
 
         The host starts each conversion with the same word. The stored configuration therefore differs from that word in
         one bit, during and after a conversion, and any other stored word is a start.

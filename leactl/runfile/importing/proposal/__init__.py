@@ -1,1 +1,1 @@
-"""Propose a mapping for a file that nobody has described (`--map auto`)."""
+"""Propose a mapping for a file that has none (`--map auto`)."""
