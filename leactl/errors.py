@@ -5,7 +5,7 @@ LeactlError (1)
  |   +- MissingChannel      a run lacks a quantity that the question needs
  |   +- NotIdentifiable     the data cannot answer the question
  |   +- NotWritten          a file's place takes none (leactl.runfile.publish)
- |   +- RecordingFailed     the disk that was to hold a run takes no more (leactl.runfile.writer)
+ |   +- RecordingFailed     the disk that was to hold a run takes no more (leactl.runfile.write.writer)
  +- SafetyTrip (3)          the supervisor stopped the bench
  +- Stopped (4)             a person stopped the run
  +- DeviceError (5)         a device or its bus failed

@@ -15,8 +15,8 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import Diagnosis as DiagnosisAnswer
 from leactl.gap.replay.written import Simulated as Simulated
-from leactl.runfile.reader import Channel as Channel
-from leactl.runfile.reader import Run as Run
+from leactl.runfile.read.reader import Channel as Channel
+from leactl.runfile.read.reader import Run as Run
 
 Place = str | Path
 

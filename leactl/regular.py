@@ -9,6 +9,8 @@ import stat
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from leactl.errors import InputError
+
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0)
 OF_THIS_PROCESS: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)
@@ -36,6 +38,27 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
     if not stat.S_ISREG(about.st_mode):
         raise OSError(errno.EINVAL, "a regular file was expected; this is none", str(path))
     raise OSError(errno.EFBIG, f"{about.st_size} bytes; at most {most} are read", str(path))
+
+
+def file_bytes(path: Path, most: int | None = None, count: int = -1) -> bytes:
+    """Read a regular file that a person named.
+
+    Parameters
+    ----------
+    most : largest size of the file [bytes].
+    count : bytes that are read; -1 reads the whole file.
+
+    Raises
+    ------
+    InputError : it cannot be opened, is no regular file, or is larger than `most`; in one line.
+    """
+    try:
+        with open_regular(path, most) as stream:
+            return stream.read(count)
+    except OSError as fault:
+        raise InputError(f"{path}: {fault.strerror or fault}") from None
+    except ValueError as fault:  # a path may hold characters that no file name can
+        raise InputError(f"{str(path)!r}: {fault}") from None
 
 
 def read_at(descriptor: int, count: int, place: int) -> bytes:

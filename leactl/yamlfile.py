@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular import file_bytes
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -219,14 +219,7 @@ def load(path: Path) -> Document:
     ------
     InputError : the file is absent, no regular file, too large, not UTF-8, or not the YAML described above.
     """
-    try:
-        with open_regular(path) as stream:
-            raw = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:  # a path may hold characters that no file name can
-        raise InputError(f"{str(path)!r}: {error}") from None
-    return decoded(raw, str(path))
+    return decoded(file_bytes(path, count=MAX_BYTES + 1), str(path))
 
 
 def decoded(raw: bytes, name: str) -> Document:

@@ -10,7 +10,7 @@ from leactl.errors import InputError
 from leactl.model.motor import load_sheet
 from leactl.model.nominal import read_model
 from leactl.protocol import protocolfile
-from leactl.runfile.importing import import_runs
+from leactl.runfile.importing.importer import import_runs
 from leactl.runner.campaign import campaignfile
 
 KINDS = {

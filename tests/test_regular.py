@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from leactl.driver import text_table
-from leactl.driver.text_table import MOST_BYTES as MOST_OF_TABLE
+from leactl.driver.tables import text_table
+from leactl.driver.tables.text_table import MOST_BYTES as MOST_OF_TABLE
 from leactl.errors import InputError
 from leactl.model.cycle import MOST_BYTES, MOST_ROWS, read_cycle
 from leactl.regular import open_regular
@@ -51,10 +51,10 @@ def test_a_text_is_as_long_as_its_characters_are_many(tmp_path, monkeypatch, enc
     monkeypatch.setattr(text_table, "MOST_CHARACTERS", 1000)
     path = tmp_path / "table.csv"
     path.write_text("x" * 999, encoding)
-    assert text_table.text_of(path, None)[0] == "x" * 999
+    assert text_table.read_text(path, None)[0] == "x" * 999
     path.write_text("x" * 1001, encoding)
     with pytest.raises(InputError, match=r"100[12] characters; at most 1000 are read; export it in parts"):
-        text_table.text_of(path, None)
+        text_table.read_text(path, None)
 
 
 def test_rows_of_a_cycle_are_read_no_further_than_they_may_be(tmp_path):

@@ -13,9 +13,9 @@ from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
-from leactl.runfile import integrity
-from leactl.runfile.catalog import asked_in
-from leactl.runfile.reader import Run
+from leactl.runfile.catalog.summaries import analysis_in
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify import integrity
 
 __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
 
@@ -55,7 +55,7 @@ def results_of(experiment: str) -> dict[str, str]:
 
 def experiment_of(run: Run) -> str:
     """What a run is to be analysed as: `analysis` of its protocol, else its protocol's name, else by its channels."""
-    asked = asked_in(run.source("protocol") or "")
+    asked = analysis_in(run.source("protocol") or "")
     protocol = str(run.attributes.get("protocol", ""))
     return asked or (protocol if is_known(protocol) else GENERIC)
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from leactl.analysis.estimate import Result
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 GROUP = "leactl.experiments"
 GENERIC = "channels"

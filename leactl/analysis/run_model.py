@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from leactl import yamlfile
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 LARGEST: Final = math.sqrt(sys.float_info.max)
 

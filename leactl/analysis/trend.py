@@ -14,7 +14,7 @@ from leactl.analysis.registry import load
 from leactl.analysis.statistics.control_chart import ControlChart, control_chart
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 Tell = Callable[[str], None]
 

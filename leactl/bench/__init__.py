@@ -1,1 +1,1 @@
-"""Bench YAML to opened devices, calibrated channels and a clock."""
+"""Benches: a bench file becomes opened devices, calibrated channels and a clock."""

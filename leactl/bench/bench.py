@@ -1,4 +1,4 @@
-"""A bench with its devices open: one exchange a cycle with all drives, own streams beside it, one way to close."""
+"""A bench with its devices: one exchange per cycle with all drives, streams of other devices, and one way to close."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,8 +11,8 @@ from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Block, Driver, MotionDevice, PacedDevice, Row
 from leactl.driver.i2c_port import I2cPort
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.driver.serial_port import SerialPort
-from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
 
@@ -21,7 +21,7 @@ Wrap = Callable[[str, str, Callable[..., Any]], Callable[..., Any]]
 
 
 class Bench:
-    """The devices of a bench file on a wiring; `open` before use, `close` in any case."""
+    """The devices of a bench file, connected by a wiring; call `open` before use and `close` in any case."""
 
     def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring) -> None:
         self.file, self.clock, self.wait_for_disk = file, wiring.clock, wiring.wait_for_disk
@@ -56,7 +56,7 @@ class Bench:
         )
 
     def pass_calls_through(self, wrap: Wrap, names: Sequence[str]) -> None:
-        """Have these calls of every driver, and every SYNC, pass through a function; before any of them is made."""
+        """Wrap these methods of every driver, and every SYNC, by a function; call it before `open`."""
         for name, driver in self.drivers.items():
             for call in names:
                 if hasattr(driver, call):
@@ -65,55 +65,60 @@ class Bench:
 
     @property
     def others(self) -> list[Driver]:
-        """Devices that are no drives."""
+        """Devices other than drives."""
         return [driver for driver in self.drivers.values() if driver not in self.drives.values()]
 
     @property
     def in_order_of_stop(self) -> list[Driver]:
-        """Every device in the order in which power is taken away: test drive, load drive, then the rest."""
+        """Every device in the order in which power is removed: test drive, load drive, then the others."""
         return [*(self.drives[role] for role in ("test", "load") if role in self.drives), *self.others]
 
     def streams(self) -> dict[str, tuple[ChannelSpec, ...]]:
-        """Every stream of the bench and its channels."""
-        own = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
-        return {"loop": self.loop_channels, **own} if self.loop_channels else own
+        """Channels of every stream of the bench, by stream."""
+        device_streams = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
+        return {"loop": self.loop_channels, **device_streams} if self.loop_channels else device_streams
 
     @property
     def fast_streams(self) -> dict[str, float]:
-        """Rows a second of each stream that says how many there are."""
+        """Sampling rate [Hz] of each stream that declares one."""
         every = [spec for driver in self._asynchronous for spec in driver.streams]
         return {spec.name: spec.rate_Hz for spec in every if spec.rate_Hz}
 
     def open(self) -> None:
-        """Open every device in the file's order; where one fails, all are made safe and closed again.
+        """Open every device in the order of the file; if one fails, all are made safe and closed.
 
-        It comes first, then the others, opened or not: whoever had a drive before may have left it in operation.
+        The failed device is made safe first, then the others, opened or not: an earlier program may have left a drive
+        in operation.
 
         Raises
         ------
-        DeviceError : with the device's name, and with what could not be confirmed safe; also where a device tells
-            another serial number than the bench file.
+        DeviceError : with the device's name and the devices that are not confirmed safe; also if a device reports
+            another serial number than the bench file states.
         """
         for name, driver in self.drivers.items():
             try:
                 driver.open()
                 self.provenance[name].take(driver.identity())
             except BaseException as error:
-                safe = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
+                confirmations = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
                 cause = str(error).removeprefix(f"{name}: ")
                 if isinstance(error, NoBus):  # whatever hangs on it never heard of this machine
-                    safe = {device: found for device, found in safe.items() if not found.detail.endswith(cause)}
-                doubts = doubt(safe, cause)
+                    confirmations = {
+                        device: confirmation
+                        for device, confirmation in confirmations.items()
+                        if not confirmation.detail.endswith(cause)
+                    }
+                not_confirmed = unconfirmed_devices(confirmations, cause)
                 self.close()
                 if not isinstance(error, DeviceError):
-                    if doubts:
-                        error.add_note(doubts)
+                    if not_confirmed:
+                        error.add_note(not_confirmed)
                     raise
                 text = str(error) if str(error).startswith(f"{name}:") else f"{name}: {error}"
-                raise type(error)(f"{text}; {doubts}" if doubts else text) from None
+                raise type(error)(f"{text}; {not_confirmed}" if not_confirmed else text) from None
 
     def close(self) -> list[str]:
-        """Let every device go, whatever one of them does; a line for each that failed to."""
+        """Close every device, even if one of them fails; one line for each failure."""
         faults = []
         for name, driver in self.drivers.items():
             try:
@@ -123,7 +128,7 @@ class Bench:
         return faults
 
     def exchange(self, deadline: float) -> list[float]:
-        """One cycle with all drives: demands out, SYNC, readings in; the values of `loop_channels` in order.
+        """One cycle with all drives: send setpoints and SYNC, collect readings; returns the values of `loop_channels`.
 
         Raises
         ------
@@ -142,22 +147,22 @@ class Bench:
         except (LeactlError, MemoryError):
             raise
         except Exception as error:
-            raise _broken(drive, error) from error
+            raise _driver_error(drive, error) from error
         return row
 
     def pace(self, period: float) -> None:
-        """Tell every drive that wants to know it the time between two setpoints [s].
+        """Set the time between two setpoints [s] in every drive that has to know it.
 
         Raises
         ------
-        DeviceError : a drive does not take it.
+        DeviceError : a drive refuses it.
         """
         for drive in self._motion:
             if isinstance(drive, PacedDevice):
                 drive.pace(period)
 
     def take(self) -> list[Row | Block]:
-        """Rows of all streams with clocks of their own.
+        """New rows of all streams that devices sample by their own clocks.
 
         Raises
         ------
@@ -172,34 +177,34 @@ class Bench:
         except (LeactlError, MemoryError):
             raise
         except Exception as error:
-            raise _broken(driver, error) from error
+            raise _driver_error(driver, error) from error
         return rows
 
     def notices(self) -> list[tuple[str, str]]:
-        """What devices have noticed since the last call, each with the device's name."""
+        """(device, notice) pairs since the last call."""
         return [(name, text) for name, driver in self._noticing for text in driver.notices()]
 
     def feed(self) -> None:
-        """Send the host's sign of life to every drive; only the control loop calls this, after a supervised cycle."""
+        """Send the host's heartbeat to every drive; only the control loop calls this, after a supervised cycle."""
         for drive in self._motion:
             drive.feed()
 
 
-def _broken(driver: object, error: BaseException) -> DeviceError:
-    """A mistake in a plug-in, which ends a run as a device's failure does."""
+def _driver_error(driver: object, error: BaseException) -> DeviceError:
+    """A DeviceError for an unexpected exception of a driver, which ends a run like a failure of the device."""
     name = getattr(driver, "name", "a driver")
     return DeviceError(f"{name}: its driver broke: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where")
 
 
-def refuse_blind(bench: Bench, document: yamlfile.Document) -> None:
-    """Refuse interlocks that no device measures anything for, and temperatures that none of them trips on.
+def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -> None:
+    """Refuse interlocks without a device that measures their quantity, and temperatures without an interlock.
 
     Raises
     ------
     InputError : one line each, with file, line and column.
     """
     channels = [channel for stream in bench.streams().values() for channel in stream]
-    faults = [document.fault(("interlocks", *place), text) for place, text in bench.file.interlocks.blind(channels)]
+    faults = [document.fault(("interlocks", *keys), text) for keys, text in bench.file.interlocks.blind(channels)]
     if faults:
         raise InputError(faults)
 

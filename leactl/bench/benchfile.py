@@ -26,7 +26,7 @@ SHIPPED = Path(__file__).parent / "files"
 
 
 class CanBus(Block):
-    """A CAN bus by python-can's own words; an emulated bench answers in its place."""
+    """A CAN bus, with python-can's names of settings; an emulated bench replaces it."""
 
     kind: Literal["can"]
     interface: str = "socketcan"
@@ -43,7 +43,7 @@ class I2cBus(Block):
 
 
 class SerialBus(Block):
-    """A serial line to one device; an emulated bench answers in its place."""
+    """A serial line to one device; an emulated bench replaces it."""
 
     kind: Literal["serial"]
     port: Annotated[str, Field(min_length=1)] = "/dev/ttyUSB0"
@@ -55,7 +55,7 @@ class SerialBus(Block):
 
     @property
     def byte_s(self) -> float:
-        """How long one byte takes on the line, start and stop bits included."""
+        """Duration of one byte on the line [s], start and stop bits included."""
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baudrate
 
 
@@ -63,17 +63,17 @@ Bus = CanBus | I2cBus | SerialBus
 
 
 class Device(Instrument):
-    """One device: its driver, its bus, its role, the driver's own settings, and what is known of the instrument."""
+    """One device: its driver, bus, role, the settings of its driver, and facts about the instrument."""
 
     driver: str
     bus: Name | None = None
     role: Literal["test", "load", "bench"]
     settings: dict[str, Any] = {}
-    on_demand: bool = False  # left alone by protocols that neither need nor want what it measures
+    on_demand: bool = False  # opened only by protocols that need or want a quantity that it measures
 
 
 class Harmonic(Block):
-    """A harmonic of the emulated back-EMF, of a phase; a wye's line-to-line voltages lack every third."""
+    """A harmonic of the emulated back-EMF of a phase; line-to-line voltages of a wye lack multiples of three."""
 
     order: Annotated[int, Field(strict=True, ge=2, le=100)]
     share: Annotated[float, Field(strict=True, ge=0, le=1)]  # of the fundamental
@@ -81,7 +81,7 @@ class Harmonic(Block):
 
 
 class Emulated(Block):
-    """What an emulated bench is made of; a bench file without this block is a real bench."""
+    """Parameters of an emulated bench; a bench file without this block is a real bench."""
 
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
     test: dict[str, Any] = {}  # parameters over the motor's own
@@ -101,11 +101,11 @@ class Emulated(Block):
     temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = 1.0
 
     def expect(self, condition: str) -> None:
-        """Refuse a condition that it does not have, where it has any.
+        """Refuse an unknown condition, if the block defines conditions.
 
         Raises
         ------
-        InputError : with those that it has.
+        InputError : the condition is unknown; the message lists the known ones.
         """
         if condition and self.conditions and condition not in self.conditions:
             known = ", ".join(self.conditions)
@@ -113,7 +113,7 @@ class Emulated(Block):
 
 
 class BenchFile(Block):
-    """A whole bench."""
+    """The keys of a bench file."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
     title: str = ""
@@ -134,7 +134,7 @@ class BenchFile(Block):
 
 
 class CheckedDevice(BaseModel):
-    """A device whose settings its own driver has accepted."""
+    """A device whose settings its driver has accepted."""
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
     name: str
@@ -152,7 +152,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
 
     Raises
     ------
-    InputError : no such bench, or faults in it, all at once with file, line and column.
+    InputError : no such bench, or all its faults with file, line and column.
     """
     path = SHIPPED / f"{name_or_path}.yaml" if name_or_path in names() else Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
@@ -169,14 +169,14 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     faults += _shared_identifiers(document, usable)
     faults += _false_signs_of_life(document, usable)
     faults += _shared_folders(document, usable)
-    faults += [document.fault(("interlocks", *place), text) for place, text in bench.interlocks.beyond(bench.limits)]
+    faults += [document.fault(("interlocks", *keys), text) for keys, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
     return bench, usable, document
 
 
-def asked_for(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
-    """The devices of a run: those that are `on_demand` only where they tell a quantity that it asks for."""
+def devices_of_run(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
+    """The devices of a run: all, but those `on_demand` only if they measure one of the quantities `asked`."""
     return [
         device
         for device in devices
@@ -185,7 +185,7 @@ def asked_for(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[
 
 
 def check_devices(bench: BenchFile) -> list[CheckedDevice]:
-    """The devices of a bench that `load` has checked before, maybe in another process."""
+    """The devices of a bench that `load` has already checked, possibly in another process."""
     return [
         CheckedDevice(name=name, entry=entry, settings=registry.load(entry.driver).Settings(**entry.settings))
         for name, entry in bench.devices.items()
@@ -193,7 +193,7 @@ def check_devices(bench: BenchFile) -> list[CheckedDevice]:
 
 
 def nominal_model(bench: BenchFile) -> str:
-    """What a bench file believes of its bench, as a model file: the test motor's own text, `response` as `bench:`."""
+    """Text of a model file for a bench: that of the test motor, with `response` of the bench file as block `bench`."""
     known = bench.response.model_dump(exclude_none=True)
     block = "".join(f"  {name}: {value!r}\n" for name, value in known.items())
     motor = load_motor(bench.motors["test"])[1].text.rstrip("\n")
@@ -201,21 +201,21 @@ def nominal_model(bench: BenchFile) -> str:
 
 
 def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
-    """How long each device goes on without a sign of life from the host; None where it listens for none."""
+    """Time [s] for which each device runs on without the host's heartbeat; None if it monitors none."""
     return {device.name: device.settings.host_silence_s for device in devices}
 
 
-def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
-    """Buses as `NAME=INTERFACE:CHANNEL` puts them, for one process or one run; a serial line is `NAME=serial:PORT`.
+def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
+    """Buses changed by words `NAME=INTERFACE:CHANNEL` (CAN) or `NAME=serial:PORT`, by name.
 
     Raises
     ------
-    InputError : not of this form, or no CAN bus and no serial line of the bench.
+    InputError : a word has another form, or names no CAN bus or serial line of the bench.
     """
     changed: dict[str, CanBus | SerialBus] = {}
     for word in words:
-        name, _, place = word.partition("=")
-        interface, _, channel = place.partition(":")
+        name, _, target = word.partition("=")
+        interface, _, channel = target.partition(":")
         bus = bench.buses.get(name)
         if isinstance(bus, SerialBus) and interface == "serial" and channel:
             changed[name] = bus.model_copy(update={"port": channel})
@@ -231,7 +231,7 @@ def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
 
 
 def _unusable_drivers(document: yamlfile.Document) -> list[str]:
-    """Drivers that cannot be loaded, of a file with faults of its own, so that all are told at once."""
+    """One line for each driver that cannot be loaded, for a file with other faults, so that all are reported."""
     devices = document.data.get("devices") if isinstance(document.data, dict) else None
     faults = []
     for name, entry in devices.items() if isinstance(devices, dict) else ():
@@ -247,7 +247,7 @@ def _unusable_drivers(document: yamlfile.Document) -> list[str]:
 def _shared_addresses(
     document: yamlfile.Document, buses: Mapping[str, Bus], devices: Sequence[CheckedDevice]
 ) -> list[str]:
-    """Two devices that would answer at one place: each would take the other's commands for its own."""
+    """One line for each device with the bus address of another: each would take the other's commands for its own."""
     first: dict[tuple[str, int | None], str] = {}
     faults = []
     for device in devices:
@@ -264,10 +264,10 @@ def _shared_addresses(
 
 
 def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """Devices of two protocols on one CAN bus, one of which would take the other's frames for its own."""
+    """One line for each device that shares CAN identifiers with a device of another protocol on the same bus."""
     faults = []
-    for place, device in enumerate(devices):
-        for other in devices[:place]:
+    for index, device in enumerate(devices):
+        for other in devices[:index]:
             if other.entry.bus != device.entry.bus or other.entry.driver == device.entry.driver:
                 continue
             shared = sorted(device.settings.bus_identifiers & other.settings.bus_identifiers)
@@ -281,7 +281,7 @@ def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDe
 
 
 def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """A device that signs as the host does: it would keep another one going after the host's death."""
+    """One line for each device with the host's heartbeat address: it would keep another running without the host."""
     faults = []
     for device in devices:
         host = device.settings.host_bus_address
@@ -293,7 +293,7 @@ def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedD
 
 
 def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """Two programs that leave files in one folder: nobody could tell whose they are."""
+    """One line for each device whose folder of exports is that of another device."""
     first: dict[Path, str] = {}
     faults = []
     for device in devices:
@@ -309,37 +309,37 @@ def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice
 def _check(
     document: yamlfile.Document, bench: BenchFile, name: str, entry: Device, faults: list[str]
 ) -> CheckedDevice | None:
-    place: tuple[str | int, ...] = ("devices", name)
+    keys: tuple[str | int, ...] = ("devices", name)
     try:
         driver = registry.load(entry.driver)
     except InputError as error:
-        faults.append(document.fault((*place, "driver"), str(error)))
+        faults.append(document.fault((*keys, "driver"), str(error)))
         return None
     bus = bench.buses.get(entry.bus) if entry.bus else None
     if driver.transport != "none" and (bus is None or bus.kind != driver.transport):
-        found = "no bus" if entry.bus is None else f"'{entry.bus}'"
+        stated = "no bus" if entry.bus is None else f"'{entry.bus}'"
         choices = [key for key, value in bench.buses.items() if value.kind == driver.transport]
         expected = ", ".join(choices) or f"a bus of kind {driver.transport} under buses"
-        faults.append(document.fault((*place, "bus"), f"{found}: {entry.driver} needs {expected}"))
+        faults.append(document.fault((*keys, "bus"), f"{stated}: {entry.driver} needs {expected}"))
     try:
         settings = driver.Settings.model_validate(entry.settings)
     except ValidationError as error:
-        faults.extend(document.explain(error, (*place, "settings")))
+        faults.extend(document.explain(error, (*keys, "settings")))
         return None
     silence = settings.host_silence_s
     if hasattr(driver, "engage") and not (silence and silence <= SAFE_STATE_S):
-        found = (
+        stated = (
             f"stops by itself {silence:g} s after the host" if silence else "does not stop by itself without the host"
         )
-        message = f"the drive {found}; {SAFE_STATE_S:g} s at the most were expected"
-        faults.append(document.fault((*place, "settings"), message))
+        message = f"the drive {stated}; {SAFE_STATE_S:g} s at the most were expected"
+        faults.append(document.fault((*keys, "settings"), message))
     for shown in settings.shown():
         bounds = bench.limits.of(shown.quantity)
         if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:
             unit = UNITS[shown.quantity]
             faults.append(
                 document.fault(
-                    (*place, "settings", *shown.place),
+                    (*keys, "settings", *shown.place),
                     f"tells {shown.quantity} from {shown.low:.4g} to {shown.high:.4g} {unit}; its limits of"
                     f" {bounds[0]:g} to {bounds[1]:g} {unit} would never trip: lower them, or widen the sensor's range",
                 )

@@ -1,4 +1,4 @@
-"""What this machine offers a bench: interpreter, packages, plug-ins, buses with their permissions, room on the disk."""
+"""Check this machine for a bench: interpreter, packages, plug-ins, buses with permissions, free disk space."""
 
 import os
 import platform
@@ -17,8 +17,8 @@ CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at; `needed` where leactl does not work without it."""
+class HostFinding:
+    """Result of one check; `needed` if leactl does not work without it."""
 
     subject: str
     fine: bool
@@ -27,67 +27,67 @@ class Finding:
     mend: str = ""
 
 
-def examine(root: Path = Path("/")) -> list[Finding]:
-    """Look at everything; buses and devices are looked for under `root`."""
-    found = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
-    return [finding for findings in found for finding in findings]
+def run_checks(root: Path = Path("/")) -> list[HostFinding]:
+    """Run all checks; buses and devices are searched under `root`."""
+    checks = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
+    return [finding for findings in checks for finding in findings]
 
 
-def _python() -> Iterator[Finding]:
+def _python() -> Iterator[HostFinding]:
     fine = sys.version_info >= LEAST_PYTHON
     mend = "" if fine else "sudo apt install python3.11 python3.11-venv"
-    yield Finding("python", fine, True, f"{platform.python_version()} on {platform.machine()}", mend)
+    yield HostFinding("python", fine, True, f"{platform.python_version()} on {platform.machine()}", mend)
 
 
-def _packages() -> Iterator[Finding]:
+def _packages() -> Iterator[HostFinding]:
     for requirement in requires("leactl") or ():
         extra = requirement.partition("extra ==")[2].strip(" \"'")
         if extra == "test":
             continue
         name = requirement.partition(";")[0].rstrip().partition(">")[0].strip()
         try:
-            yield Finding(f"package {name}", True, not extra, version(name))
+            yield HostFinding(f"package {name}", True, not extra, version(name))
         except PackageNotFoundError:
             mend = f"pip install 'leactl[{extra}]'" if extra else f"pip install {name}"
-            yield Finding(f"package {name}", False, not extra, "not installed", mend)
+            yield HostFinding(f"package {name}", False, not extra, "not installed", mend)
 
 
-def _plugins() -> Iterator[Finding]:
+def _plugins() -> Iterator[HostFinding]:
     for item in registry.survey():
         fine = item.driver is not None
         mend = "" if fine else f"pip install --force-reinstall {item.source.partition(' ')[0]}, or remove it"
-        yield Finding(f"driver {item.name}", fine, False, item.source if fine else item.error, mend)
+        yield HostFinding(f"driver {item.name}", fine, False, item.source if fine else item.error, mend)
 
 
-def _can(root: Path) -> Iterator[Finding]:
+def _can(root: Path) -> Iterator[HostFinding]:
     folder = root / "sys/class/net"
     links = sorted(folder.iterdir()) if folder.is_dir() else []
-    found = [link for link in links if _text(link / "type") == CAN_TYPE]
-    if not found:
+    interfaces = [link for link in links if _text(link / "type") == CAN_TYPE]
+    if not interfaces:
         mend = "connect an adapter, then: sudo ip link set can0 up type can bitrate 1000000"
-        yield Finding("CAN", False, False, "no SocketCAN interface", mend)
-    for link in found:
+        yield HostFinding("CAN", False, False, "no SocketCAN interface", mend)
+    for link in interfaces:
         state = _text(link / "operstate")
         fine = state in ("up", "unknown")
         mend = "" if fine else f"sudo ip link set {link.name} up type can bitrate 1000000"
-        yield Finding(f"CAN {link.name}", fine, False, state, mend)
+        yield HostFinding(f"CAN {link.name}", fine, False, state, mend)
 
 
-def _i2c(root: Path) -> Iterator[Finding]:
-    found = sorted((root / "dev").glob("i2c-*"))
-    if not found:
+def _i2c(root: Path) -> Iterator[HostFinding]:
+    buses = sorted((root / "dev").glob("i2c-*"))
+    if not buses:
         mend = "sudo modprobe i2c-dev; on a Raspberry Pi also: sudo raspi-config nonint do_i2c 0"
-        yield Finding("I2C", False, False, "no /dev/i2c-*", mend)
-    yield from (_usable(f"I2C {path.name}", path, "i2c") for path in found)
+        yield HostFinding("I2C", False, False, "no /dev/i2c-*", mend)
+    yield from (_usable(f"I2C {path.name}", path, "i2c") for path in buses)
 
 
-def _serial(root: Path) -> Iterator[Finding]:
+def _serial(root: Path) -> Iterator[HostFinding]:
     for pattern in ("ttyUSB*", "ttyACM*"):
         yield from (_usable(f"serial {path.name}", path, "dialout") for path in sorted((root / "dev").glob(pattern)))
 
 
-def ni_daqmx() -> Iterator[Finding]:
-    """NI's driver and its devices, where the package that calls it is installed."""
+def ni_daqmx() -> Iterator[HostFinding]:
+    """NI's driver and its devices, if the package `nidaqmx` is installed."""
     try:
         from nidaqmx.errors import Error
         from nidaqmx.system import System
@@ -98,23 +98,25 @@ def ni_daqmx() -> Iterator[Finding]:
         number = system.driver_version
         devices = ", ".join(f"{device.name} ({device.product_type})" for device in system.devices) or "no device"
     except Error:
-        yield Finding("NI-DAQmx", False, False, "NI's driver is not installed", "see ni.com/downloads, NI-DAQmx")
+        yield HostFinding("NI-DAQmx", False, False, "NI's driver is not installed", "see ni.com/downloads, NI-DAQmx")
         return
-    told = f"{number.major_version}.{number.minor_version}: {devices}"
-    yield Finding("NI-DAQmx", devices != "no device", False, told, "connect the device" * (devices == "no device"))
+    description = f"{number.major_version}.{number.minor_version}: {devices}"
+    yield HostFinding(
+        "NI-DAQmx", devices != "no device", False, description, "connect the device" * (devices == "no device")
+    )
 
 
-def _usable(subject: str, path: Path, group: str) -> Finding:
+def _usable(subject: str, path: Path, group: str) -> HostFinding:
     fine = os.access(path, os.R_OK | os.W_OK)
     mend = "" if fine else f"sudo usermod -aG {group} $USER, then log in again"
-    return Finding(subject, fine, False, "readable and writable" if fine else "no permission", mend)
+    return HostFinding(subject, fine, False, "readable and writable" if fine else "no permission", mend)
 
 
-def _disk() -> Iterator[Finding]:
+def _disk() -> Iterator[HostFinding]:
     free = shutil.disk_usage(Path.cwd()).free
     fine = free >= LEAST_FREE_BYTES
     mend = "" if fine else "free space here, or give runs another directory with --out"
-    yield Finding("disk", fine, False, f"{free / 1e9:.1f} GB free in {Path.cwd()}", mend)
+    yield HostFinding("disk", fine, False, f"{free / 1e9:.1f} GB free in {Path.cwd()}", mend)
 
 
 def _text(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What is known of the instruments of a bench: what each tells of itself, else what the bench file says of it."""
+"""Facts about the instruments of a bench: reported by the device, else stated in the bench file."""
 
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
@@ -11,22 +11,22 @@ from leactl.yamlfile import printable
 
 
 class Provenance:
-    """One instrument: the bench file's entry, and its own word once it is open."""
+    """One instrument: its entry in the bench file, and its reported identity once it is open."""
 
     def __init__(self, entry: Instrument) -> None:
         self._entry = entry
         self._identity: dict[str, str] = {}
 
     def take(self, identity: Identity) -> None:
-        """Let what the device tells go over what the bench file says.
+        """Store the identity that a device reports; it overrides the bench file.
 
         Raises
         ------
-        DeviceError : the device tells another serial number than the bench file.
+        DeviceError : the device reports another serial number than the bench file states.
         """
-        told = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
-        self._identity = {name: text for name, text in told.items() if text}
-        serial, expected = told["serial"], self._entry.serial
+        texts = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
+        self._identity = {name: text for name, text in texts.items() if text}
+        serial, expected = texts["serial"], self._entry.serial
         if serial and expected and _bare(serial) != _bare(expected):
             raise DeviceError(
                 f"serial number {serial} answers, the bench file says {expected}: mend the wiring, or the file"
@@ -34,24 +34,24 @@ class Provenance:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Model, serial number, firmware and calibration, each where it is known."""
+        """The known facts among model, serial number, firmware and calibration dates."""
         return self._entry.facts | self._identity
 
     @property
     def doubt(self) -> str:
-        """Another firmware than the bench file says; empty where it is the same, or either is silent."""
+        """A line if the reported firmware differs from that in the bench file; empty if equal or unknown."""
         firmware, expected = self._identity.get("firmware", ""), self._entry.firmware
         differs = firmware and expected and firmware != expected
         return f"firmware {firmware} answers, the bench file says {expected}" if differs else ""
 
 
 def _bare(serial: str) -> str:
-    """A serial number without what labels and instruments write differently: case, blanks, zeros in front, 0x."""
+    """A serial number without differences of spelling: case, blanks, leading zeros, 0x."""
     return "".join(serial.split()).casefold().removeprefix("0x").lstrip("0")
 
 
 def overdue(devices: Sequence[CheckedDevice], today: date | None = None) -> dict[str, str]:
-    """A line for each device whose calibration was due before today (UTC), by its name."""
+    """A line, by device, for each calibration that was due before today (UTC)."""
     today = today or datetime.now(UTC).date()
     lines = {}
     for device in devices:

@@ -1,4 +1,4 @@
-"""Devices of a bench whose readings come in files: found in a bench file, and made ready to read."""
+"""Devices of a bench whose readings come in files: create them from a bench file, and attach their records to runs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,16 +9,16 @@ from pydantic import ValidationError
 from leactl import yamlfile
 from leactl.bench.benchfile import CheckedDevice, Device
 from leactl.driver import registry
-from leactl.driver.batch import BatchSource, Record, RecordSettings
+from leactl.driver.batch import BatchSource, FileRecord, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
 from leactl.errors import InputError
-from leactl.runfile.attaching import Joined, attach, join
-from leactl.runfile.reader import Run
+from leactl.runfile.attach import AlignedRecord, align_record, attach
+from leactl.runfile.read.reader import Run
 
 
 class RecordDevice:
-    """One device of a bench file that reads records; of the file, only `devices.NAME` is looked at.
+    """One device of a bench file that reads records; only `devices.NAME` of the file is used.
 
     Raises
     ------
@@ -30,63 +30,63 @@ class RecordDevice:
         if not isinstance(devices, dict) or name not in devices:
             known = ", ".join(devices) if isinstance(devices, dict) else "no devices"
             raise InputError(document.fault(("devices",), f"no device '{name}'; the file has {known}"))
-        place: tuple[str | int, ...] = ("devices", name)
+        keys: tuple[str | int, ...] = ("devices", name)
         try:
             self.entry = Device.model_validate(devices[name])
             driver = registry.load(self.entry.driver)
             self.settings: DriverSettings = driver.Settings.model_validate(self.entry.settings)
         except ValidationError as error:
-            under = place if error.title == Device.__name__ else (*place, "settings")
+            under = keys if error.title == Device.__name__ else (*keys, "settings")
             raise InputError(document.explain(error, under)) from None
         except InputError as error:
-            raise InputError(document.fault((*place, "driver"), str(error))) from None
+            raise InputError(document.fault((*keys, "driver"), str(error))) from None
         if not hasattr(driver, "read_files"):
             raise InputError(
-                document.fault((*place, "driver"), f"{self.entry.driver}: its readings do not come in files")
+                document.fault((*keys, "driver"), f"{self.entry.driver}: its readings do not come in files")
             )
-        self._document, self._place = document, place
+        self._document, self._place = document, keys
         self.source = cast(BatchSource, driver(name, self.entry.role, self.settings, None, MonotonicClock()))
 
-    def read(self, files: list[Path]) -> Record:
+    def read(self, files: list[Path]) -> FileRecord:
         """Read one record.
 
         Raises
         ------
-        InputError : everything that is wrong with the files.
+        InputError : all faults of the files.
         """
         return self.source.read_files(files)
 
-    def join(self, record: Record, run: Path) -> Joined:
-        """Put a record on the clock of a run.
+    def join(self, record: FileRecord, run: Path) -> AlignedRecord:
+        """Align a record with the clock of a run.
 
         Raises
         ------
-        InputError : the settings do not say how, or it cannot be done.
+        InputError : the settings give no method, or the clocks cannot be aligned.
         """
         clock = self.source.clock
         if clock is None:
-            told = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
-            raise InputError(self._document.fault((*self._place, "settings", "clock"), told))
+            message = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
+            raise InputError(self._document.fault((*self._place, "settings", "clock"), message))
         with Run.open(run) as opened:
-            return join(record, clock, opened)
+            return align_record(record, clock, opened)
 
-    def attach(self, joined: Joined, run: Path, replace: bool = False) -> None:
-        """Store a joined record in its run, with the settings that it was read with.
+    def attach(self, joined: AlignedRecord, run: Path, replace: bool = False) -> None:
+        """Store an aligned record in its run, with the settings that it was read with.
 
         Raises
         ------
-        InputError : the run has such a stream already.
+        InputError : the run has such a stream.
         """
         settings = self.settings.model_dump(mode="json", exclude_none=True)
         attach(run, joined, settings, self.entry.driver, replace)
 
 
 def bench_of_run(run: Path) -> yamlfile.Document:
-    """The bench file as a run keeps it.
+    """The bench file that a run stores.
 
     Raises
     ------
-    InputError : the run keeps none.
+    InputError : the run stores none.
     """
     with Run.open(run) as opened:
         text = opened.source("bench")
@@ -95,39 +95,41 @@ def bench_of_run(run: Path) -> yamlfile.Document:
     return yamlfile.parse(text, f"{run}: bench")
 
 
-def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
-    """Devices with the folders of their exports as a run has them; a relative one lies in the directory of the runs.
+def with_run_folders(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
+    """Devices whose relative folders of exports are moved below the directory of the runs.
 
-    Emulated runs may go on at once: with `run_id` each has a folder of its own below, so that none finds another's.
+    With `run_id`, each run has a folder of its own below that, because emulated runs may execute at the same time.
     """
-    found = []
+    relocated = []
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
             folder = {"exports_folder": str(runs / settings.exports_folder / run_id)}
             device = device.model_copy(update={"settings": settings.model_copy(update=folder)})
-        found.append(device)
-    return found
+        relocated.append(device)
+    return relocated
 
 
-def awaited(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
-    """Those devices of a bench, by name, whose exports join a run at its end."""
+def devices_with_exports(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
+    """Devices of a bench, by name, whose exports are attached to a run at its end."""
     sources = {name: driver for name, driver in drivers.items() if isinstance(driver, BatchSource)}
     return {name: source for name, source in sources.items() if source.exports.folder is not None}
 
 
-def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
-    """Attach what the programs of a bench's devices have exported since it was opened; a line for each that did not.
+def attach_exports(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
+    """Attach the exports since the bench was opened to a run; one line for each device that failed.
 
-    Nothing here is an error of the run, which is closed and whole: whatever is told can be mended and attached by hand.
+    A failure is no error of the run, which is closed and complete: the record can be attached by hand later.
     """
-    told = []
-    for name, source in awaited(drivers).items():
+    failures = []
+    for name, source in devices_with_exports(drivers).items():
         try:
             _attach_fresh(source, RecordDevice(document, name), run)
         except Exception as fault:  # noqa: BLE001 (one plug-in's mistake is no reason to lose the records of the others)
-            told.append(f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}")
-    return told
+            failures.append(
+                f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}"
+            )
+    return failures
 
 
 def _attach_fresh(source: BatchSource, device: RecordDevice, run: Path) -> None:

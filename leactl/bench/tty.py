@@ -1,7 +1,7 @@
-"""A serial device of this machine: pyserial opens it and sets it up, the bytes go straight to the kernel and back.
+"""A serial device of this machine: pyserial opens and configures it; bytes are read and written by system calls.
 
-pyserial 3.5 never returns from a write that the kernel does not take (pyserial issue 280), and Linux holds up the close
-of a line that has something left to send for 30 s.
+pyserial 3.5 never returns from a write that the kernel does not accept (pyserial issue 280), and Linux delays the close
+of a line with unsent bytes by 30 s.
 """
 
 import errno
@@ -21,7 +21,7 @@ MEANING = {
 
 
 class Tty:
-    """An open serial device that never makes anybody wait longer than they said."""
+    """An open serial device whose methods never wait longer than their timeout."""
 
     def __init__(self, bus: SerialBus) -> None:
         import serial
@@ -44,7 +44,7 @@ class Tty:
         self._place = self._serial.fileno()
 
     def read(self, timeout: float) -> bytes:
-        """What has come; waits for the first byte no longer than this many seconds.
+        """Bytes that have arrived; waits at most `timeout` seconds for the first.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class Tty:
         return read
 
     def write(self, data: bytes) -> int:
-        """Hand over as much as the kernel takes at once.
+        """Write as many bytes as the kernel accepts at once; returns their number.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Tty:
             return 0
 
     def close(self) -> None:
-        """Let the device go, and drop what it has not sent yet."""
+        """Close the device and drop bytes that are not sent yet."""
         with suppress(OSError, termios.error):
             self._serial.reset_output_buffer()
         self._serial.close()

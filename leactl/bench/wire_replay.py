@@ -1,7 +1,7 @@
-"""A trace against the drivers: the same calls in the same order, and from the wires what was heard then.
+"""Replay a trace against the drivers: the same calls in the same order, with the recorded input on the wires.
 
-Time is the trace's own. What a driver sends has to be what it sent then; from the first difference on, what was heard
-would be no answer to it, and the replay ends.
+Time is that of the trace. A driver has to send the recorded bytes; at the first difference the replay ends, because the
+recorded input would no longer answer what is sent.
 """
 
 import errno
@@ -34,29 +34,29 @@ if TYPE_CHECKING:
 
 
 class Difference(NamedTuple):
-    """Where a replay left its trace."""
+    """The first difference between a replay and its trace."""
 
     line: int  # of the file
     owner: str
-    stands: str
-    came: str
+    stands: str  # in the trace
+    came: str  # in the replay
 
     def __str__(self) -> str:
         return f"{self.owner}: {self.came} where the trace has {self.stands}"
 
 
 class Replayed(NamedTuple):
-    """How a replay went."""
+    """Result of a replay."""
 
-    calls: int  # that ended as they did
-    transfers: int  # on all wires, that were the same
+    calls: int  # calls that ended as in the trace
+    transfers: int  # equal transfers on all wires
     difference: Difference | None
-    raised: tuple[str, ...]  # what calls ended with, in order, each once
+    raised: tuple[str, ...]  # errors that calls raised, in order, each once
     cut_short: bool  # the trace ends within a call
 
 
 class Diverged(BaseException):
-    """Something else was sent than the trace has; no driver takes care of it."""
+    """Other bytes were sent than in the trace; a BaseException, so that no driver handles it."""
 
     def __init__(self, difference: Difference) -> None:
         super().__init__(str(difference))
@@ -64,7 +64,7 @@ class Diverged(BaseException):
 
 
 class ReplayClock:
-    """The clock of the trace: it goes on where somebody waits, and to the moment of what is heard; a call sets it."""
+    """The clock of the trace: each call sets it, and waits and received bytes advance it."""
 
     def __init__(self) -> None:
         self._time = 0.0
@@ -74,16 +74,16 @@ class ReplayClock:
         return self._time
 
     def set(self, moment: float) -> None:
-        """Show this moment, as the bench's clock did when the call was made."""
+        """Set the time to that of the bench's clock when a call was made."""
         self._time = moment
 
     def sleep_until(self, moment: float) -> None:
-        """Go on to the moment; never back."""
+        """Advance to a moment; never goes back."""
         self._time = max(self._time, moment)
 
 
 class Wire:
-    """What is left of one bus's lines."""
+    """The remaining lines of one bus in the trace."""
 
     def __init__(self, name: str, lines: Sequence[TraceLine], replay: "ReplayWiring") -> None:
         self.name, self._lines, self._replay, self._next = name, lines, replay, 0
@@ -93,12 +93,12 @@ class Wire:
         return self._replay.clock.now()
 
     def send(self, text: str) -> None:
-        """Send what the trace has next.
+        """Compare sent bytes with the next line of the trace.
 
         Raises
         ------
-        Diverged : it has something else.
-        OSError : sending failed then.
+        Diverged : the trace has another line.
+        OSError : sending failed in the trace.
         """
         line = self._take()
         if line is None:
@@ -110,11 +110,11 @@ class Wire:
             raise Diverged(Difference(line.number, self.name, stands, f"'> {text}' was sent"))
 
     def hear(self, timeout: float) -> str | None:
-        """What was heard next within the call under way; None, and the time is over, where that is nothing.
+        """The next input within the present call; None, with time advanced by `timeout`, if there is none.
 
         Raises
         ------
-        OSError : hearing failed then.
+        OSError : receiving failed in the trace.
         """
         clock = self._replay.clock
         line = self._lines[self._next] if self._next < len(self._lines) else None
@@ -127,12 +127,12 @@ class Wire:
         return line.text
 
     def transfer(self, kind: str, text: str) -> str:
-        """A transfer of a bus that answers at once: the text of the trace's line, which begins so.
+        """A transfer on a bus that answers at once; returns the trace's line, which has to begin with `text`.
 
         Raises
         ------
-        Diverged : it has another one.
-        OSError : with the number that it had then.
+        Diverged : the trace has another line.
+        OSError : the transfer failed in the trace, with the same errno.
         """
         line = self._take()
         if line is None:
@@ -155,7 +155,7 @@ class Wire:
 
 
 class ReplayWiring:
-    """Connections to what a trace has of each bus."""
+    """Wiring whose connections play back a trace."""
 
     def __init__(self, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
         self.clock = ReplayClock()
@@ -253,11 +253,11 @@ class _I2cSide:
 
 
 def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Replayed:
-    """Make the calls of a trace on the drivers of its bench; devices without a bus are left out.
+    """Repeat the calls of a trace on the drivers of its bench; devices without a bus are left out.
 
     Raises
     ------
-    InputError : no trace, one of another bench, or one whose CAN frames are in a log of their own.
+    InputError : no trace, a trace of another bench, or one whose CAN frames are in a separate log.
     """
     lines = read_trace(path)
     wired = [device for device in devices if device.entry.bus]
@@ -277,15 +277,15 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         cut_short = cut_short or end is None
         wiring.clock.set(line.time)
         try:
-            came = outcome_text(call())
-        except Diverged as found:
-            return Replayed(calls, wiring.transfers, found.difference, tuple(dict.fromkeys(raised)), cut_short)
+            outcome = outcome_text(call())
+        except Diverged as divergence:
+            return Replayed(calls, wiring.transfers, divergence.difference, tuple(dict.fromkeys(raised)), cut_short)
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
-            came = outcome_text(None, error)
+            outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
-        if end is not None and came != end.text:
+        if end is not None and outcome != end.text:
             difference = Difference(
-                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{came}'"
+                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{outcome}'"
             )
             return Replayed(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
         calls += 1
@@ -293,23 +293,23 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
 
 
 def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
-    """The line at which each call ended, by the line of the call."""
+    """The line at which each call ended, by the number of the line of the call."""
     open_calls: dict[str, int] = {}
-    found = {}
+    ends = {}
     for line in lines:
         if line.kind == CALLED:
             open_calls[line.owner] = line.number
         elif line.kind == ENDED and line.owner in open_calls:
-            found[open_calls.pop(line.owner)] = line
-    return found
+            ends[open_calls.pop(line.owner)] = line
+    return ends
 
 
 def _call_of(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:
-    """The call that a line tells.
+    """The call that a line describes, as a function without arguments.
 
     Raises
     ------
-    InputError : of a device that the bench has not, or none.
+    InputError : the device or its method does not exist, or the arguments are no JSON list.
     """
     name, _, text = line.text.partition(" ")
     try:

@@ -1,8 +1,7 @@
-"""Every byte of every wire of a run, with the calls that led to it: a field fault that can be replayed.
+"""Record every byte on every wire of a run, with the driver calls that caused it, so that a fault can be replayed.
 
-A trace is text, a line each: seconds of the bench's clock, the bus or device, what kind of line it is, and what went
-over the wire or was called (docs/reference/wire-traces.md). The last line of a run that died may be cut short, and is
-not read.
+A trace is text. Each line has the time of the bench's clock [s], the bus or device, the kind of line, and the bytes or
+the call (docs/reference/wire-traces.md). The last line of a run that died may be incomplete and is not read.
 """
 
 import json
@@ -28,7 +27,7 @@ SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
 KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
 CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
 FLUSH_S = 0.5
-CALLS = (  # of a driver; what it makes of the wire follows from them and from what it hears
+CALLS = (  # methods of a driver that are traced; what it sends follows from these calls and from its input
     "open",
     "close",
     "safe_state",
@@ -61,14 +60,14 @@ class TraceLine(NamedTuple):
 
 
 class WireTrace:
-    """A trace that is being written; CAN frames go to a log of python-can's where the name ends so."""
+    """A trace that is being written; if the name has an ending of python-can's logs, CAN frames go to such a log."""
 
     def __init__(self, path: Path) -> None:
-        """Make the file.
+        """Create the file.
 
         Raises
         ------
-        InputError : a name that is taken, or a place that cannot be written to.
+        InputError : the file exists or cannot be written.
         """
         logged = path.suffix.lower() in CAN_LOGS
         self.path = path.with_suffix(".trace") if logged else path
@@ -116,7 +115,7 @@ class WireTrace:
 
     @contextmanager
     def _never_in_the_way(self) -> Iterator[None]:
-        """A trace that takes no more, as on a full disk, is told and never stands between a stop and its drive."""
+        """Store an error of the trace, such as a full disk, in `fault`; it must not delay the stop of a drive."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 (nothing in a trace is worth a run)
@@ -145,7 +144,7 @@ class WireTrace:
         )
 
     def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """A function that adds a line when it is called and one when it ends; not where it was called by another."""
+        """Wrap a function: it adds a line when it is called and when it ends, unless another traced call made it."""
 
         def call(*arguments: Any) -> Any:
             if self._depth.get(owner, 0):
@@ -169,7 +168,7 @@ class WireTrace:
 
 
 def frame_text(message: "can.Message") -> str:
-    """A CAN frame as a line has it: identifier and data in hex; what is no plain frame of 11 bits is marked."""
+    """A CAN frame as text: identifier and data in hex; x, e and r mark extended, error and remote frames."""
     marks = ("x" if message.is_extended_id else "") + ("e" if message.is_error_frame else "")
     marks += ("r" if message.is_remote_frame else "") + ("F" if message.is_fd else "")
     marks += "B" if message.bitrate_switch else ""
@@ -177,7 +176,7 @@ def frame_text(message: "can.Message") -> str:
 
 
 def outcome_text(result: Any, error: BaseException | None = None) -> str:
-    """What came of a call, as far as it is the same each time: an error, readings, a confirmation."""
+    """The reproducible result of a call as JSON: an error, readings, or a confirmation; else null."""
     if error is not None:
         return json.dumps({"raised": type(error).__name__, "text": str(error)})
     if isinstance(result, Confirmation):
@@ -188,7 +187,7 @@ def outcome_text(result: Any, error: BaseException | None = None) -> str:
 
 
 class TracedWiring:
-    """A wiring whose connections write what passes over them."""
+    """A wiring whose connections write all transfers to a trace."""
 
     def __init__(self, wiring: Wiring, trace: WireTrace) -> None:
         self._wiring, self._trace = wiring, trace
@@ -196,42 +195,42 @@ class TracedWiring:
         trace.now = wiring.clock.now
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """How to connect to a CAN bus."""
+        """Function that connects to a CAN bus."""
         connect = self._wiring.can(name, bus)
         return lambda: TracedCan(connect(), name, self._trace)  # type: ignore[return-value]
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """How to connect to an I2C bus."""
+        """Function that connects to an I2C bus."""
         connect = self._wiring.i2c(name, bus)
         return lambda: TracedI2c(connect(), name, self._trace)
 
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
-        """How to connect to a serial line."""
+        """Function that connects to a serial line."""
         connect = self._wiring.serial(name, bus)
         return lambda: TracedLine(connect(), name, self._trace)
 
     def library(self, device: str) -> Any:
-        """What stands in for a maker's library, which is no wire."""
+        """The replacement of a maker's library, which is not traced."""
         return self._wiring.library(device)
 
     def wait_for_disk(self) -> None:
-        """What every write of the run file waits for."""
+        """Wait as the wiring does before each write of the run file."""
         self._wiring.wait_for_disk()
 
     def hang(self, torque: float) -> None:
-        """Weights act with this torque [N*m]."""
+        """Apply the torque [N*m] of weights."""
         self._wiring.hang(torque)
 
 
 class TracedLine:
-    """A serial line."""
+    """A traced serial line."""
 
     def __init__(self, line: SerialLine, name: str, trace: WireTrace) -> None:
         self._line, self._name, self._trace = line, name, trace
         self.close = line.close
 
     def read(self, timeout: float) -> bytes:
-        """What has come."""
+        """Bytes that have arrived."""
         try:
             read = self._line.read(timeout)
         except OSError as error:
@@ -242,7 +241,7 @@ class TracedLine:
         return read
 
     def write(self, data: bytes) -> int:
-        """Hand over bytes; those that were taken are in the trace."""
+        """Write bytes; those that were accepted are traced."""
         try:
             taken = self._line.write(data)
         except OSError as error:
@@ -253,7 +252,7 @@ class TracedLine:
 
 
 class TracedCan:
-    """A CAN bus: what a port uses of it."""
+    """A traced CAN bus, with the methods that a port uses."""
 
     def __init__(self, bus: "can.BusABC", name: str, trace: WireTrace) -> None:
         self._bus, self._name, self._trace = bus, name, trace
@@ -269,7 +268,7 @@ class TracedCan:
         self._trace.frame(self._name, SENT, message)
 
     def recv(self, timeout: float) -> "can.Message | None":
-        """Take a frame."""
+        """Receive a frame."""
         try:
             message = self._bus.recv(timeout)
         except Exception as error:
@@ -281,7 +280,7 @@ class TracedCan:
 
 
 class TracedI2c:
-    """An I2C bus; registers as the device has them, the high byte first."""
+    """A traced I2C bus; registers are traced with the high byte first, as in the device."""
 
     def __init__(self, bus: SmBus, name: str, trace: WireTrace) -> None:
         self._bus, self._name, self._trace = bus, name, trace
@@ -309,11 +308,11 @@ class TracedI2c:
 
 
 def read_trace(path: Path) -> list[TraceLine]:
-    """Read a trace up to its last whole line.
+    """Read a trace up to its last complete line.
 
     Raises
     ------
-    InputError : no trace, or a line that is none, with its place.
+    InputError : no trace, or an invalid line, with its number.
     """
     try:
         text = path.read_bytes().decode("utf-8")
@@ -341,11 +340,11 @@ def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
 
 
 def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
-    """Refuse a trace whose CAN frames are in a log of their own.
+    """Refuse a trace whose CAN frames are in a separate log.
 
     Raises
     ------
-    InputError : it has calls and no frame of any of these buses.
+    InputError : the trace has lines, but no frame of any of these buses.
     """
     if buses and lines and not any(line.owner in buses and line.kind in (SENT, HEARD) for line in lines):
         raise InputError(

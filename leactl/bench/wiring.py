@@ -1,4 +1,4 @@
-"""Where buses and time come from: the machine's own here; an emulated bench brings another wiring of the same shape."""
+"""Connections to buses and the clock: those of this machine; an emulated bench has a wiring of the same interface."""
 
 import logging
 from collections.abc import Callable
@@ -20,7 +20,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def unknown_interface(bus: CanBus) -> str:
-    """What is wrong with a bus whose interface python-can does not have; empty where it has it."""
+    """A line if python-can does not have the interface of a bus; else empty."""
     import can
 
     known = sorted(can.VALID_INTERFACES)
@@ -32,29 +32,29 @@ def unknown_interface(bus: CanBus) -> str:
 
 
 class Wiring(Protocol):
-    """Factories of connections, and the clock that goes with them."""
+    """Factories of connections, and their clock."""
 
     @property
     def clock(self) -> Clock:
         """The bench's clock."""
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """How to connect to a CAN bus."""
+        """Function that connects to a CAN bus."""
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """How to connect to an I2C bus."""
+        """Function that connects to an I2C bus."""
 
     def library(self, device: str) -> Any:
-        """What stands in for the maker's library of a device without a bus; None where it is the library itself."""
+        """Replacement of the maker's library for a device without a bus; None for the library itself."""
 
     def wait_for_disk(self) -> None:
-        """What every write of the run file waits for; a disk that is none of the emulation's takes its own time."""
+        """Called before each write of the run file; an emulated bench waits here for its emulated disk."""
 
     def hang(self, torque: float) -> None:
-        """Weights that the operator has hung on the torque sensor act with this torque [N*m] from now on."""
+        """Apply the torque [N*m] of weights on the torque sensor from now on."""
 
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
-        """How to connect to a serial line."""
+        """Function that connects to a serial line."""
 
 
 class MachineWiring:
@@ -64,7 +64,7 @@ class MachineWiring:
         self.clock: Clock = MonotonicClock()
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """Connect through any of python-can's interfaces."""
+        """Function that connects through any of python-can's interfaces."""
 
         def connect() -> "can.BusABC":
             import can
@@ -79,7 +79,7 @@ class MachineWiring:
         return connect
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """Connect through smbus2."""
+        """Function that connects through smbus2."""
 
         def connect() -> SmBus:
             from smbus2 import SMBus
@@ -90,17 +90,17 @@ class MachineWiring:
         return connect
 
     def library(self, device: str) -> Any:
-        """Nothing: the driver calls the library that is installed here."""
+        """None: the driver calls the installed library."""
         return None
 
     def wait_for_disk(self) -> None:
-        """Nothing: the disk is this machine's own."""
+        """Do nothing: the disk is real."""
 
     def hang(self, torque: float) -> None:
-        """Nothing: the operator has."""
+        """Do nothing: the operator hangs the weights."""
 
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
-        """Connect to a serial device."""
+        """Function that connects to a serial device."""
 
         def connect() -> SerialLine:
             from leactl.bench.tty import Tty

@@ -1,4 +1,7 @@
-"""The commands: one file a noun, each parses, calls and prints. What a command needs is imported when it runs."""
+"""The commands, one file per noun: each parses its arguments, calls the library and prints the result.
+
+A command imports what it needs when it runs.
+"""
 
 import math
 import os
@@ -11,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def finite(value: float | list[float] | None) -> float | list[float] | None:
-    """Raise `typer.BadParameter` for an option that is NaN or infinite: click's own ranges let NaN pass below 8.2."""
+    """Raise `typer.BadParameter` for an option that is NaN or infinite: the ranges of click before 8.2 accept NaN."""
     for number in value if isinstance(value, list) else [value]:
         if number is not None and not math.isfinite(number):
             raise typer.BadParameter(f"{number} is not a finite number")

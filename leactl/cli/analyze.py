@@ -42,15 +42,15 @@ def analyze(
     from leactl.analysis.analyze import GENERIC, analyze_each, numbers
     from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.errors import InputError
-    from leactl.runfile.catalog import run_files
+    from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    given_values = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
     asked = GENERIC if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
     with workers_of(processes, scheduler) as workers:
-        results, faults = analyze_each(files, asked, workers, channel=channel or None, **told)
+        results, faults = analyze_each(files, asked, workers, channel=channel or None, **given_values)
     if faults and not (results and folders):  # of files that were named, all count or none
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:

@@ -53,22 +53,22 @@ def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     from leactl.report.listing import row
     from leactl.runner.checked_bench import load_checked
 
-    found, devices, _document = load_checked(bench)
-    interlocks, late = found.interlocks.shown(), overdue(devices)
+    bench_file, devices, _document = load_checked(bench)
+    interlocks, late = bench_file.interlocks.shown(), overdue(devices)
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
-        limits = found.limits.model_dump(exclude_none=True)
-        body = {"bench": found.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
+        limits = bench_file.limits.model_dump(exclude_none=True)
+        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
         typer.echo(json.dumps(body))
         return
     for name, text in late.items():
         typer.echo(f"leactl: warning: {name}: {text}", err=True)
-    typer.echo(row("", f"{found.name}: {found.title}".rstrip(": ")))
+    typer.echo(row("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
         for key, fact in device.entry.facts.items():
             typer.echo(f"    {key:<24} {fact}")
-    for name, value in found.limits.model_dump(exclude_none=True).items():
+    for name, value in bench_file.limits.model_dump(exclude_none=True).items():
         typer.echo(f"  limit {name:<26} {value:g}")
     for name, entries in interlocks.items():
         for entry in entries if isinstance(entries, list | tuple) else [entries]:
@@ -107,7 +107,7 @@ def reset(
 
 
 def _confirmed(question: str) -> bool:
-    """Ask on stderr alone: `typer.confirm` writes a space to stdout, where JSON may follow."""
+    """Ask the user on stderr only: `typer.confirm` writes a space to stdout, where JSON may follow."""
     typer.echo(f"{question} [y/N]: ", err=True, nl=False)
     answer = sys.stdin.readline()
     if not answer.endswith("\n"):
@@ -126,8 +126,8 @@ def serve(
     seed: int = typer.Option(None, min=0, help="Seed instead of the bench file's."),
 ) -> None:
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
-    from leactl.bench.benchfile import put_elsewhere
-    from leactl.bench.records import placed
+    from leactl.bench.benchfile import changed_buses
+    from leactl.bench.records import with_run_folders
     from leactl.emulation.bench.emulated_bench import EmulatedBench
     from leactl.emulation.wires.serving import bridged, stub_chips
     from leactl.emulation.wires.serving import serve as serve_until
@@ -135,21 +135,21 @@ def serve(
     from leactl.runner.signals import listening
 
     file, devices, _document = load_checked(bench)
-    file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
-    emulated = EmulatedBench(file, placed(devices, RUNS), setup, condition, seed)
+    file = file.model_copy(update={"buses": file.buses | changed_buses(file, bus)})
+    emulated = EmulatedBench(file, with_run_folders(devices, RUNS), setup, condition, seed)
     with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():
             typer.echo(f"{name}: {bridge.place}")
-        for name, found in chips.items():
-            if found:
+        for name, served in chips.items():
+            if served:
                 typer.echo(f"{name}: i2c-stub")
             else:
                 typer.echo(f"{name}: is not served; I2C needs the kernel's i2c-stub at that number", err=True)
         for text in emulated.not_served:
             typer.echo(text, err=True)
         typer.echo("serving; Ctrl-C ends it")
-        every = [chip for found in chips.values() for chip in found]
+        every = [chip for served in chips.values() for chip in served]
         serve_until(emulated.time, list(bridges.values()), every, lambda: bool(stop.cause))
 
 
@@ -160,7 +160,7 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
     from leactl.report.listing import row
 
     chosen = {name: find_fault(name)} if name else known_faults()
-    described = [found.described(key) for key, found in sorted(chosen.items())]
+    described = [fault.described(key) for key, fault in sorted(chosen.items())]
     if as_json:
         typer.echo(json.dumps({"faults": described}))
         return

@@ -1,4 +1,4 @@
-"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: what is done at a bench beside a protocol."""
+"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: operations at a bench outside a protocol."""
 
 import json
 import time
@@ -42,10 +42,10 @@ def stop(
     from leactl.errors import DeviceError
     from leactl.runner import runs_underway
 
-    found, faults = runs_underway.running()
-    found = _runs_on(bench, found, faults)
+    runs, faults = runs_underway.running()
+    runs = _runs_on(bench, runs, faults)
     asked = []
-    for run in found:  # every one is asked before any is waited for
+    for run in runs:  # every one is asked before any is waited for
         try:
             run.ask_to_stop()
             asked.append(run)
@@ -56,7 +56,7 @@ def stop(
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
     if as_json:
         typer.echo(json.dumps({"runs": ends}))
-    elif not found:
+    elif not runs:
         typer.echo(f"nothing runs on {bench}" if bench else "nothing runs")
     for end in ends:
         if not (as_json or end["doubt"]):
@@ -88,19 +88,19 @@ def remark(
 
 
 def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answer: str) -> None:
-    """Ask every run on a bench for something, and say who was asked.
+    """Call `ask` with every run on a bench, and print the runs that were asked.
 
     Raises
     ------
-    DeviceError : nothing runs there, or a run cannot be asked.
+    DeviceError : no run is active there, or a run cannot be reached.
     """
     from leactl.errors import DeviceError
     from leactl.runner import runs_underway
 
-    found, faults = runs_underway.running()
-    found = _runs_on(bench, found, faults)
+    runs, faults = runs_underway.running()
+    runs = _runs_on(bench, runs, faults)
     asked = []
-    for run in found:
+    for run in runs:
         try:
             ask(run)
             asked.append(run)
@@ -108,32 +108,34 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
             faults.append(str(fault))
         finally:
             run.close()
-    told = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
-    typer.echo(json.dumps({"runs": told}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked))
-    if not found:
+    stopped = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
+    typer.echo(
+        json.dumps({"runs": stopped}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked)
+    )
+    if not runs:
         faults.append(f"nothing runs on {bench}" if bench else "nothing runs")
     if faults:
         raise DeviceError("; ".join(faults))
 
 
-def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Underway]":
-    """Those of a bench as its run was told it; its file is read only where that does not settle it.
+def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Underway]":
+    """Runs on a bench, by the bench name or path that each was started with, else by the name in the bench file.
 
-    A run that holds the bench, and whose file cannot be found, is added to the faults.
+    Adds to `faults` a bench that a process locks although no run's file describes that process.
     """
     from leactl.runner.runs_underway import unseen
 
     if not bench:
-        return found
+        return runs
     path = str(Path(bench).resolve())
-    named = [run for run in found if bench == run.bench or path == run.file]
+    named = [run for run in runs if bench == run.bench or path == run.file]
     if named:
         return named
     from leactl.bench.benchfile import load
 
     hidden = unseen(bench)
     name = bench if hidden else load(bench)[0].name
-    named = [run for run in found if run.bench == name]
+    named = [run for run in runs if run.bench == name]
     hidden = hidden or ("" if named else unseen(name))
     if hidden:
         faults.append(hidden)
@@ -141,15 +143,15 @@ def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Un
 
 
 def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
-    """How a run ended, and what of it could not be confirmed."""
-    told = run.told()
-    safe = told.get("safe", {})
+    """Describe for JSON how a run ended, and what could not be confirmed about its safe state."""
+    last_words = run.told()
+    safe = last_words.get("safe", {})
     unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
     doubt = ""
     if unsafe:
         doubt = "; ".join(unsafe)
     elif not safe and ended:
-        doubt = told.get("reason") or f"process {run.process} died without a word"
+        doubt = last_words.get("reason") or f"process {run.process} died without a word"
     elif not safe:
         doubt = f"process {run.process} has not answered within {waited_s:g} s"
     return {
@@ -157,9 +159,9 @@ def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
         "protocol": run.protocol,
         "process": run.process,
         "ended": ended,
-        "status": told.get("status", ""),
-        "reason": told.get("reason", ""),
-        "run": told.get("run", ""),
+        "status": last_words.get("status", ""),
+        "reason": last_words.get("reason", ""),
+        "run": last_words.get("run", ""),
         "safe": safe,
         "doubt": f"NOT CONFIRMED SAFE, switch off the supply: {doubt}" if doubt else "",
     }
@@ -179,19 +181,19 @@ def read(
     from dataclasses import asdict
 
     from leactl.cli.run import finish
-    from leactl.protocol.by_hand import reading
+    from leactl.protocol.by_hand import reading_steps
     from leactl.report.readings import readings, table
-    from leactl.runfile.reader import Run
+    from leactl.runfile.read.reader import Run
 
-    outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus, everything=True)
-    found = []
+    outcome = _perform("read", reading_steps(hold_s), bench, setup, out, realtime, served, bus, everything=True)
+    channels = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
-            found = readings(run)
+            channels = readings(run)
     if as_json:
-        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in found]}))
-    elif found:
-        typer.echo(table(found))
+        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in channels]}))
+    elif channels:
+        typer.echo(table(channels))
     finish(outcome, [])
 
 
@@ -206,9 +208,9 @@ def zero(
 ) -> None:
     """Take the zero of the torque sensor as a protocol does, and say how far it is from the bench file's."""
     from leactl.cli.run import finish
-    from leactl.protocol.by_hand import zeroing
+    from leactl.protocol.by_hand import tare_steps
 
-    outcome = _perform("zero", zeroing(), bench, setup, out, realtime, served, bus)
+    outcome = _perform("zero", tare_steps(), bench, setup, out, realtime, served, bus)
     zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
     if as_json:
         typer.echo(json.dumps(outcome.as_json() | {"zeros": zeros}))
@@ -241,8 +243,8 @@ def jog(
     from leactl.cli.run import finish, print_end
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
-    from leactl.protocol.by_hand import Jog, reading
-    from leactl.runfile.reader import Run
+    from leactl.protocol.by_hand import Jog, reading_steps
+    from leactl.runfile.read.reader import Run
 
     wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
     given = [(mode, value) for mode, value in wanted.items() if value is not None]
@@ -252,7 +254,7 @@ def jog(
     motion.check()
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
-        before = _perform("read", reading(0.2), bench, setup, out, realtime, served, bus)
+        before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)
         finish(before, [])
         with Run.open(before.path) as run:
             stands_at = float(run.channel("angle", role).values[-1])

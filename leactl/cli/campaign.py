@@ -1,4 +1,4 @@
-"""`leactl campaign`: many runs in order, gone on with after any interruption."""
+"""`leactl campaign`: many runs in sequence, resumable after an interruption."""
 
 import json
 import sys
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 
 class RunByDefault(WholeSentences):
-    """`leactl campaign FILE` is `leactl campaign run FILE`."""
+    """A group that treats `leactl campaign FILE` as `leactl campaign run FILE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the command in where none is named."""
+        """Insert the command `run` where the first word is no command."""
         named = args and args[0] in (*self.commands, *ctx.help_option_names)
         return super().parse_args(ctx, args if named or not args else ["run", *args])
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Offer what the command that is put in would take first, beside the commands."""
+        """Complete the commands and also the first argument of `run`."""
         first = next(param for param in self.commands["run"].params if param.param_type_name == "argument")
         return [*super().shell_complete(ctx, incomplete), *first.shell_complete(ctx, incomplete)]
 
@@ -48,14 +48,14 @@ def list_campaigns(as_json: bool = AS_JSON) -> None:
     from leactl.report.listing import row
     from leactl.runner.campaign.campaignfile import load, names
 
-    found = [load(name) for name in names()]
+    campaigns = [load(name) for name in names()]
     if as_json:
-        rows = [{"name": one.name, "title": one.title, "runs": len(one.cells)} for one in found]
+        rows = [{"name": campaign.name, "title": campaign.title, "runs": len(campaign.cells)} for campaign in campaigns]
         typer.echo(json.dumps({"campaigns": rows}))
         return
-    width = max(len(one.name) for one in found)
-    for one in found:
-        typer.echo(row(f"{one.name:<{width}}  {len(one.cells):3d} runs  ", one.title))
+    width = max(len(campaign.name) for campaign in campaigns)
+    for campaign in campaigns:
+        typer.echo(row(f"{campaign.name:<{width}}  {len(campaign.cells):3d} runs  ", campaign.title))
 
 
 @app.command(epilog=examples("campaign show paper"))
@@ -63,9 +63,9 @@ def show(name: str = CAMPAIGN, as_json: bool = AS_JSON) -> None:
     """Show a campaign's file as it is written, to copy and change."""
     from leactl.runner.campaign.campaignfile import load
 
-    found = load(name)
-    answer = {"name": found.name, "title": found.title, "runs": len(found.cells), "text": found.text}
-    typer.echo(json.dumps(answer) if as_json else found.text, nl=as_json)
+    campaign = load(name)
+    answer = {"name": campaign.name, "title": campaign.title, "runs": len(campaign.cells), "text": campaign.text}
+    typer.echo(json.dumps(answer) if as_json else campaign.text, nl=as_json)
 
 
 @app.command(epilog=examples("campaign status paper --out runs/paper"))
@@ -160,7 +160,7 @@ def run(
     with to_the_end():
         ended = conduct(campaign, entries, folder, manner)
     done = len(ended.journal.finished)
-    files = {key: str(folder / f"{one.run_id}.h5") for key, one in ended.journal.finished.items()}
+    files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ended.journal.finished.items()}
     if as_json:
         about = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
         reason = str(ended.error).splitlines()[0] if ended.error else ""

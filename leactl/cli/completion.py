@@ -1,6 +1,6 @@
-"""What a shell offers where a word is half typed: names of what ships, parameters of the protocol before them.
+"""Shell completion: names of bundled protocols, benches, motors and drivers, and parameters of a protocol.
 
-Paths are the shell's own: it offers files where nothing here begins with the word.
+The shell completes paths itself where no name matches.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,7 +13,7 @@ Completion = Callable[[str], list[str]]
 
 
 def offered(names: Callable[[], Iterable[str]]) -> Completion:
-    """Names that begin as the word does; `names` is called, and what it needs imported, when a shell asks."""
+    """Return a completion of the names that begin with the typed word; `names` is called only on completion."""
 
     def matching(incomplete: str) -> list[str]:
         return [name for name in names() if name.startswith(incomplete)]
@@ -62,7 +62,7 @@ effects, campaigns, drivers = offered(_effects), offered(_campaigns), offered(_d
 
 
 def settings(context: typer.Context, incomplete: str) -> list[str]:
-    """Offer `NAME=` of every parameter of the protocol that the command line names."""
+    """Complete `NAME=` for each parameter of the protocol on the command line."""
     from leactl.protocol.protocolfile import load
 
     # a --set without its value stops the parser: words that were no options yet are left as they were

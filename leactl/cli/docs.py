@@ -14,7 +14,7 @@ LANDMARK = "reference/run-format.md"  # a page that tells the folder of pages fr
 
 
 def pages(incomplete: str) -> list[str]:
-    """Names of the pages that a shell offers."""
+    """Names of the pages, for shell completion."""
     return [name for name in pages_by_name(folder_of_pages()) if name.startswith(incomplete)]
 
 
@@ -41,7 +41,7 @@ def docs(
 
 
 def pages_by_name(folder: Path) -> dict[str, Path]:
-    """The pages of each kind in the order of their names; the opening page of a kind has the kind's name."""
+    """Return the pages by name, sorted within each kind; the index page of a kind has the name of the kind."""
     return {
         kind if path.stem == "README" else path.stem: path
         for kind in FOLDERS
@@ -50,7 +50,7 @@ def pages_by_name(folder: Path) -> dict[str, Path]:
 
 
 def folder_of_pages() -> Path:
-    """Where the pages are: beside the package in a checkout, else where the installer put them.
+    """Return the folder of the pages: in a checkout beside the package, else in the installed data files.
 
     Raises
     ------
@@ -74,6 +74,6 @@ def folder_of_pages() -> Path:
 
 
 def title(path: Path) -> str:
-    """A page's first line, without its mark."""
+    """Return the title of a page, its first line without `#`."""
     with path.open(encoding="utf-8") as stream:
         return stream.readline().lstrip("# ").rstrip()

@@ -1,4 +1,4 @@
-"""`leactl doctor`: what this machine has and lacks, and the command that mends it."""
+"""`leactl doctor`: what is installed on this machine, what is missing, and the command that installs it."""
 
 import json
 
@@ -9,12 +9,12 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     """Check Python, packages, plug-ins, buses, browser and disk."""
     from dataclasses import asdict
 
-    from leactl.bench.host_checks import examine
+    from leactl.bench.host_checks import run_checks
     from leactl.report import pdf
     from leactl.report.listing import row
     from leactl.runner import state
 
-    findings = [*examine(), state.examine(), pdf.examine()]
+    findings = [*run_checks(), state.examine(), pdf.examine()]
     wrong = [finding for finding in findings if finding.needed and not finding.fine]
     if as_json:
         typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))

@@ -1,4 +1,4 @@
-"""`leactl driver`: which drivers are there, what they take, and whether they keep the contract."""
+"""`leactl driver`: list drivers and their settings, and check them against the driver contract."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
     from leactl.driver import registry
     from leactl.report.listing import row
 
-    found = registry.survey()
+    drivers = registry.survey()
     if as_json:
         rows = [
             {
@@ -30,12 +30,12 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
                 "summary": item.driver.summary if item.driver else None,
                 "error": item.error or None,
             }
-            for item in found
+            for item in drivers
         ]
         typer.echo(json.dumps({"drivers": rows}))
         return
-    width = max((len(item.name) for item in found), default=0)
-    for item in found:
+    width = max((len(item.name) for item in drivers), default=0)
+    for item in drivers:
         transport, text = (item.driver.transport, item.driver.summary) if item.driver else ("broken", item.error)
         typer.echo(row(f"{item.name:<{width}} {transport:<7} ", text))
 

@@ -21,7 +21,7 @@ JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 SIMULATED = "--simulated"
 
 
-class RunsOfTwoSides(TyperCommand):
+class RealAndSimulatedRuns(TyperCommand):
     """Lets `--json` stand alone or before the file to write, and `--simulated` before as many runs as follow."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -47,7 +47,7 @@ def repeated(args: list[str]) -> list[str]:
 
 
 def completed(args: list[str]) -> list[str]:
-    """The words of a command line with `-` behind a `--json` that no file to write follows."""
+    """Return the words of a command line with `-` inserted after a `--json` without a file."""
     complete: list[str] = []
     for index, word in enumerate(args):
         complete.append(word)
@@ -60,7 +60,7 @@ def completed(args: list[str]) -> list[str]:
 
 @app.command(
     "diagnose",
-    cls=RunsOfTwoSides,
+    cls=RealAndSimulatedRuns,
     epilog=examples(
         "gap diagnose *-a.h5 --held-out *-b.h5 --model nominal.yaml",
         "gap diagnose runs/*.h5 --model nominal.yaml --html gap.html",
@@ -108,9 +108,9 @@ def simulate(
     """Simulate a run again: its own inputs through a model, written as a run file with the same channels and clock."""
     from leactl.gap.replay.written import simulate as write
 
-    found = write(model, run, out)
-    typer.echo(json.dumps(found.as_json()) if as_json else str(found.path))
-    for note in () if as_json else found.notes:
+    simulated = write(model, run, out)
+    typer.echo(json.dumps(simulated.as_json()) if as_json else str(simulated.path))
+    for note in () if as_json else simulated.notes:
         typer.echo(f"note: {note}", err=True)
 
 
@@ -120,14 +120,18 @@ def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
     from leactl.gap.distance import as_json as answer
     from leactl.gap.distance import compare_runs
 
-    found = compare_runs(first, second)
+    comparisons = compare_runs(first, second)
     if as_json:
-        typer.echo(json.dumps(answer(found)))
+        typer.echo(json.dumps(answer(comparisons)))
         return
-    for one in found:
-        name = " ".join(filter(None, (one.role, one.quantity, one.location)))
-        likeness = "stands still" if one.correlation is None else f"r {one.correlation:.4f}, lag {one.lag_s:+.4g} s"
-        typer.echo(f"{name:<34} rms {one.rms:<10.4g} mean {one.mean:<+11.4g} {one.units:<6} {likeness}")
+    for channel in comparisons:
+        name = " ".join(filter(None, (channel.role, channel.quantity, channel.location)))
+        likeness = (
+            "stands still"
+            if channel.correlation is None
+            else f"r {channel.correlation:.4f}, lag {channel.lag_s:+.4g} s"
+        )
+        typer.echo(f"{name:<34} rms {channel.rms:<10.4g} mean {channel.mean:<+11.4g} {channel.units:<6} {likeness}")
 
 
 @app.command("effects", epilog=examples("gap effects", "gap effects cogging"))
@@ -143,7 +147,7 @@ def show_effects(
 
     if as_json:
         groups = {"effects": effect_names(), "setup_faults": tuple(setup_faults())}
-        every = {group: [explained(one) for one in names] for group, names in groups.items()}
+        every = {group: [explained(effect) for effect in names] for group, names in groups.items()}
         typer.echo(json.dumps(explained(name) if name else every))
         return
     typer.echo(one_effect(name) if name else all_effects())
@@ -303,10 +307,10 @@ def score_blind(
         raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
     with Steps() as step, workers_of(processes, scheduler) as workers:
         marks = check(sets, read_key, workers, step)
-    found = score(marks)
+    scores = score(marks)
     options = " ".join(f"--cases {part.runs.name} --key {part.key.name}" for part in sets)
     command = f"leactl gap blind score {options}"
     if out is not None:
         with new_file(out) as path:
-            path.write_text(markdown(found, command), encoding="utf-8")
-    typer.echo(json.dumps(document(found, command)) if as_json else markdown(found, command))
+            path.write_text(markdown(scores, command), encoding="utf-8")
+    typer.echo(json.dumps(document(scores, command)) if as_json else markdown(scores, command))

@@ -1,6 +1,6 @@
-"""The groups of commands: `leactl --help` names them, and a group's module is imported where a word of it is asked for.
+"""The command groups; a group's module is imported only when one of its commands is called.
 
-Building the parameters of fifty commands, of which one is wanted, would take as long as importing typer.
+Building the parameters of all fifty commands would take as long as importing typer.
 """
 
 from importlib import import_module
@@ -26,7 +26,7 @@ GROUPS: Final = {  # by the name of the module that has the group as `app`
 
 
 class Groups(WholeSentences):
-    """The root: commands of its own, and groups by their names."""
+    """The root group: its own commands, and the command groups by name, which are imported on use."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -34,7 +34,7 @@ class Groups(WholeSentences):
         self._only_named = False  # while the root's own help is written
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command or the group of this name; None where there is none."""
+        """Return the command or group of this name, None if there is none."""
         if cmd_name not in GROUPS or self._only_named:
             return super().get_command(ctx, cmd_name)
         group: Any = get_group(import_module(f"leactl.cli.{cmd_name}").app)
@@ -42,7 +42,7 @@ class Groups(WholeSentences):
         return group
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Name every command and group in the root's help."""
+        """Write the list of all commands and groups for the root's help."""
         self._only_named = True
         super().format_commands(ctx, formatter)
         self._only_named = False

@@ -1,4 +1,4 @@
-"""What the help of every command and group has in common: examples, exit statuses, and sentences that are whole."""
+"""Parts of the help that all commands and groups share: examples, exit statuses and untruncated first sentences."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -22,7 +22,7 @@ UNCUT: Final = 10_000  # characters of a command's sentence in the list of a gro
 
 
 class WholeSentences(TyperGroup):
-    """A group whose list has the first sentence of every command's help, wrapped and not cut."""
+    """A command group whose list shows the whole first sentence of each command's help, wrapped."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
@@ -33,23 +33,23 @@ class WholeSentences(TyperGroup):
 
 
 def group_of_commands(kind: type[WholeSentences] = WholeSentences) -> typer.Typer:
-    """A group; without a word it prints its help."""
+    """Create a command group that prints its help when called without a command."""
     return typer.Typer(cls=kind, no_args_is_help=True, rich_markup_mode=None)
 
 
 def examples(
     *lines: str, ends: tuple[type[LeactlError], ...] = (), means: Mapping[type[LeactlError], str] | None = None
 ) -> str:
-    """The end of a command's help.
+    """Format the end of a command's help: examples and exit statuses.
 
     Parameters
     ----------
-    lines : commands as a person types them, without `leactl`.
-    ends : how it may end beside what every command may.
-    means : what a status says of this command, in place of what it says of most.
+    lines : example commands, without `leactl`.
+    ends : errors that the command may exit with, beside those of every command.
+    means : meanings of exit statuses for this command, which replace the common meanings.
     """
     meanings = {**MEANINGS, **(means or {})}
     statuses = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}
-    told = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
+    status_texts = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
     shown = "".join(f"\n  leactl {line}" for line in lines)
-    return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {told}."
+    return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {status_texts}."

@@ -1,4 +1,4 @@
-"""The entry point: commands found by noun, errors as one line each on stderr, the documented exit statuses."""
+"""The entry point: runs a command, prints each error as one line on stderr and sets the exit status."""
 
 import errno
 import itertools
@@ -73,18 +73,18 @@ def root(
 
 
 def main() -> None:
-    """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
+    """Run the command line; an error prints one line on stderr and sets the exit status."""
     try:
         _run()
     except SystemExit as end:
-        recording = sys.modules.get("leactl.runfile.writer")
+        recording = sys.modules.get("leactl.runfile.write.writer")
         if recording is not None and recording.KEPT_OPEN:
-            _leave(end.code)
+            _exit_process(end.code)
         raise
 
 
-def _leave(code: str | int | None) -> NoReturn:
-    """End the process without unloading anything: HDF5 crashes there where a file of its own has taken no write."""
+def _exit_process(code: str | int | None) -> NoReturn:
+    """Flush both streams and end the process without unloading libraries: HDF5 can crash there after a failed write."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
@@ -104,7 +104,7 @@ def _run() -> None:
     except (BrokenPipeError, SystemExit) as end:  # click makes an exit of its own of a broken pipe
         if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, BrokenPipeError):
             raise
-        _let_go_of_stdout()  # a second attempt at exit would only repeat the complaint
+        _discard_stdout()  # a second attempt at exit would only repeat the complaint
         sys.exit(READER_GONE)
     except (KeyboardInterrupt, typer.Abort):
         _end(["stopped"], Stopped.exit_status)
@@ -112,7 +112,7 @@ def _run() -> None:
         if os.environ.get("LEACTL_TRACE"):
             raise
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-            _let_go_of_stdout()
+            _discard_stdout()
             _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
         _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
     if status == CTRL_C_OF_TYPER:
@@ -121,7 +121,7 @@ def _run() -> None:
 
 
 def _refuse_usage(error: Any) -> NoReturn:
-    """A command line that cannot be read, in one line with the value; a command without a word gets its help."""
+    """Print a usage error as one line with the value found, and exit; a command without arguments prints its help."""
     text = " ".join(error.format_message().split()).rstrip(".")
     if text.startswith("Usage:"):
         error.show()
@@ -129,18 +129,18 @@ def _refuse_usage(error: Any) -> NoReturn:
     command = error.ctx.command_path if error.ctx is not None else "leactl"
     options = tuple(getattr(getattr(error, "param", None), "opts", ()))
     given = [after for word, after in itertools.pairwise(sys.argv) if word in options]
-    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{one}=" for one in options))]
+    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{option}=" for option in options))]
     value = f", found {given[0]!r}" if len(given) == 1 and text.startswith("Invalid") else ""
     _end([f"{text[0].lower()}{text[1:]}{value}; {command} --help tells the usage"], InputError.exit_status)
 
 
-def _let_go_of_stdout() -> None:
-    """What is left in its buffer goes nowhere, and no second complaint comes at exit."""
+def _discard_stdout() -> None:
+    """Redirect stdout to the null device, so that flushing its buffer at exit raises no second error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _json_is_asked() -> bool:
-    """Whether stdout is to hold JSON and nothing else."""
+def _is_json_requested() -> bool:
+    """Whether the command line asks for JSON on stdout."""
     from leactl.cli import gap
 
     words = list(itertools.takewhile(lambda word: word != "--", sys.argv[1:]))
@@ -148,7 +148,7 @@ def _json_is_asked() -> bool:
 
 
 def _end(lines: list[str], status: int) -> NoReturn:
-    if status == InputError.exit_status and _json_is_asked() and not getattr(sys.stdout, "used", False):
+    if status == InputError.exit_status and _is_json_requested() and not getattr(sys.stdout, "used", False):
         with suppress(OSError):  # what stdout cannot take stands on stderr
             print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
     for line in lines[:MOST_LINES]:

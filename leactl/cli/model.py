@@ -14,14 +14,14 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
 class Ctrl(StrEnum):
-    """What ctrl of a torque actuator is."""
+    """Unit of `ctrl` for a torque actuator in MJCF."""
 
     TORQUE = "torque"
     CURRENT = "current"
 
 
 class Format(StrEnum):
-    """What an augmented model is written as."""
+    """File format of an augmented model."""
 
     MJCF = "mjcf"
     JSON = "json"

@@ -34,17 +34,17 @@ def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS,
     from leactl.model.motor import load_sheet
     from leactl.report.motors import Setting, comparison, comparison_text, known
 
-    found, document = load_sheet(motor)
-    one = known(motor, Setting(ambient, bus_voltage))
+    sheet, document = load_sheet(motor)
+    derived = known(motor, Setting(ambient, bus_voltage))
     if as_json:
-        compared = comparison([one])
+        compared = comparison([derived])
         figures = {row["name"]: row["values"][0] for row in compared["rows"]}
-        told = found.model_dump(exclude_defaults=True) | {"name": found.name}
+        body = sheet.model_dump(exclude_defaults=True) | {"name": sheet.name}
         follows = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
-        typer.echo(json.dumps(told | follows))
+        typer.echo(json.dumps(body | follows))
         return
     # what follows from the file is a comment to it: redirected, the whole is a motor file
-    typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([one]), "# ", lambda line: True).rstrip())
+    typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([derived]), "# ", lambda line: True).rstrip())
 
 
 @app.command(epilog=examples("motor compare lea mine.yaml"))
@@ -60,8 +60,8 @@ def compare(
     from leactl.model.motor import motor_names
     from leactl.report.motors import Setting, comparison, comparison_text, known
 
-    found = [known(name, Setting(ambient, bus_voltage)) for name in motors or motor_names()]
-    typer.echo(json.dumps(comparison(found)) if as_json else comparison_text(found))
+    compared_motors = [known(name, Setting(ambient, bus_voltage)) for name in motors or motor_names()]
+    typer.echo(json.dumps(comparison(compared_motors)) if as_json else comparison_text(compared_motors))
 
 
 @app.command(epilog=examples("motor scale --radius 60"))
@@ -83,15 +83,21 @@ def scale(
     from leactl.report.motor_design import scaled_text
 
     sheet = load_sheet(motor)[0]
-    found = scaled(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
+    quantities = scaled(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
     if as_json:
         rows = [
-            {"name": one.name, "units": one.units, "power": one.power, "known": one.known, "scaled": one.scaled}
-            for one in found
+            {
+                "name": quantity.name,
+                "units": quantity.units,
+                "power": quantity.power,
+                "known": quantity.known,
+                "scaled": quantity.scaled,
+            }
+            for quantity in quantities
         ]
         typer.echo(json.dumps({"motor": sheet.name, "winding": sheet.winding, "radius_mm": radius, "figures": rows}))
         return
-    typer.echo(scaled_text(sheet, found, radius / 1e3))
+    typer.echo(scaled_text(sheet, quantities, radius / 1e3))
 
 
 @app.command(epilog=examples("motor energy hip.csv knee.csv --body-mass 70"))
@@ -128,13 +134,13 @@ def energy(
     body, texts = [], []
     for path in cycles:
         cycle = read_cycle(path, stride_time, body_mass, harmonics)
-        found = [
+        strides = [
             best_ratio(sheet, cycle, efficiency, supply)
             if ratio is None
             else stride(sheet, cycle, ratio, efficiency, supply)
             for sheet in sheets
         ]
-        notes = [remarks(sheet, one) for sheet, one in zip(sheets, found, strict=True)]
+        notes = [remarks(sheet, motion) for sheet, motion in zip(sheets, strides, strict=True)]
         about = {
             "cycle": str(path),
             "stride_time_s": cycle.period,
@@ -142,9 +148,9 @@ def energy(
             "angle_left_out": cycle.left_out,
             "notes": list(cycle.notes),
         }
-        body.append(about | {"motors": [stride_json(*each) for each in zip(sheets, found, notes, strict=True)]})
+        body.append(about | {"motors": [stride_json(*each) for each in zip(sheets, strides, notes, strict=True)]})
         said = [f"{sheet.name}: {note}" for sheet, each in zip(sheets, notes, strict=True) for note in each]
-        texts.append(energy_text(cycle, sheets, found, [*cycle.notes, *said]))
+        texts.append(energy_text(cycle, sheets, strides, [*cycle.notes, *said]))
     typer.echo(json.dumps({"cycles": body}, allow_nan=False) if as_json else "\n".join(texts))
 
 
@@ -165,7 +171,10 @@ def preload_of(
     from leactl.report.motor_design import preload_json, preload_text
 
     bearings = bearings_of(load_sheet(motor)[0])
-    found = readings(bearings, rest_gap / 1e3)
-    table = [(one, [preload(bearings, one, mm / 1e3) for mm in gap], most_gap(bearings, one)) for one in found]
-    misses = disagreement(bearings, found)
+    gap_readings = readings(bearings, rest_gap / 1e3)
+    table = [
+        (reading, [preload(bearings, reading, mm / 1e3) for mm in gap], most_gap(bearings, reading))
+        for reading in gap_readings
+    ]
+    misses = disagreement(bearings, gap_readings)
     typer.echo(json.dumps(preload_json(bearings, table, misses)) if as_json else preload_text(bearings, table, misses))

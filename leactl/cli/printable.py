@@ -1,4 +1,4 @@
-"""What reaches a terminal is text: control characters in run files, paths and labels are shown, not obeyed."""
+"""Output streams that escape control characters, so that text from run files or paths cannot steer a terminal."""
 
 import io
 import re
@@ -9,12 +9,12 @@ OBEYED = re.compile("\r(?!\n)|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u
 
 
 def printable(text: str) -> str:
-    """The text with every character that a terminal would obey as its escape in Python."""
-    return OBEYED.sub(lambda found: repr(found[0])[1:-1], text)
+    """Replace each control character of a text by its Python escape."""
+    return OBEYED.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 class Printable(io.TextIOWrapper):
-    """A standard stream that shows control characters instead of passing them on."""
+    """A standard stream that escapes control characters."""
 
     used = False  # whether anything was written
 
@@ -28,7 +28,7 @@ _open: list[Printable] = []  # one that is let go of closes the stream beneath i
 
 
 def show_control_characters() -> None:
-    """Have stdout and stderr show control characters from here on; the live view writes to `sys.__stderr__`."""
+    """Make stdout and stderr escape control characters; the live view writes to `sys.__stderr__` unescaped."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, Printable):

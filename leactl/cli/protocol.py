@@ -1,4 +1,4 @@
-"""`leactl protocol`: protocol files."""
+"""`leactl protocol`: list, show and check protocol files."""
 
 import json
 from typing import TYPE_CHECKING
@@ -117,7 +117,7 @@ def plan(
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
-        stays_on = [one.told for one in left_on(expanded, windings, there)]
+        stays_on = [supply.told for supply in left_on(expanded, windings, there)]
         hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
         if forecast.turning_from_hz is not None:
             slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
@@ -126,8 +126,8 @@ def plan(
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        told = {"hottest_degC": hottest, "left_on": stays_on, "one_sensor": alone} if bench else {}
-        heat = {"searches": searches(expanded)} | told
+        thermal_body = {"hottest_degC": hottest, "left_on": stays_on, "one_sensor": alone} if bench else {}
+        heat = {"searches": searches(expanded)} | thermal_body
         typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
@@ -140,7 +140,7 @@ def plan(
 
 
 def _checked(protocol: str) -> "Plan":
-    """The plan of a protocol whose limits can be judged; CSV files of one on stdin are looked for where we are."""
+    """Return the plan of a protocol, its limits checked; from stdin, CSV paths are relative to the working folder."""
     import sys
     from pathlib import Path
 

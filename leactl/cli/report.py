@@ -14,17 +14,17 @@ COMPARED = "--compare"
 
 
 class SeveralCompared(TyperCommand):
-    """Lets `--compare` take every path up to the next option, as a shell's pattern gives them."""
+    """A command whose `--compare` takes all paths up to the next option, as a shell expands a pattern."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the option before each of its paths."""
+        """Insert `--compare` before each of its paths."""
         spread: list[str] = []
         rest = list(args)
         while rest:
             word = rest.pop(0)
             spread.append(word)
             if word == COMPARED:
-                paths = list(takewhile(lambda one: not one.startswith("-"), rest))
+                paths = list(takewhile(lambda path: not path.startswith("-"), rest))
                 del rest[: len(paths)]
                 if not paths:
                     raise InputError(f"{COMPARED}: no runs after it; give run files, or folders of them")

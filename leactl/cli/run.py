@@ -94,14 +94,14 @@ def run(
             print_end(outcome)
         sys.stdout.flush()
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [told.fault for told in (lines, traced) if told is not None]
+    faults = [log.fault for log in (lines, traced) if log is not None]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet)
 
 
 def _words_of(command: str) -> list[str]:
-    """Words of a command that is to be run at the end.
+    """Split the command that is to be run at the end into words.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _words_of(command: str) -> list[str]:
 
 
 def _ended(words: list[str], outcome: "Outcome") -> str:
-    """Run a command with the run's status and file; what went wrong with it, which is nothing of the run's."""
+    """Run a command with the run's status and file; return its failure as text, which leaves the run's status."""
     import subprocess
 
     if not words:
@@ -136,7 +136,7 @@ def _ended(words: list[str], outcome: "Outcome") -> str:
 
 
 def perform(request: "Request", heading: str = "") -> "Outcome":
-    """Execute a request with the live view on stderr and its stop key; the heading opens the view's title."""
+    """Execute a run request with the live view on stderr; `heading` begins the title of the view."""
     from contextlib import AbstractContextManager
 
     from rich.console import Console
@@ -163,7 +163,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
 
 
 def check_operator(request: "Request") -> None:
-    """Refuse a plan that asks the operator where nobody can answer.
+    """Refuse a plan with operator prompts if stdin is no terminal.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def check_operator(request: "Request") -> None:
 
 
 def print_end(outcome: "Outcome") -> None:
-    """How a run ended, in one line."""
+    """Print in one line how a run ended."""
     typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time")
 
 

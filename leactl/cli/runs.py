@@ -22,7 +22,7 @@ INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by defaul
 
 
 def remark(line: str) -> None:
-    """Say what a person should know beside the answer."""
+    """Print a remark for the user on stderr."""
     typer.echo(f"leactl: {line}", err=True)
 
 
@@ -54,8 +54,8 @@ def list_runs(
 ) -> None:
     """List the runs of a directory, oldest first, with the parameters that differ among those of a protocol."""
     from leactl.report.run_list import run_list
-    from leactl.runfile.run_index import list_runs as summaries
-    from leactl.runfile.selection import ordered, selection_of
+    from leactl.runfile.catalog.run_index import list_runs as summaries
+    from leactl.runfile.catalog.selection import ordered, selection_of
 
     every = summaries(directory, index, remark)
     asked = selection_of(
@@ -92,7 +92,7 @@ def index_runs(
     from leactl.processes import Workers
     from leactl.report.run_list import run_list
     from leactl.report.steps import Steps
-    from leactl.runfile.run_index import update
+    from leactl.runfile.catalog.run_index import update
 
     with Steps() as step, Workers(processes) as workers:
         path, catalogue = update(directory, index, remark, workers, step)
@@ -118,8 +118,8 @@ def tag_runs(
     as_json: bool = AS_JSON,
 ) -> None:
     """Tag runs with a word to find them by; it stands in tags.json beside them, and the run files stay as they are."""
-    from leactl.runfile.catalog import run_files
-    from leactl.runfile.tags import change_tags
+    from leactl.runfile.catalog.summaries import run_files
+    from leactl.runfile.catalog.tags import change_tags
 
     tagged = change_tags(run_files(runs), tag, remove)
     if as_json:
@@ -153,37 +153,39 @@ def trend(
     from leactl.report.steps import Steps
     from leactl.report.terminal import encoding_of_stdout
     from leactl.report.trend import trend_text
-    from leactl.runfile.catalog import run_files
+    from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    told = numbers(settings)
+    given_values = numbers(settings)
     with Steps() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
-        found = follow(paths, result, actuator, condition, baseline, step, workers, **told)
-    typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
+        trend_found = follow(paths, result, actuator, condition, baseline, step, workers, **given_values)
+    typer.echo(
+        json.dumps(trend_found.as_json(), allow_nan=False) if as_json else trend_text(trend_found, encoding_of_stdout())
+    )
 
 
 @app.command(epilog=examples("runs show RUN.h5"))
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
     from leactl.report.listing import row
-    from leactl.runfile.reader import Run
-    from leactl.runfile.searches import searches
+    from leactl.runfile.read.bisections import searches
+    from leactl.runfile.read.reader import Run
 
-    with Run.open(run) as found:
-        about = {name: str(value) for name, value in found.attributes.items()} | {"mechanical": found.mechanical}
+    with Run.open(run) as opened:
+        about = {name: str(value) for name, value in opened.attributes.items()} | {"mechanical": opened.mechanical}
         streams = {
             name: {
-                "rows": found.rows[name],
-                **({"attached": found.attached(name)} if found.attached(name) else {}),
+                "rows": opened.rows[name],
+                **({"attached": opened.attached(name)} if opened.attached(name) else {}),
                 "channels": [
                     {"name": c.name, "quantity": c.quantity, "role": c.role, "units": c.unit} for c in channels
                 ],
             }
-            for name, channels in found.streams.items()
+            for name, channels in opened.streams.items()
         }
-        steps, events, notes = found.steps, found.events, found.notes
-        parameters, instruments = found.parameters, found.instruments
+        steps, events, notes = opened.steps, opened.events, opened.notes
+        parameters, instruments = opened.parameters, opened.instruments
     if as_json:
         answer = {
             "attributes": about,
@@ -204,8 +206,8 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     for name, facts in instruments.items():
         typer.echo(row(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
-        typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
-        for channel in found.streams[name]:
+        typer.echo(f"stream {name}: {stream['rows']} rows{attachment_note(stream)}")
+        for channel in opened.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     for search in searches(steps):
         typer.echo(row("", str(search)))
@@ -228,8 +230,8 @@ def verify(
     as_json: bool = AS_JSON,
 ) -> None:
     """Check that runs are whole and as they were closed: values, names and attributes."""
-    from leactl.runfile.catalog import run_files
-    from leactl.runfile.integrity import examine
+    from leactl.runfile.catalog.summaries import run_files
+    from leactl.runfile.verify.integrity import examine
     from leactl.scheduler import workers_of
 
     paths = run_files(runs)
@@ -239,7 +241,7 @@ def verify(
             answer = done.value()
             examined.append(answer)
             if not as_json and not answer.findings:
-                typer.echo(f"{answer.path}: {answer.told}")
+                typer.echo(f"{answer.path}: {answer.summary}")
     if as_json:
         several = len(runs) > 1 or runs[0].is_dir()
         bodies = [answer.as_json() for answer in examined]
@@ -254,7 +256,7 @@ def verify(
 @app.command(epilog=examples("runs recover RUN.h5"))
 def recover(run: Path, as_json: bool = AS_JSON) -> None:
     """Write a clean copy of a run whose recording was cut off; the original stays."""
-    from leactl.runfile.integrity import recover as clean_copy
+    from leactl.runfile.verify.integrity import recover as clean_copy
 
     written = clean_copy(run)
     typer.echo(json.dumps({"run": str(written), "status": "recovered"}) if as_json else str(written))
@@ -263,7 +265,7 @@ def recover(run: Path, as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("runs convert runs/*.h5"))
 def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: bool = AS_JSON) -> None:
     """Rewrite runs of a newer HDF5 format so that HDF5 1.10, MATLAB and older h5py read them; values stay."""
-    from leactl.runfile.conversion import convert as rewrite
+    from leactl.runfile.verify.conversion import convert as rewrite
 
     for run in runs:
         rewrite(run)
@@ -275,8 +277,8 @@ def annotate(
     run: Path, text: str, author: str = typer.Option("", help="Who says so."), as_json: bool = AS_JSON
 ) -> None:
     """Add a note to a run; its data stay as they are, and that is checked."""
-    from leactl.runfile.integrity import annotate as add_note
-    from leactl.runfile.reader import Run
+    from leactl.runfile.read.reader import Run
+    from leactl.runfile.verify.integrity import annotate as add_note
 
     add_note(run, text, author)
     if as_json:
@@ -305,7 +307,7 @@ def attach(
     if as_json:
         typer.echo(json.dumps(joined.as_json() | {"run": str(run), "attached": not check}))
     else:
-        typer.echo("\n".join(joined.told()))
+        typer.echo("\n".join(joined.summary_lines()))
 
 
 @app.command(epilog=examples("runs export RUN.h5 --format csv --out csv"))
@@ -348,14 +350,14 @@ def import_foreign(
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
     from leactl import yamlfile
-    from leactl.runfile.importing import read_by, targets_of, write
-    from leactl.runfile.importing_preview import preview, preview_lines
+    from leactl.runfile.importing.importer import read_by_mapping, targets_of, write_runs
+    from leactl.runfile.importing.preview import preview, preview_lines
 
     if map_out is not None and str(mapping) != AUTO:
         raise InputError(f"--map-out {map_out}: goes with --map {AUTO}")
-    document = proposed(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
-    runs = read_by(sources, document, joint)
-    files = targets_of(runs, out) if check else write(runs, out)
+    document = propose_mapping(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
+    runs = read_by_mapping(sources, document, joint)
+    files = targets_of(runs, out) if check else write_runs(runs, out)
     previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))
     if as_json:
@@ -368,24 +370,24 @@ def import_foreign(
     typer.echo("\n".join(lines))
 
 
-def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
-    """The mapping that a person and the first source make; without a person, what the source alone says of it.
+def propose_mapping(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
+    """Propose a mapping from the first source, and ask the user its open questions at a terminal.
 
     Raises
     ------
-    InputError : nobody can be asked what is open; the proposal is in `map_out`, or on stdout.
+    InputError : questions are open and no user can be asked; the proposal is in `map_out`, or on stdout.
     """
     from leactl import yamlfile
-    from leactl.cli.mapping_questions import asked, is_attended
-    from leactl.runfile.importing import expanded
-    from leactl.runfile.importing_proposal import propose
-    from leactl.runfile.importing_survey import survey
+    from leactl.cli.mapping_questions import ask_open_questions, is_attended
+    from leactl.runfile.importing.importer import expand_patterns
+    from leactl.runfile.importing.proposal.proposal import propose
+    from leactl.runfile.importing.proposal.survey import survey
     from leactl.runfile.publish import new_file, refuse_existing
 
     if map_out is not None:
         refuse_existing(map_out)
-    seen = survey(expanded(sources)[0])
-    proposal = asked(seen) if is_attended() else propose(seen, {})
+    source_survey = survey(expand_patterns(sources)[0])
+    proposal = ask_open_questions(source_survey) if is_attended() else propose(source_survey, {})
     if map_out is not None:
         with new_file(map_out) as aside:
             aside.write_text(proposal.text, encoding="utf-8")
@@ -397,13 +399,13 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
     return yamlfile.parse(proposal.text, str(map_out or AUTO))
 
 
-def attached_told(stream: dict[str, Any]) -> str:
-    """Where a stream that joined later came from and how well its stamps are known; empty for a recorded one."""
+def attachment_note(stream: dict[str, Any]) -> str:
+    """Describe the source file and time uncertainty of an attached stream; empty for a recorded stream."""
     if "attached" not in stream:
         return ""
-    found = stream["attached"]
-    within = f"stamps good to {found['alignment_uncertainty_s']:.2g} s (95 %)"
-    return f", attached from {found['record_files']}, {within} by {found['alignment_method']}"
+    provenance = stream["attached"]
+    within = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
+    return f", attached from {provenance['record_files']}, {within} by {provenance['alignment_method']}"
 
 
 @app.command(epilog=examples("runs plot RUN.h5 torque test_iq", "runs plot RUN.h5 torque --html plot.html"))
@@ -425,8 +427,8 @@ def plot(
     from leactl.report.run_page import BINS, page
     from leactl.report.run_plot import text
     from leactl.runfile.publish import replacement
-    from leactl.runfile.reader import Run
-    from leactl.runfile.traces import channel_names, part_of_run, trace
+    from leactl.runfile.read.reader import Run
+    from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
 
     if html:
         outputs.check([html], [run])
@@ -434,7 +436,7 @@ def plot(
     with Run.open(run) as opened:
         part = part_of_run(opened, step, start, stop)
         bins = BINS if html or as_json else 2 * columns
-        traces = [trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
+        traces = [channel_trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
         if html:
             with replacement(html) as path:
                 path.write_text(page(opened, traces, *part), encoding="utf-8")

@@ -63,8 +63,8 @@ def drill(
         _make(out)
         drilled = _drill(bench, only, yes, served, bus, out)
     else:
-        with tempfile.TemporaryDirectory(prefix="leactl-drill-") as place:
-            drilled = _drill(bench, only, yes, served, bus, Path(place))
+        with tempfile.TemporaryDirectory(prefix="leactl-drill-") as folder:
+            drilled = _drill(bench, only, yes, served, bus, Path(folder))
         drilled = replace(drilled, findings=[replace(finding, run="") for finding in drilled.findings])
     if report is not None:
         _write(report, PAGE.format(bench=drilled.bench, command=_command(bench, only, report)) + markdown(drilled))
@@ -123,14 +123,14 @@ def challenge(
     motors = motors_of(file)
     settings = guard_settings(file, devices, motors)
     searches = hunts(list(motors.items()), rates, READINGS)
-    found = []
+    results = []
     for number, (role, motor, at, reading) in enumerate(searches, start=1):
         typer.echo(f"search {number} of {len(searches)}: {role}, {at:g} Hz, {reading} angle", err=True)
         share = 60.0 * minutes / len(searches)
-        found.append(hunt(role, motor, settings, at, reading, share, seed, optimiser=optimiser))
-    typer.echo(json.dumps(told(found, settings.limit)) if as_json else challenge_text(found, settings.limit))
-    if lost := [one for one in found if not one.held(settings.limit)]:
-        raise SafetyTrip(f"{len(lost)} of {len(found)} searches found a winding hotter than the guard lets it be")
+        results.append(hunt(role, motor, settings, at, reading, share, seed, optimiser=optimiser))
+    typer.echo(json.dumps(told(results, settings.limit)) if as_json else challenge_text(results, settings.limit))
+    if lost := [hunted for hunted in results if not hunted.held(settings.limit)]:
+        raise SafetyTrip(f"{len(lost)} of {len(results)} searches found a winding hotter than the guard lets it be")
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
@@ -155,7 +155,7 @@ def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str],
 
 
 def _agreed(text: str) -> bool:
-    """Ask on stderr: stdout may be JSON's."""
+    """Ask the user on stderr, since stdout may carry JSON."""
     typer.echo(f"{text}\nGo on? [y/N]: ", err=True, nl=False)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 

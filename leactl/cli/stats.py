@@ -28,20 +28,25 @@ def stats(
     from leactl.errors import InputError
     from leactl.report.conditions import comparisons_text
 
-    told = numbers(settings, torque_constant=torque_constant)
-    found, without, faults = compare_each(runs, result, by_run, **told)
+    given_values = numbers(settings, torque_constant=torque_constant)
+    comparisons, without, faults = compare_each(runs, result, by_run, **given_values)
     for line in without:
         typer.echo(f"leactl: not compared: {line}", err=True)
-    if as_json and len(found) == 1 and not (without or faults):
-        typer.echo(json.dumps(found[0].as_json(), allow_nan=False))
+    if as_json and len(comparisons) == 1 and not (without or faults):
+        typer.echo(json.dumps(comparisons[0].as_json(), allow_nan=False))
     elif as_json:
         body = {
-            "comparisons": [one.as_json() for one in found],
+            "comparisons": [comparison.as_json() for comparison in comparisons],
             "not_compared": without,
             "faults": InputError(faults).as_json(),
         }
         typer.echo(json.dumps(body, allow_nan=False))
     else:
-        typer.echo("\n\n".join(comparisons_text(one.experiment, one.found, one.refused) for one in found))
+        typer.echo(
+            "\n\n".join(
+                comparisons_text(comparison.experiment, comparison.found, comparison.refused)
+                for comparison in comparisons
+            )
+        )
     if faults:
         raise InputError(faults)

@@ -43,20 +43,20 @@ def limits(
     from leactl.report.thermal import limits_text
     from leactl.safety.thermal.capability import PEAKS_S, continuous, peaks
 
-    found = load_motor(motor)[0]
-    held = continuous(found, ambient, speed)
-    short = peaks(found, ambient, PEAKS_S)
+    motor_model = load_motor(motor)[0]
+    continuous_points = continuous(motor_model, ambient, speed)
+    peak_points = peaks(motor_model, ambient, PEAKS_S)
     if as_json:
         body = {
-            "motor": found.name,
+            "motor": motor_model.name,
             "ambient_degC": ambient,
-            "winding_limit_degC": found.limits.winding_temperature,
-            "continuous": [asdict(one) for one in held],
-            "peak": [asdict(one) for one in short],
+            "winding_limit_degC": motor_model.limits.winding_temperature,
+            "continuous": [asdict(point) for point in continuous_points],
+            "peak": [asdict(point) for point in peak_points],
         }
         typer.echo(json.dumps(body))
         return
-    typer.echo(limits_text(found, ambient, held, short))
+    typer.echo(limits_text(motor_model, ambient, continuous_points, peak_points))
 
 
 @app.command(epilog=examples("thermal state --bench emulated"))
@@ -74,13 +74,13 @@ def state(
         {
             "role": role,
             "actuator": windings.names[role],
-            "hottest_phase_degC": round(float(found.nodes[0]), 2),
-            "winding_degC": round(float(found.nodes[1]), 2),
-            "housing_degC": round(float(found.nodes[2]), 2),
+            "hottest_phase_degC": round(float(estimate.nodes[0]), 2),
+            "winding_degC": round(float(estimate.nodes[1]), 2),
+            "housing_degC": round(float(estimate.nodes[2]), 2),
             "limit_degC": windings.settings.limit,
-            "known": found.known,
+            "known": estimate.known,
         }
-        for role, found in windings.recalled.items()
+        for role, estimate in windings.recalled.items()
     ]
     typer.echo(json.dumps({"bench": file.name, "windings": rows}) if as_json else state_text(file.name, rows))
 
@@ -98,14 +98,14 @@ def fit(
     from leactl.report.thermal import fit_text
     from leactl.report.thermal_fits import thermal_fits
 
-    found, left_out = thermal_fits(runs, load_motor(motor)[0])
+    fits, left_out = thermal_fits(runs, load_motor(motor)[0])
     for line in left_out:
         typer.echo(f"leactl: left out: {line}", err=True)
     if as_json:
-        several = {"fits": [one.as_json() for one in found], "left_out": left_out}
-        typer.echo(json.dumps({**found[0].as_json(), "left_out": left_out} if len(found) == 1 else several))
+        several = {"fits": [fitted.as_json() for fitted in fits], "left_out": left_out}
+        typer.echo(json.dumps({**fits[0].as_json(), "left_out": left_out} if len(fits) == 1 else several))
     else:
-        typer.echo("\n\n".join(fit_text(one) for one in found))
+        typer.echo("\n\n".join(fit_text(fitted) for fitted in fits))
 
 
 @app.command(epilog=examples("thermal plan thermal --bench emulated-heated --cold"))
@@ -128,9 +128,9 @@ def plan(
     file, devices, _document = load_checked(bench)
     expanded = load(protocol, read_overrides(overrides), condition)
     windings = Windings(file, devices, actuator, cold=cold)
-    found = windings.forecast(expanded)
+    forecast = windings.forecast(expanded)
     longer = expanded
-    if found.passing is not None:
+    if forecast.passing is not None:
         try:
             longer = windings.admit(expanded, insert_cooldown=True)
         except InputError:
@@ -139,11 +139,15 @@ def plan(
     body = {
         "protocol": expanded.name,
         "limit_degC": windings.settings.limit,
-        "peaks_degC": {role: round(value, 2) for role, value in found.peaks.items()},
+        "peaks_degC": {role: round(value, 2) for role, value in forecast.peaks.items()},
         "passes": None
-        if found.passing is None
-        else {"step": found.passing.step, "time_s": round(found.passing.time_s, 2), "role": found.passing.role},
-        "turning_from_Hz": found.turning_from_hz,
+        if forecast.passing is None
+        else {
+            "step": forecast.passing.step,
+            "time_s": round(forecast.passing.time_s, 2),
+            "role": forecast.passing.role,
+        },
+        "turning_from_Hz": forecast.turning_from_hz,
         "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in waits],
     }
     typer.echo(json.dumps(body) if as_json else forecast_text(body))
@@ -218,8 +222,8 @@ def commission(
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
     manner = Manner(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
     with to_the_end():
-        found = commissioned(manner, target)
-    body = commissioned_body(found, protocol, actuator)
+        commissioning = commissioned(manner, target)
+    body = commissioned_body(commissioning, protocol, actuator)
     typer.echo(json.dumps(body) if as_json else commissioned_text(body))
 
 

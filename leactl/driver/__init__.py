@@ -1,1 +1,1 @@
-"""The contract a driver plug-in fulfils, the wires it may use, and the registry that finds plug-ins."""
+"""The contract of driver plug-ins, the wires they may use, and the registry that finds them."""

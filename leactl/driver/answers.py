@@ -1,24 +1,24 @@
-"""Which request an answer belongs to: a row holds what the drive sampled in its own cycle, or nothing.
+"""Match a drive's answers to requests, so that a row holds the samples of its own cycle, or none.
 
-A request is whatever makes a drive answer once a cycle: CANopen's SYNC, or a question for each reading.
+A request is anything that makes a drive answer once a cycle: CANopen's SYNC, or a question for each reading.
 """
 
 import math
 from dataclasses import dataclass
 
-# With it, and a cycle, a lost answer empties rows for less than the 50 ms for which the supervisor lets a drive be
-# silent, at any rate, so that it ends no run; what stalls for longer comes in a burst, no answer to each request.
-IN_STEP_S = 0.012  # with one answer to each request, before the ones that are missing are taken for lost
-WATCHED_S = 1.0  # after anything irregular, in which what has come is looked through before every request
+# A lost answer empties the rows of this time and one cycle, which is less than the 50 ms of silence that the supervisor
+# allows at any rate, so that it ends no run. After a longer stall, answers come in a burst and not one to a request.
+IN_STEP_S = 0.012  # time with one answer to each request after which missing answers are taken for lost
+WATCHED_S = 1.0  # time after an irregular answer in which answers are counted before every request
 
 
 @dataclass
 class Irregular:
-    """Answers that did not come as they should: one to each request, before the cycle's deadline."""
+    """Counts of answers that were not one to each request before the cycle's deadline."""
 
-    late: int = 0  # came after their cycle
-    lost: int = 0  # did not come, while later requests were answered one by one
-    surplus: int = 0  # came although every request had its answer
+    late: int = 0  # arrived after their cycle
+    lost: int = 0  # never arrived, while later requests were answered one by one
+    surplus: int = 0  # arrived although every request had its answer
 
     def __str__(self) -> str:
         return (
@@ -30,10 +30,10 @@ class Irregular:
 class Answers:
     """The answers of one drive: one of each kind to every request, in the order of the requests.
 
-    As long as each request has had its answer there is nothing to count: whatever comes next answers the next one. Once
-    an answer has stayed away the drive is watched. An answer then belongs to the earliest request that has none, and a
-    row takes those to its own request alone. An answer that was lost would put all later ones off for ever: where each
-    request has brought one answer for `IN_STEP_S`, the ones that are missing still are lost.
+    While every request has its answer, nothing is counted: the next answer belongs to the next request. Once an answer
+    is missing, the drive is watched: an answer then belongs to the earliest request without one, and a row takes only
+    answers to its own request. A lost answer would shift all later ones for ever; therefore, once each request has
+    brought one answer for `IN_STEP_S`, answers that are still missing are taken for lost.
     """
 
     def __init__(self, count: int) -> None:
@@ -48,7 +48,7 @@ class Answers:
         self._watched_until = self._in_step_since = -math.inf
 
     def begin(self, now: float) -> None:
-        """Expect an answer of each kind to the request that is about to be sent; what came before it has been taken."""
+        """Expect one answer of each kind to the next request; call it after earlier answers were taken."""
         self._begun = True
         self._judge(now)
         if now >= self._watched_until and not self._too_many and not any(self._owed):
@@ -60,7 +60,7 @@ class Answers:
         self._in_cycle = True
 
     def _judge(self, now: float) -> None:
-        """Take answers for lost, or believe in the count again, where each request has had one for long enough."""
+        """Take missing answers for lost, or trust the count again, after `IN_STEP_S` with one answer per request."""
         if not any(self._owed):
             self.irregular.late += self._unplaced
             self._unplaced = 0
@@ -74,7 +74,7 @@ class Answers:
             self._unplaced, self._too_many = 0, False
 
     def take(self, which: int, now: float) -> bool:
-        """Take an answer of a watched drive; whether it is known to be the one to this cycle's request."""
+        """Count an answer of a watched drive; True if it is known to answer this cycle's request."""
         if not self._begun:  # it answers a request of somebody else
             return False
         self._counted[which] += 1
@@ -93,7 +93,7 @@ class Answers:
         return not self._owed[which] and not self._too_many
 
     def end(self, now: float) -> list[bool]:
-        """End a cycle of a watched drive, or one in which an answer stayed away; tell which kinds the row may hold."""
+        """End a cycle of a watched drive or with a missing answer; returns, by kind, whether the row may hold it."""
         counts_from_now = not self.watched
         for which in range(len(self._owed)):
             if not self.came[which]:

@@ -1,8 +1,8 @@
-"""Records that other programs make of a run: what a driver reads out of their files, and how their clock is tied.
+"""Records that other programs make during a run: what a driver reads from their files, and how their clock is aligned.
 
-A camera's program or a drive maker's tool samples by a clock of its own and leaves files behind. Such a device takes no
-part in the control loop: its stamps mean nothing on the run's clock until the whole record has been seen, and a row
-that is in a run file is never moved again. The record joins the run after its end (`leactl runs attach`).
+A camera's program or a drive maker's tool samples by its own clock and writes files. Such a device takes no part in the
+control loop: its stamps can be put on the run's clock only when the whole record is known, and rows of a run file are
+never moved. The record is therefore attached after the run (`leactl runs attach`).
 """
 
 import itertools
@@ -25,55 +25,55 @@ from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-AtLeastZero = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Place = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
-Called = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+ChannelPath = Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
+ChannelName = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """What the files of one device hold, on the device's own clock."""
+class FileRecord:
+    """Content of the files of one device, on the device's own clock."""
 
     stream: str
     channels: tuple[ChannelSpec, ...]
-    time: Array  # s on the own clock, strictly increasing
+    time: Array  # (rows,), s on the device's clock, strictly increasing
     values: Array  # (rows, channels), NaN where nothing was measured
-    began: float | None  # own time zero in s since 1970 UTC; None where the clock tells no date or no zone
+    began: float | None  # zero of the device's clock, s since 1970 UTC; None if it has no date or no zone
     resolution: float  # of a stamp [s]
-    told: tuple[str, ...]  # dialect, units and clock as they were read, and what is wrong with the record
+    remarks: tuple[str, ...]  # dialect, units and clock as they were read, and doubts about the record
     files: tuple[Path, ...]
 
 
-class Estimate(Block):
-    """Find a clock's offset from two channels that measured the same."""
+class OffsetEstimate(Block):
+    """Estimate a clock's offset from two channels that measured the same quantity."""
 
-    channel: Called
-    against: Place
-    within_s: Above = 1.0
+    channel: ChannelName
+    against: ChannelPath
+    within_s: Positive = 1.0
 
 
 class Onset(Block):
-    """Find a clock's offset from events: `against` jumps, and from then on `channel` rises or falls."""
+    """Estimate a clock's offset from events: when `against` jumps, `channel` begins to rise or fall."""
 
-    channel: Called
-    against: Place
-    jump: Above  # of `against`, in its units
-    fit_s: Above = 5.0  # of the channel, before and after
-    within_s: Above = 60.0
+    channel: ChannelName
+    against: ChannelPath
+    jump: Positive  # of `against`, in its units
+    fit_s: Positive = 5.0  # fitted length of the channel before and after the event
+    within_s: Positive = 60.0
 
 
 class RecordClock(Block):
-    """How the stamps of a record are tied to the clock of the run; one way has to be chosen."""
+    """How the stamps of a record are aligned with the clock of the run; exactly one method is given."""
 
-    wall_within_s: Above | None = None  # both clocks show the time of day, and agree within this (95 %)
+    wall_within_s: Positive | None = None  # both clocks show the time of day, and agree within this (95 %)
     offset_s: Number | None = None  # added to the record's own stamps
-    offset_within_s: AtLeastZero | None = None  # what that offset is good for (95 %)
-    estimate: Estimate | None = None
+    offset_within_s: NonNegative | None = None  # uncertainty of that offset (95 %)
+    estimate: OffsetEstimate | None = None
     onset: Onset | None = None
-    near_s: Number | None = None  # the offset that `estimate` or `onset` is sought around; by the wall clocks, else 0
-    delays_within_s: AtLeastZero = 0.0  # by which the channels that are compared may lag each other (95 %)
-    drift_within_ppm: Above = 100.0  # of one clock against the other (95 %), before the record tells more
+    near_s: Number | None = None  # centre of the search of `estimate` or `onset`; default by the wall clocks, else 0
+    delays_within_s: NonNegative = 0.0  # bound of the delay between the compared channels (95 %)
+    drift_within_ppm: Positive = 100.0  # bound of the drift between the clocks (95 %), as prior
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -87,15 +87,16 @@ class RecordClock(Block):
 
 
 class RecordSettings(DriverSettings):
-    """What every device has whose readings come in files."""
+    """Settings of every device whose readings come in files."""
 
     clock: RecordClock | None = None
-    # Where its program leaves files; what comes there during a run joins it. A relative one lies where the runs do.
+    # Folder of the program's exports; files that appear there during a run are attached to it. A relative path lies in
+    # the directory of the runs.
     exports_folder: Annotated[str, Field(min_length=1)] | None = None
 
 
 class ExportFolder:
-    """Where a program leaves its exports; those of a run are the files that were not there before it."""
+    """Folder of a program's exports; the exports of a run are the files that are new or changed since its start."""
 
     def __init__(self, folder: str | None) -> None:
         self.folder = Path(folder) if folder else None
@@ -103,45 +104,47 @@ class ExportFolder:
 
     @property
     def absent(self) -> bool:
-        """Whether there is no such folder, or none that may be looked into."""
+        """Whether the folder does not exist or may not be read."""
         return not (self.folder and os.path.isdir(self.folder))  # noqa: PTH112 (is_dir raises where it may not look)
 
     def look(self) -> None:
-        """Remember what is there now."""
+        """Remember the present files."""
         self._before = self._files()
 
     def fresh(self) -> list[Path]:
-        """Files that have come or changed since the last look, by name: frame2 before frame10."""
-        return sorted((path for path, was in self._files().items() if self._before.get(path) != was), key=number_order)
+        """Files that are new or changed since the last `look`, sorted by name with numbers by value."""
+        return sorted(
+            (path for path, mtime_ns in self._files().items() if self._before.get(path) != mtime_ns), key=number_order
+        )
 
     def _files(self) -> dict[Path, int]:
-        found: dict[Path, int] = {}
+        modified_ns: dict[Path, int] = {}
         with suppress(OSError):  # no such folder, or none that can be read: nothing comes from there
             for path in self.folder.iterdir() if self.folder else ():
                 with suppress(FileNotFoundError):  # gone since it was listed
                     if path.is_file():
-                        found[path] = path.stat().st_mtime_ns
-        return found
+                        modified_ns[path] = path.stat().st_mtime_ns
+        return modified_ns
 
 
 def number_order(path: Path) -> list[tuple[int, str]]:
-    """What sorts files by name, the numbers in their names by value."""
+    """Sort key of file names that orders numbers by value: frame2 before frame10."""
     parts = re.split(r"([0-9]+)", str(path))  # text, number, text, ...
     return [(int(part), part) if odd else (0, part) for part, odd in zip(parts, itertools.cycle((False, True)))]
 
 
-def in_number_order(paths: Sequence[Path]) -> None:
-    """See that files whose order is all that tells their time are not in the order of their names as text.
+def refuse_text_order(paths: Sequence[Path]) -> None:
+    """Raise if frame files are sorted as text (frame10 before frame2); their order is the only time information.
 
     Raises
     ------
-    InputError : a list that a shell has sorted has frame10 before frame2.
+    InputError : the files are in text order and not in the order of their numbers.
     """
     expected = sorted(paths, key=number_order)
     if list(paths) == sorted(paths) != expected:
-        at = next(k for k, (given, meant) in enumerate(zip(paths, expected, strict=True)) if given != meant)
-        told = f"comes where {expected[at].name} was expected; give the files in the order of their numbers"
-        raise InputError(f"{paths[at]}: {told}")
+        index = next(k for k, (given, meant) in enumerate(zip(paths, expected, strict=True)) if given != meant)
+        message = f"comes where {expected[index].name} was expected; give the files in the order of their numbers"
+        raise InputError(f"{paths[index]}: {message}")
 
 
 @runtime_checkable
@@ -150,20 +153,20 @@ class BatchSource(Protocol):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How its records are tied to a run, as the settings say; None where whoever attaches one has to say."""
+        """How its records are aligned with a run; None if the settings do not say."""
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:
-        """What its records hold."""
+        """Channels of its records."""
 
     @property
     def exports(self) -> ExportFolder:
-        """Where its files come in; `open` looks there, so that those of a run are known after it."""
+        """Folder of its files; `open` calls `look`, so that the files of a run are known after it."""
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
         """Read one record from its files.
 
         Raises
         ------
-        InputError : everything that is wrong with them, one line each.
+        InputError : all faults of the files, one line each.
         """

@@ -1,4 +1,4 @@
-"""One CAN bus shared by several drivers, without threads: frames are dispatched while somebody waits for one."""
+"""One CAN bus shared by several drivers, without threads: frames are dispatched while a caller waits for one."""
 
 import errno
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ Listener = Callable[[bytearray, float], None]
 SYNC_ID = 0x080
 NMT_ID = 0x000
 LATE_S = 0.01
-FULL_S = 0.002  # that a frame may wait for room: some 15 frames at 1 Mbit/s, and less than any cycle can spare twice
+FULL_S = 0.002  # longest wait for room in the queue: some 15 frames at 1 Mbit/s; any cycle can spare it twice
 FD_NEEDS = (
     "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
     " can bitrate 1000000 dbitrate 5000000 fd on"
@@ -26,10 +26,9 @@ BUS_OFF = 0x40  # class of an error frame (linux/can/error.h)
 
 
 class CanPort:
-    """Send frames, and route received ones to whoever listens to their identifier.
+    """Send frames, and pass received ones to the listener of their identifier.
 
-    A synchronous port keeps the order of events the order of the code: no callback runs unless the caller waits, and a
-    failure in one surfaces where the wait is.
+    The port is synchronous: a callback runs only while the caller waits, and an error in it is raised to that caller.
     """
 
     def __init__(self, connect: "Callable[[], can.BusABC]", clock: Clock, name: str = "can") -> None:
@@ -47,7 +46,7 @@ class CanPort:
         self.full = Retries()
 
     def open(self) -> None:
-        """Connect, once for all users of the port.
+        """Connect for the first user of the port, and count the users.
 
         Raises
         ------
@@ -68,13 +67,13 @@ class CanPort:
             raise DeviceError(f"bus '{self.name}': {absent if number == errno.ENODEV else error}") from None
 
     def close(self) -> None:
-        """Disconnect when the last user has let go."""
+        """Disconnect when the last user has closed the port."""
         self._users = max(0, self._users - 1)
         if self._users == 0:
             self._shut()
 
     def reopen(self) -> None:
-        """Replace a connection that may be dead by a fresh one."""
+        """Replace a connection that may be dead by a new one."""
         self._shut()
         self._open_bus()
 
@@ -87,7 +86,7 @@ class CanPort:
                 return  # it is gone already, which is what was asked for
 
     def listen(self, identifier: int, listener: Listener | None) -> None:
-        """Route frames of this identifier; None ends it."""
+        """Pass frames of this identifier to a listener; None removes it."""
         if listener is None:
             self._listeners.pop(identifier, None)
         else:
@@ -143,7 +142,7 @@ class CanPort:
             self._send_again(message, error)
 
     def _send_again(self, message: "can.Message", error: Exception) -> None:
-        """Send a frame once more that found the queue of the interface full, as long as `FULL_S`.
+        """Repeat a frame that found the interface's queue full, for at most `FULL_S`.
 
         Raises
         ------
@@ -163,7 +162,7 @@ class CanPort:
         raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}{needs}") from None
 
     def notices(self) -> list[str]:
-        """What the bus has done since the last call and a reader of the run should know, a line each."""
+        """One line for each notable event of the bus since the last call."""
         if not (count := self.full.take_note()):
             return []
         return [
@@ -172,9 +171,9 @@ class CanPort:
         ]
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
-        """Dispatch frames until their listeners have made all of `came` true, or the deadline; says which.
+        """Dispatch frames until listeners have set all of `came`, or until the deadline; True if all are set.
 
-        What has come by the deadline is dispatched after it too, for 10 ms: a babbling bus cannot hold it longer.
+        Frames that arrived by the deadline are still dispatched, for at most 10 ms even on a babbling bus.
 
         Raises
         ------
@@ -184,17 +183,17 @@ class CanPort:
         if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
         while False in came:
-            left = deadline - now()
-            if left < 0.0:
-                if left < -LATE_S:
+            seconds_left = deadline - now()
+            if seconds_left < 0.0:
+                if seconds_left < -LATE_S:
                     return False
-                left = 0.0
+                seconds_left = 0.0
             try:
-                message = bus.recv(left)
+                message = bus.recv(seconds_left)
             except (OSError, ValueError, _can_error()) as error:
                 raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
             if message is None:
-                if left == 0.0:
+                if seconds_left == 0.0:
                     return False
             elif message.is_error_frame:
                 if message.arbitration_id & BUS_OFF:
@@ -213,7 +212,7 @@ class CanPort:
         return True
 
     def take_waiting(self) -> None:
-        """Dispatch the frames that have come, without waiting for more.
+        """Dispatch the frames that have arrived, without waiting for more.
 
         Raises
         ------
@@ -227,7 +226,7 @@ class CanPort:
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether an interface had no room for a frame."""
+    """Whether an error says that the interface's queue was full."""
     return errno.ENOBUFS in _numbers(error)
 
 

@@ -1,17 +1,17 @@
-"""The one clock that everything on a bench asks; the emulated bench has another of the same shape."""
+"""The clock of a bench, which all its parts use; an emulated bench has its own clock with the same interface."""
 
 import time
 from typing import Protocol
 
 
 class Clock(Protocol):
-    """Monotonic seconds."""
+    """A monotonic clock in seconds."""
 
     def now(self) -> float:
-        """Seconds since an arbitrary moment; never goes back."""
+        """Seconds since an arbitrary moment; never decreases."""
 
     def sleep_until(self, moment: float) -> None:
-        """Return at the moment, or at once where it has passed."""
+        """Return at a moment [s on this clock], or at once if it has passed."""
 
 
 class MonotonicClock:
@@ -20,7 +20,7 @@ class MonotonicClock:
     now = staticmethod(time.monotonic)
 
     def sleep_until(self, moment: float) -> None:
-        """Return at the moment, or at once where it has passed."""
-        left = moment - time.monotonic()
-        if left > 0:
-            time.sleep(left)
+        """Return at a moment [s on this clock], or at once if it has passed."""
+        seconds_left = moment - time.monotonic()
+        if seconds_left > 0:
+            time.sleep(seconds_left)

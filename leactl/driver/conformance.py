@@ -1,4 +1,4 @@
-"""What a driver's class must have before one can be made: settings with units, and the methods of the contract."""
+"""Checks of a driver's class against the contract: units in the names of settings, and the required methods."""
 
 import inspect
 from types import UnionType
@@ -26,7 +26,7 @@ UNIT_SUFFIXES = (
 
 
 def faults_of(driver: type[Driver]) -> list[str]:
-    """Every way in which a driver breaks the contract; empty where it keeps it."""
+    """One line for each breach of the contract by a driver's class; empty if there is none."""
     faults = []
     for attribute, kind in (("summary", str), ("transport", str), ("Settings", type)):
         if not isinstance(getattr(driver, attribute, None), kind):

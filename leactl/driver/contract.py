@@ -1,4 +1,4 @@
-"""What a driver plug-in is: a few required methods, and small capabilities that it may have besides.
+"""The contract of driver plug-ins: a few required methods, and small optional capabilities.
 
 A driver declares its settings and channels and composes a transport. `safe_state` is required of every driver and must
 work from any state, as often as it is called.
@@ -19,46 +19,46 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-SAFE_STATE_S = 1.0  # what a device has to confirm its safe state; no answer and no watchdog may take longer
+SAFE_STATE_S = 1.0  # time for a device to confirm its safe state; no answer timeout and no watchdog may be longer
 
 
 class DriverSettings(yamlblock.Block):
     """Settings of one device in the bench file; every field's name carries its unit."""
 
     def shown(self) -> "list[Shown]":
-        """What the device can tell of its quantities, where the settings say it: a limit outside would never trip."""
+        """Measurable range of each quantity, from the settings; a limit outside it could never trip."""
         return []
 
     @property
     def bus_address(self) -> int | None:
-        """Where the device answers on its bus, which no other there may; None where the bus knows no addresses."""
+        """Address of the device, unique on its bus; None if the bus has no addresses."""
         return None
 
     @property
     def bus_identifiers(self) -> frozenset[int]:
-        """Identifiers of a CAN bus that the device and its host use; two protocols on one bus must share none."""
+        """CAN identifiers of the device and its host; devices of different protocols on one bus must share none."""
         return frozenset()
 
     @property
     def host_bus_address(self) -> int | None:
-        """The address that the host's sign of life carries, which no device may have; None where there is none."""
+        """Address in the host's heartbeat, which no device may have; None if there is none."""
         return None
 
     @property
     def host_silence_s(self) -> float | None:
-        """How long the device goes on without a sign of life from the host; None where it listens for none."""
+        """Time for which the device runs on without the host's heartbeat; None if it monitors none."""
         return None
 
 
 class Confirmation(NamedTuple):
-    """What a device answered when it was told to become safe."""
+    """Answer of a device to the demand for its safe state."""
 
     safe: bool
     detail: str
 
 
 class Identity(NamedTuple):
-    """Who a device says it is; empty where it cannot tell."""
+    """Identity that a device reports; a field that it cannot report is empty."""
 
     model: str = ""
     serial: str = ""
@@ -66,7 +66,7 @@ class Identity(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """Lowest and highest value of a quantity that a device can tell, and where its settings say so."""
+    """Measurable range of a quantity, and the path of the setting that defines it."""
 
     place: tuple[str | int, ...]
     quantity: str
@@ -75,27 +75,27 @@ class Shown(NamedTuple):
 
 
 class StreamSpec(NamedTuple):
-    """A stream that a device samples by a clock of its own."""
+    """A stream that a device samples by its own clock."""
 
     name: str
     channels: tuple[ChannelSpec, ...]
-    rate_Hz: float = 0.0  # noqa: N815 (a unit keeps its letter)  rows a second where they come faster than the loop
-    ends: bool = False  # by itself, before the run does: its driver raises where it ends too soon
+    rate_Hz: float = 0.0  # noqa: N815 (a unit keeps its letter)  given if it is faster than the loop
+    ends: bool = False  # whether it ends by itself before the run; its driver raises if it ends too soon
 
 
 class Row(NamedTuple):
-    """One sample of a device's own stream; NaN where a channel has no value at this time."""
+    """One sample of a device's own stream; NaN if a channel has no value at this time."""
 
     stream: str
     time: float
     values: Sequence[float]
-    fault: str = ""  # why a value is NaN, where the device knows
+    fault: str = ""  # reason why a value is NaN, if the device knows it
 
 
 class Block(NamedTuple):
-    """Many samples of a device's own stream at once: a row each would cost a fast converter the loop its cycle.
+    """Many samples of a device's own stream at once; single rows of a fast converter would take too much of a cycle.
 
-    A value is NaN where a channel has none at its time; what a reader should know of it is a notice.
+    A value is NaN if a channel has none at its time; the driver explains it in a notice.
     """
 
     stream: str
@@ -114,18 +114,18 @@ class Block(NamedTuple):
 
 
 class TripAccuracy(NamedTuple):
-    """How far from its level an instrument's protection may trip: a share of the level, and so much beside it."""
+    """Tolerance of the level at which an instrument's protection trips: a share of the level plus a constant."""
 
     share: float
     beside: float
 
     def level_below(self, highest: float) -> float:
-        """The level at which it has tripped at this value at the latest."""
+        """The level to set so that the protection has tripped at `highest` at the latest."""
         return (highest - self.beside) / (1.0 + self.share)
 
 
 class Mode(StrEnum):
-    """What a motion device follows."""
+    """Control mode of a drive."""
 
     OFF = "off"
     CURRENT = "current"  # q axis, A, power invariant
@@ -138,13 +138,13 @@ FarEnd = CanEmulator | SerialEmulator | BuslessEmulator | tuple[int, I2cEmulator
 
 
 class Driver(ABC):
-    """One device: made from settings and a transport, opened, used, made safe, closed."""
+    """One device: constructed from settings and a transport, opened, used, made safe, closed."""
 
     Settings: ClassVar[type[DriverSettings]]
-    transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial", or "none": the maker's own library
+    transport: ClassVar[str]  # kind of bus: "can", "i2c", "serial", or "none" for the maker's own library
     summary: ClassVar[str]  # one line for `leactl driver list`
-    example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` makes one and its far end
-    baudrate: ClassVar[int] = 9600  # of the serial line on which `leactl driver check` tries one
+    example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` tries driver and emulator
+    baudrate: ClassVar[int] = 9600  # of the serial line that `leactl driver check` uses
     synchronised: ClassVar[bool] = False  # its CAN bus carries CANopen's SYNC once a cycle, after the outputs
 
     @abstractmethod
@@ -152,14 +152,14 @@ class Driver(ABC):
 
     @abstractmethod
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Bring the device to where it cannot hurt, from any state, within the deadline; never raises."""
+        """Bring the device to its safe state, from any state, within the deadline [s]; never raises."""
 
     def stop_now(self) -> None:  # noqa: B027 (optional: a device that only measures has nothing to send)
-        """Send what takes the power away and wait for no answer: it comes before any device's `safe_state`."""
+        """Send the command that removes power, without waiting for an answer; called before any `safe_state`."""
 
     @abstractmethod
     def open(self) -> None:
-        """Meet the device, check that it is the one expected, and configure it; nothing moves.
+        """Connect to the device, check that it is the expected one, and configure it; nothing moves.
 
         Raises
         ------
@@ -168,14 +168,14 @@ class Driver(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let the device go; harmless when it was never opened or is closed already."""
+        """Disconnect from the device; harmless if it was never opened or is closed already."""
 
     @classmethod
     def far_end(cls, settings: Any, role: str, physics: Physics) -> FarEnd:
-        """The device's emulator on an emulated bench; with its address where the bus is I2C.
+        """The device's emulator for an emulated bench; for I2C a tuple of its address and the emulator.
 
-        Where there is no bus, the driver's `port` is this emulator, in place of the maker's library; it is None on a
-        real bench.
+        Without a bus, the driver's `port` is this emulator, in place of the maker's library; on a real bench it is
+        None.
 
         Raises
         ------
@@ -184,23 +184,23 @@ class Driver(ABC):
         raise InputError(f"{cls.__name__} has no emulator; it cannot stand on an emulated bench")
 
     def identity(self) -> Identity:
-        """What the device said of itself when it was opened; empty before, and where it cannot tell.
+        """Identity that the device reported when it was opened; empty before.
 
-        Nothing is asked of the device here. What it refuses to tell of itself is no reason to refuse it in `open`.
+        This method sends nothing to the device. A device that reports no identity must not be refused in `open`.
         """
         return Identity()
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """Streams of the device's own clocks."""
+        """Streams that the device samples by its own clocks."""
         return ()
 
     def take(self) -> Sequence[Row | Block]:
-        """Rows of the own streams that have come in since the last call, blocks where they are many."""
+        """Rows of `streams` since the last call, or blocks of many rows; never waits."""
         return ()
 
     def notices(self) -> Sequence[str]:
-        """What the device has done by itself since the last call and a reader of the run should know, a line each."""
+        """One line for each notable thing that the device did by itself since the last call."""
         return ()
 
 
@@ -210,15 +210,15 @@ class CyclicDevice(Protocol):
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`, in order."""
+        """Channels of `values`, in the same order."""
 
-    values: list[float]  # the last exchange; NaN where nothing came
+    values: list[float]  # readings of the last exchange; NaN if none came
 
     def begin_cycle(self) -> None:
-        """Send the outputs."""
+        """Send the outputs of this cycle."""
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the inputs until the deadline on the bench's clock."""
+        """Collect the inputs of this cycle, until the deadline on the bench's clock."""
 
 
 @runtime_checkable
@@ -226,7 +226,7 @@ class MotionDevice(CyclicDevice, Protocol):
     """A drive. Only the supervisor calls `command`, `engage` and `release`."""
 
     def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; completes over the next cycles."""
+        """Begin to enter operation in this mode with zero setpoint; completes over the next cycles."""
 
     def release(self) -> None:
         """Begin to leave operation; completes over the next cycles."""
@@ -244,19 +244,19 @@ class MotionDevice(CyclicDevice, Protocol):
         """
 
     def feed(self) -> None:
-        """Send the host's sign of life; the control loop calls this after each supervised cycle, nothing else does."""
+        """Send the host's heartbeat; only the control loop calls this, after each supervised cycle."""
 
 
 @runtime_checkable
 class PacedDevice(Protocol):
-    """A drive that has to know how often its setpoint is renewed."""
+    """A drive that has to know the period of its setpoints."""
 
     def pace(self, period: float) -> None:
-        """Learn the time between two setpoints [s]; called before the first cycle of a run, while the drive is off.
+        """Set the time between two setpoints [s]; called before the first cycle of a run, while the drive is off.
 
         Raises
         ------
-        DeviceError : the drive does not take it.
+        DeviceError : the drive refuses it.
         """
 
 
@@ -265,29 +265,29 @@ class AnalogInput(Protocol):
     """A device that measures voltages and can set their zero."""
 
     def tare(self, means: Mapping[str, float]) -> dict[str, float]:
-        """Take these mean readings, by stream, as zero from now on; returns the new offsets by channel name.
+        """Subtract these mean readings (by stream) from now on; returns the new offsets by channel name.
 
-        The control loop averages the readings itself, since a drive would stop were it left alone meanwhile.
+        The control loop averages the readings itself, because a drive that gets no setpoints meanwhile would stop.
         """
 
 
 @runtime_checkable
 class PowerSupply(Protocol):
-    """A supply of direct current. Only the supervisor calls `supply`, `switch_on` and `switch_off`.
+    """A DC power supply. Only the supervisor calls `supply`, `switch_on` and `switch_off`.
 
-    None of them waits: the device is told, and its answer awaited, in the calls of `take` that follow.
+    None of them waits: the command is sent, and its answer awaited, in later calls of `take`.
     """
 
     @property
     def most(self) -> tuple[float, float]:
-        """Highest voltage [V] and current [A] that `supply` takes."""
+        """Highest voltage [V] and current [A] that `supply` accepts."""
 
     def supply(self, voltage: float, current: float) -> None:
-        """Put out no more than this voltage [V] and this current [A] while switched on; switches nothing.
+        """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
 
         Raises
         ------
-        InputError : a value is not finite, negative, or above `most`; nothing is passed on.
+        InputError : a value is not finite, negative, or above `most`; nothing is sent.
         """
 
     def switch_on(self) -> None:
@@ -298,49 +298,49 @@ class PowerSupply(Protocol):
 
     @property
     def supplying(self) -> bool:
-        """True from when the device itself has reported its output on until it has reported it off."""
+        """Whether the output is on, by the device's last report."""
 
 
 @runtime_checkable
 class ProtectedSupply(Protocol):
-    """A supply whose own over-voltage protection switches its output off, whoever is dead; armed and read back."""
+    """A supply whose own over-voltage protection switches its output off, even if the host is dead."""
 
     @property
     def trip_accuracy(self) -> TripAccuracy:
-        """How far from its level [V] the protection may trip."""
+        """Tolerance of the protection's level [V]."""
 
     def protect(self, level: float) -> None:
-        """Have the protection trip at this level [V], from the next `supply` on and with it.
+        """Set the level [V] of the protection; it takes effect with the next `supply`.
 
         Raises
         ------
-        InputError : a value that is not finite, not above zero, or above the highest voltage; nothing is passed on.
+        InputError : the level is not finite, not positive, or above the highest voltage; nothing is sent.
         """
 
 
 class OwnRecording(NamedTuple):
-    """What a device's own recorder holds, on a clock of its own that begins at 0."""
+    """Content of a device's own recorder, on its own clock that begins at 0."""
 
-    headings: tuple[str, ...]  # of the columns, with their units in brackets
+    headings: tuple[str, ...]  # names of the columns with units in brackets
     interval: float  # between two rows [s]
     values: "NDArray[np.float64]"  # (rows, columns)
 
 
 @runtime_checkable
 class RecordingDevice(Protocol):
-    """A device with a recorder inside, faster than any line to it; it is armed by the maker's program."""
+    """A device with an internal recorder, faster than its connection; the maker's program arms it."""
 
     def recorded(self) -> OwnRecording:
-        """Upload what the recorder holds, which may take many seconds; only while the device is open and off.
+        """Upload the recording, which may take many seconds; only while the device is open and off.
 
         Raises
         ------
-        DeviceError : it holds nothing, or the upload is not whole.
+        DeviceError : there is no recording, or the upload is incomplete.
         """
 
 
 def drive_channels(role: str, device: str) -> tuple[ChannelSpec, ...]:
-    """Channels that the `values` of a drive begin with: references, readings, and whether it follows its setpoint."""
+    """The first channels of a drive's `values`: three references, three readings, and whether it is engaged."""
 
     def channel(name: str, quantity: str, words: str, dtype: str = "f4") -> ChannelSpec:
         return ChannelSpec(name, quantity, role, device, f"{role} {words}", dtype=dtype)

@@ -1,7 +1,7 @@
-"""A conversation with an instrument, one question at a time: a script says what to send and what the answers mean.
+"""Talk to an instrument one query at a time: a script (generator) yields what to send and receives the parsed replies.
 
-The same script runs to its end while a bench is opened or made safe, and step by step within the loop, where nothing
-may wait.
+The same script can run to its end, while a bench is opened or made safe, or step by step in the control loop, where
+nothing may wait.
 """
 
 from collections.abc import Callable, Generator
@@ -14,13 +14,13 @@ Result = TypeVar("Result")
 
 
 class Unreadable(DeviceError):
-    """An answer that is none of its kind: garbled, cut short, or meant for another question."""
+    """A reply that cannot be parsed: garbled, cut short, or meant for another query."""
 
 
-class Question(NamedTuple):
-    """What is asked and how its answer is read; with `patient` whatever is none goes by until one comes.
+class Query(NamedTuple):
+    """A query and the parser of its reply; with `patient`, unreadable replies are skipped until a readable one comes.
 
-    An answer is one line, or all lines up to and with `last`; `means` takes them joined by line feeds.
+    A reply is one line, or all lines up to and including `last`; `means` parses them, joined by line feeds.
     """
 
     text: str
@@ -29,8 +29,8 @@ class Question(NamedTuple):
     last: bytes | None = None
 
 
-class Answer(NamedTuple):
-    """What an answer says, and when it was asked for and seen."""
+class Reply(NamedTuple):
+    """The parsed value of a reply, and when the query was sent and the reply received [s on the port's clock]."""
 
     value: Any
     asked: float
@@ -38,30 +38,30 @@ class Answer(NamedTuple):
 
 
 class Pause:
-    """Nothing to say now: go on at the next step."""
+    """Yielded by a script to continue at the next step."""
 
 
-Said = str | bytes | Question | Pause
-Script = Generator[Said, Answer | None, Result]
+Said = str | bytes | Query | Pause
+Script = Generator[Said, Reply | None, Result]
 
 
 class Talk(Generic[Result]):
-    """Carries out a script over a port."""
+    """Executes a script over a serial port."""
 
     def __init__(self, port: SerialPort, script: Script[Result], answer_s: float) -> None:
         self._port, self._script, self._answer_s = port, script, answer_s
-        self._question: Question | None = None
+        self._question: Query | None = None
         self._asked = 0.0
         self._lines: list[bytes] = []  # of an answer that is not whole yet
         self.ended = False
         self.result: Result | None = None
 
     def step(self) -> None:
-        """Go on as far as that is possible without waiting.
+        """Continue the script as far as possible without waiting.
 
         Raises
         ------
-        DeviceError : what the script does not take care of.
+        DeviceError : an error that the script does not handle.
         """
         while not self.ended:
             if self._question is None:
@@ -82,11 +82,11 @@ class Talk(Generic[Result]):
                 return
 
     def finish(self, deadline: float) -> Result:
-        """Go on to the end, waiting for what has to be waited for.
+        """Run the script to its end, waiting for replies.
 
         Raises
         ------
-        DeviceError : what the script does not take care of; `NoAnswer` where the deadline comes first.
+        DeviceError : an error that the script does not handle; `NoAnswer` if the deadline passes first.
         """
         clock = self._port.clock
         while True:
@@ -103,7 +103,7 @@ class Talk(Generic[Result]):
             else:
                 clock.sleep_until(min(deadline, now + 0.01))
 
-    def _hear(self, question: Question, answer: bytes, now: float) -> None:
+    def _hear(self, question: Query, answer: bytes, now: float) -> None:
         try:
             value = question.means(answer)
         except Unreadable as error:
@@ -112,16 +112,16 @@ class Talk(Generic[Result]):
                 self._say(self._script.throw, Unreadable(f"{question.text} was answered by {error}"))
             return
         self._question = None
-        self._say(self._script.send, Answer(value, self._asked, now))
+        self._say(self._script.send, Reply(value, self._asked, now))
 
-    def _say(self, proceed: Callable[[Any], Said], argument: Answer | DeviceError | None) -> Said | None:
-        """Let the script go on, and do what it says; None at its end."""
+    def _say(self, proceed: Callable[[Any], Said], argument: Reply | DeviceError | None) -> Said | None:
+        """Resume the script and send what it yields; returns that, or None at the end of the script."""
         try:
             said = proceed(argument)
         except StopIteration as end:
             self.ended, self.result = True, end.value
             return None
-        if isinstance(said, Question):
+        if isinstance(said, Query):
             self._port.write(said.text.encode("ascii") + self._port.line_end)
             self._question, self._asked, self._lines = said, self._port.clock.now(), []
         elif isinstance(said, bytes):

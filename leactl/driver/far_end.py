@@ -1,7 +1,7 @@
-"""The far end of a wire: what an emulator of a device is, and the machine that an emulated drive turns.
+"""The far end of a wire: interfaces of device emulators, and of the physics behind them on an emulated bench.
 
-An emulator knows frames or bytes and time, no transport: frames in, frames out. The physics behind it is a port of
-plain readings, so that the same emulator turns the emulated bench or a stand-in of a test.
+An emulator exchanges frames or bytes and knows the time, but no transport. The physics behind it is an interface of
+plain readings, so that the same emulator serves the emulated bench and tests.
 """
 
 from collections.abc import Callable
@@ -32,13 +32,13 @@ class FdFrame(Frame):
 
 
 class Machine(Protocol):
-    """What an emulated drive turns and reads; currents in the drive's power-invariant q axis."""
+    """The motor behind an emulated drive; currents are power-invariant q-axis currents."""
 
     def command(self, mode: str, value: float) -> None:
-        """Follow a setpoint; mode "off" lets no current flow."""
+        """Follow a setpoint in a mode ("current", "velocity", "angle"); in mode "off" no current flows."""
 
     def read(self) -> tuple[float, float, float]:
-        """Current [A], velocity [rad/s] and angle [rad] as the drive's sensors report them now."""
+        """Present current [A], velocity [rad/s] and angle [rad] as the drive's sensors measure them."""
 
     @property
     def voltage(self) -> float:
@@ -53,38 +53,38 @@ class CanEmulator(Protocol):
     """A device on an emulated CAN bus."""
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take one frame from the bus and answer it."""
+        """Receive one frame from the bus; returns the answers."""
 
     def tick(self, now: float) -> list[Frame]:
-        """Frames that the device sends by itself up to now."""
+        """Frames that the device sends by itself until `now` [s]."""
 
     @property
     def due(self) -> float:
-        """Time at which `tick` next has something to do."""
+        """Time [s] of the next event of `tick`."""
 
 
 @runtime_checkable
 class Breakable(Protocol):
-    """What a drive's emulator may have besides: without it no fault inside the drive can be rehearsed."""
+    """Optional capability of a drive's emulator, needed to rehearse faults inside the drive."""
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        """Stop answering and keep the last demand (`frozen` True), or return to normal."""
 
     def fault(self, code: int) -> None:
-        """Enter the device's own fault state by itself and tell this error code (CiA 301) as its protocol does."""
+        """Enter the device's fault state and report this error code (CiA 301) as its protocol does."""
 
 
 @runtime_checkable
 class Living(Protocol):
-    """What the emulator of a CAN device has besides that shows by itself that it lives."""
+    """Optional capability of the emulator of a CAN device that sends heartbeats."""
 
     def is_sign_of_life(self, frame: Frame) -> bool:
-        """Whether a frame of the device says no more than that."""
+        """Whether a frame of the device is only a heartbeat."""
 
 
 @runtime_checkable
 class Numbered(Protocol):
-    """What an emulator has besides whose device tells its serial number: the bench file may say which."""
+    """Optional capability of the emulator of a device with a serial number, which the bench file may set."""
 
     serial_number: str
 
@@ -93,35 +93,35 @@ class SerialEmulator(Protocol):
     """A device at the far end of an emulated serial line; bytes in, bytes out."""
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes as they arrive."""
+        """Receive bytes in the order of arrival, one or more per call."""
 
     def tick(self, now: float) -> bytes:
-        """Bytes that the device begins to send now."""
+        """Bytes that the device begins to send at `now` [s]."""
 
     @property
     def due(self) -> float:
-        """Time at which `tick` next has something to do."""
+        """Time [s] of the next event of `tick`."""
 
 
 class SupplyLoad(Protocol):
-    """What hangs at the terminals of an emulated power supply."""
+    """The load at the terminals of an emulated power supply."""
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """Be fed from now on with no more than this voltage [V] and current [A]; those that come of it."""
+        """Apply limits of voltage [V] and current [A]; returns the resulting voltage and current."""
 
 
 @runtime_checkable
 class FailingSupply(Protocol):
-    """What the far end of a power supply has besides, so that its faults can be rehearsed."""
+    """Optional capability of the emulator of a power supply, needed to rehearse its faults."""
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Switch on no more off; `admits` says whether it owns to that when its output is asked for."""
+        """Make the output stay on; `admits` says whether the supply reports it as on."""
 
     def lose_regulation(self, share: float) -> None:
-        """Give this share of the voltage and current it is asked for, and say that it does not regulate."""
+        """Put out only this share of the set voltage and current, and report that it does not regulate."""
 
     def mend(self) -> None:
-        """Be whole again."""
+        """Return to normal operation."""
 
 
 class I2cEmulator(Protocol):
@@ -134,37 +134,37 @@ class I2cEmulator(Protocol):
         """Write a register."""
 
     def tick(self, now: float) -> None:
-        """What the device does by itself up to now."""
+        """Let the device act by itself until `now` [s]."""
 
     @property
     def due(self) -> float:
-        """Time at which `tick` next has something to do; emulated time stops there."""
+        """Time [s] of the next event of `tick`, at which emulated time stops."""
 
 
 class BuslessEmulator(Protocol):
-    """A device without a bus: what stands in for its maker's library, or for the program that writes its files."""
+    """A device without a bus: replaces the maker's library, or the program that writes its files."""
 
     def tick(self, now: float) -> None:
-        """What the device does by itself up to now; called whenever emulated time has passed."""
+        """Let the device act by itself until `now` [s]; called whenever emulated time has passed."""
 
     @property
     def due(self) -> float:
-        """Time at which `tick` next has something to do; emulated time stops there."""
+        """Time [s] of the next event of `tick`, at which emulated time stops."""
 
 
 class Terminals(Protocol):
-    """The three line-to-line voltages of a motor, for a converter that is faster than emulated time's steps."""
+    """The three line-to-line voltages of a motor, for a converter that is faster than the steps of emulated time."""
 
     @property
     def chance(self) -> "np.random.Generator":
-        """The bench's own, for errors that the device adds."""
+        """Random generator of the bench, for errors that the device adds."""
 
     def voltages(self, times: "NDArray[np.float64]", pair: int) -> "NDArray[np.float64]":
-        """Voltages [V] of a pair, by its place among `PAIRS`, at these times of the last milliseconds."""
+        """Voltages [V] of the pair with index `pair` in `PAIRS`, at times [s] within the last milliseconds."""
 
 
 class RegisterStore(Protocol):
-    """Plain 16-bit registers that the host and a far end both read and write; the kernel's i2c-stub is one."""
+    """16-bit registers that host and emulator both read and write, such as the kernel's i2c-stub."""
 
     def read(self, register: int) -> int:
         """Read a register."""
@@ -175,23 +175,23 @@ class RegisterStore(Protocol):
 
 @runtime_checkable
 class StoreKeeper(Protocol):
-    """What an I2cEmulator may have besides: without it the device cannot be served to other processes."""
+    """Optional capability of an I2cEmulator, needed to serve the device to other processes."""
 
     def keep(self, store: RegisterStore, now: float) -> None:
-        """Look at the store once: take what the host wrote there, put there what it will read; called often."""
+        """Exchange with the store once: read what the host wrote, write what it will read; called often."""
 
 
 class Physics(Protocol):
-    """The bench behind the wires, as a device's far end sees it."""
+    """The physics of an emulated bench, as a device's emulator sees it."""
 
     def machine(self, role: str) -> Machine:
-        """What the drive of this role turns."""
+        """The motor of this role."""
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
-        """A function that gives this quantity as the bench has it now, sensor noise included.
+        """A function that returns the present value of a quantity, sensor noise included.
 
-        `location` tells places apart that are not alike: `active_...` windings carry a direct current through two
-        leads, `inactive_...` ones do not.
+        `location` distinguishes windings: `active_...` ones carry a direct current through two leads, `inactive_...`
+        ones do not.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class Physics(Protocol):
         """
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """What a power supply feeds: "leads" for two leads of this role's motor, "bus" for the DC link of the drives.
+        """The load of a power supply; `feeds` is "leads" (two leads of the role's motor) or "bus" (the DC link).
 
         Raises
         ------

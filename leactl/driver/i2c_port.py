@@ -1,7 +1,7 @@
-"""One I2C bus shared by several drivers: smbus2's own calls, with its errors told apart and named.
+"""One I2C bus shared by several drivers: calls of smbus2, with its errors converted to named ones.
 
-Registers go by SMBus word transfers. On the wire they are the two bytes of a block transfer; behind i2c-stub a block of
-two would reach into the next register as well.
+Registers are read and written by SMBus word transfers. On the wire these equal block transfers of two bytes; with the
+kernel's i2c-stub, a block of two would also write the next register.
 """
 
 import errno
@@ -30,7 +30,7 @@ class SmBus(Protocol):
 
 
 def swapped(word: int) -> int:
-    """A register's value from an SMBus word, or back: SMBus sends the low byte first, these devices the high one."""
+    """Swap the bytes of a word: SMBus sends the low byte first, these devices the high byte."""
     return (word & 0xFF) << 8 | word >> 8
 
 
@@ -94,25 +94,25 @@ class I2cPort:
         self._acknowledged(address, lambda: bus.write_word_data(address, register, swapped(value)))
 
     def notices(self) -> list[str]:
-        """What the bus has done since the last call and a reader of the run should know, a line each."""
+        """One line for each notable event of the bus since the last call."""
         count = self.unacknowledged.take_note()
         return [f"bus '{self.name}': a transfer went through only when it was repeated, {count}"] if count else []
 
     def _acknowledged(self, address: int, transfer: Callable[[], Any]) -> Any:
-        """Make a transfer, once more where it was not acknowledged: beside a motor drive a bit is lost now and then."""
-        for left in reversed(range(ATTEMPTS)):
+        """Make a transfer and repeat it if it is not acknowledged: near a motor drive, bits are lost now and then."""
+        for attempts_left in reversed(range(ATTEMPTS)):
             try:
                 return transfer()
             except OSError as error:
-                if error.errno not in _NAK or not left:
+                if error.errno not in _NAK or not attempts_left:
                     raise self._explain(error, address) from None
                 self.unacknowledged.count += 1
         raise AssertionError("the last attempt returns or raises")
 
     def _explain(self, error: OSError, address: int) -> DeviceError:
-        place = f"bus '{self.name}', address 0x{address:02X}"
+        device = f"bus '{self.name}', address 0x{address:02X}"
         if error.errno in _NAK:
-            return NoAnswer(f"{place}: not acknowledged (errno {error.errno}); check wiring, power, address")
+            return NoAnswer(f"{device}: not acknowledged (errno {error.errno}); check wiring, power, address")
         if error.errno == errno.ETIMEDOUT:
-            return NoAnswer(f"{place}: the transfer timed out (errno {error.errno})")
-        return DeviceError(f"{place}: {_MEANING.get(error.errno or 0, error)}")
+            return NoAnswer(f"{device}: the transfer timed out (errno {error.errno})")
+        return DeviceError(f"{device}: {_MEANING.get(error.errno or 0, error)}")

@@ -1,4 +1,4 @@
-"""Finds driver plug-ins by entry point `leactl.drivers`; one that does not load is reported and harms nothing."""
+"""Find driver plug-ins by the entry point `leactl.drivers`; one that fails to load is reported and harms no other."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +15,7 @@ GROUP = "leactl.drivers"
 
 @dataclass(frozen=True)
 class Registered:
-    """One name in the registry: the driver, or why it could not be loaded."""
+    """A registered name with its driver, or the reason why it could not be loaded."""
 
     name: str
     source: str  # the distribution that brought it
@@ -48,16 +48,16 @@ def find(name: str) -> Registered:
 
 
 def load(name: str) -> "type[Driver]":
-    """Load one driver that must work.
+    """Load a driver.
 
     Raises
     ------
     InputError : it is not registered, or it fails to load.
     """
-    found = find(name)
-    if found.driver is None:
-        raise InputError(f"driver '{name}' of {found.source} cannot be used: {found.error}")
-    return found.driver
+    registered = find(name)
+    if registered.driver is None:
+        raise InputError(f"driver '{name}' of {registered.source} cannot be used: {registered.error}")
+    return registered.driver
 
 
 def survey() -> list[Registered]:

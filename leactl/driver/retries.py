@@ -1,4 +1,4 @@
-"""Transfers that went through when they were repeated: counted, and told at the 1st, the 10th, the 100th and so on."""
+"""Count transfers that succeeded only when repeated, and report the count at 1, 10, 100 and so on."""
 
 
 class Retries:
@@ -9,7 +9,7 @@ class Retries:
         self._next_told = 1
 
     def take_note(self) -> str:
-        """The count so far where it has reached the next power of ten since it was told last; else nothing."""
+        """Text with the count if it has reached the next power of ten since the last report; else empty."""
         if self.count < self._next_told:
             return ""
         while self._next_told <= self.count:

@@ -1,4 +1,4 @@
-"""A package with one driver, to begin with: files of a folder, two functions of which are left to fill in."""
+"""Write the skeleton of a package with one driver, in which two functions are left to fill in."""
 
 import re
 import tempfile
@@ -15,18 +15,18 @@ NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
-    """Write a package for a driver of this name, all of it or nothing; gives its folder.
+    """Write a package for a driver, whole or not at all; returns its folder.
 
     Parameters
     ----------
-    name : of the driver, as a bench file will have it.
+    name : name of the driver in bench files.
     bus : one of `BUSES`.
-    quantity : what the device measures, one of the vocabulary.
-    into : where the folder `leactl-NAME` is made.
+    quantity : quantity that the device measures, one of the vocabulary.
+    into : directory in which the folder `leactl-NAME` is created.
 
     Raises
     ------
-    InputError : a name that is none or is taken, an unknown bus or quantity, or a folder that is there already.
+    InputError : an invalid or used name, an unknown bus or quantity, or a folder that exists.
     """
     if not NAME.fullmatch(name):
         raise InputError(f"'{name}': small letters, digits and single underscores were expected, a letter first")
@@ -41,7 +41,7 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     folder = into / f"leactl-{dashed}"
     if folder.exists():
         raise InputError(f"{folder} is there already; nothing was written")
-    own_words = {
+    substitutions = {
         "name": name,
         "dashed": dashed,
         "class_name": "".join(word.capitalize() for word in words),
@@ -49,17 +49,17 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
         "quantity": quantity,
         "units": UNITS[quantity],
     }
-    places = {"pyproject.toml": "pyproject.toml", "test_driver.py": f"tests/test_{name}.py"}
+    file_names = {"pyproject.toml": "pyproject.toml", "test_driver.py": f"tests/test_{name}.py"}
     texts = resources.files("leactl.driver.templates") / bus
     try:
-        with tempfile.TemporaryDirectory(prefix=".leactl-", dir=into) as begun:
-            whole = Path(begun) / folder.name
+        with tempfile.TemporaryDirectory(prefix=".leactl-", dir=into) as temporary:
+            package = Path(temporary) / folder.name
             for text in texts.iterdir():
                 file = text.name.removesuffix(".txt")
-                place = whole / places.get(file, f"leactl_{name}/{file}")
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_text(Template(text.read_text("utf-8")).substitute(own_words), encoding="utf-8")
-            whole.rename(folder)
+                target = package / file_names.get(file, f"leactl_{name}/{file}")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_text(Template(text.read_text("utf-8")).substitute(substitutions), encoding="utf-8")
+            package.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder

@@ -1,6 +1,6 @@
-"""One serial line to one device, without threads: lines of text out, and lines in as they come.
+"""One serial line to one device, without threads: lines of text out and in.
 
-Nothing here waits unless it is told until when, so that a slow instrument may be talked to from within a fast loop.
+No method waits unless it is given a time, so that a slow instrument can be used from within a fast loop.
 """
 
 from collections import deque
@@ -11,15 +11,15 @@ from typing import Protocol
 from leactl.driver.clock import Clock
 from leactl.errors import DeviceError
 
-LONGEST_LINE = 256  # bytes, unless a driver expects more; what is longer is noise, of which the end alone is kept
-MOST_LINES = 64  # that wait to be taken; a device that babbles pushes out the oldest
+LONGEST_LINE = 256  # bytes, unless a driver expects more; of a longer line only the end is kept
+MOST_LINES = 64  # lines in the queue; further lines drop the oldest
 
 
 class SerialLine(Protocol):
-    """A connection: the machine's own, or the near end of an emulated wire."""
+    """A connection: a serial device of this machine, or the near end of an emulated line."""
 
     def read(self, timeout: float) -> bytes:
-        """What has come; waits for the first byte no longer than this many seconds.
+        """Bytes that have arrived; waits at most `timeout` seconds for the first.
 
         Raises
         ------
@@ -27,7 +27,7 @@ class SerialLine(Protocol):
         """
 
     def write(self, data: bytes) -> int:
-        """Hand over as much as is taken at once; how many bytes that was.
+        """Write as many bytes as are accepted at once; returns their number.
 
         Raises
         ------
@@ -35,11 +35,11 @@ class SerialLine(Protocol):
         """
 
     def close(self) -> None:
-        """Let the line go, and drop what it has not sent yet."""
+        """Close the line and drop bytes that are not sent yet."""
 
 
 class SerialPort:
-    """Lines of one device, each ended by `line_end`; a carriage return before that is no part of the line."""
+    """Lines of one device, each ended by `line_end`; a carriage return before it is removed."""
 
     def __init__(self, connect: Callable[[], SerialLine], clock: Clock, name: str = "serial") -> None:
         self._connect = connect
@@ -58,7 +58,7 @@ class SerialPort:
         return self._line is not None
 
     def open(self) -> None:
-        """Connect, once for all users of the port.
+        """Connect for the first user of the port, and count the users.
 
         Raises
         ------
@@ -69,13 +69,13 @@ class SerialPort:
         self._users += 1
 
     def close(self) -> None:
-        """Disconnect when the last user has let go."""
+        """Disconnect when the last user has closed the port."""
         self._users = max(0, self._users - 1)
         if self._users == 0:
             self._shut()
 
     def reopen(self) -> None:
-        """Replace a connection that may be dead by a fresh one.
+        """Replace a connection that may be dead by a new one.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class SerialPort:
             raise DeviceError(f"bus '{self.name}': {len(data) - taken} of {len(data)} bytes were not taken")
 
     def take_line(self) -> bytes | None:
-        """The oldest line that has come, without its end; None where none is complete; never waits.
+        """The oldest complete line, without its end; None if there is none; never waits.
 
         Raises
         ------
@@ -112,17 +112,17 @@ class SerialPort:
         return self._lines.popleft() if self._lines else None
 
     def wait(self, moment: float) -> None:
-        """Wait for a complete line until this moment on the clock, and no longer.
+        """Wait for a complete line, at most until this moment on the clock.
 
         Raises
         ------
         DeviceError : the line is closed or gone.
         """
-        while not self._lines and (left := moment - self.clock.now()) > 0.0:
-            self._receive(left)
+        while not self._lines and (seconds_left := moment - self.clock.now()) > 0.0:
+            self._receive(seconds_left)
 
     def discard(self) -> None:
-        """Forget what has come so far, whole lines and begun ones.
+        """Drop all lines that have arrived, complete or not.
 
         Raises
         ------

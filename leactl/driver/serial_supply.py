@@ -1,8 +1,10 @@
-"""A power supply at the end of a serial line, whatever it speaks: demands that stay until they are confirmed, rounds of
-measuring in between, and an output that is off when it is met and when it is left.
+"""A power supply on a serial line, independent of its command set.
 
-A driver composes a `SupplyLine` and tells it by `Dialogue` what is said to its instrument. Nothing waits within the
-control loop: each call of `take` goes on with the conversation as far as it has come.
+Demands are repeated until they are confirmed, rounds of measuring run in between, and the output is switched off when
+the supply is opened and closed.
+
+A driver composes a `SupplyLine` with a `Dialogue` that knows the commands of its instrument. Nothing waits within the
+control loop: each call of `take` continues the conversation as far as possible.
 """
 
 import math
@@ -15,85 +17,85 @@ from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
-MOST_LOST = 3  # rounds in a row
+MOST_LOST = 3  # rounds lost in sequence, after which an error is raised
 LEAVE_S = 2.0
 QUANTITIES = {"leads": ("line_voltage", "line_current"), "bus": ("bus_voltage", "bus_current")}
 
 
-class Reading(NamedTuple):
+class SupplyReading(NamedTuple):
     """One round of measuring."""
 
-    time: float  # the middle between the first question and the last answer of voltage and current
+    time: float  # s, middle between the first query and the last reply for voltage and current
     voltage: float
     current: float
     on: bool
-    mode: str  # what it regulates, in words; empty where it is off
+    mode: str  # "constant voltage" or "constant current"; empty if the output is off
     fault: str = ""
     notices: tuple[str, ...] = ()
 
 
-class Progress:
-    """What stands against an output that is off, for whoever has to say why it was not confirmed; empty before that."""
+class SwitchOffTrouble:
+    """Reason why an output is not confirmed off, filled in by a dialogue; `text` is empty at first."""
 
-    said = ""
+    text = ""
 
 
 class Dialogue(Protocol):
-    """What is said to one kind of instrument."""
+    """The commands of one kind of instrument, as scripts for `Talk`."""
 
     @property
     def off(self) -> bytes:
-        """What switches the output off from any state, to be sent without waiting for an answer."""
+        """Bytes that switch the output off from any state, sent without waiting for a reply."""
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
-        """Switch off until it is seen that the output is, however often that takes."""
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
+        """Switch off repeatedly until the output is measured or reported off."""
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
-        """Make off, check that it is the instrument expected, and configure it; what a reader of the run should know.
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
+        """Switch off, check that it is the expected instrument, and configure it; returns notices.
 
         Raises
         ------
-        DeviceError : another instrument, or a setting that does not stick.
+        DeviceError : another instrument, or a setting that reads back differently.
         """
 
     def leave(self) -> Script[Sequence[str]]:
-        """Put back what `set_up` has changed and somebody else may count on; what that was.
+        """Restore the settings that `set_up` changed; returns their names.
 
         Raises
         ------
-        DeviceError : it does not stick.
+        DeviceError : a setting reads back differently.
         """
 
     def in_step(self) -> Script[object]:
-        """Drop answers that were meant for earlier questions."""
+        """Drop replies to earlier queries."""
 
     def put(self, voltage: float, current: float) -> Script[None]:
-        """Set both levels and see that they are; switches nothing.
+        """Set voltage [V] and current [A] and read both back; switches nothing.
 
         Raises
         ------
-        DeviceError : they do not stick.
+        DeviceError : a level reads back differently.
         """
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and see that it is.
+        """Switch the output and check its state.
 
         Raises
         ------
-        DeviceFault : it is not.
+        DeviceFault : the output is not in the demanded state.
         """
 
-    def measured(self) -> Script[Reading]:
-        """Voltage, current, and how the instrument fares."""
+    def measured(self) -> Script[SupplyReading]:
+        """Measure voltage and current, and read the state of the instrument."""
 
 
 class SupplyLine:
-    """The conversation with one supply; what a driver's own methods pass their calls on to."""
+    """The conversation with one supply; a driver's methods delegate to it."""
 
     def __init__(
         self, name: str, role: str, feeds: str, port: SerialPort, dialogue: Dialogue, answer_s: float, period_s: float
     ) -> None:
-        """Answers may take `answer_s`, a round begins every `period_s` [s]; `feeds` is a key of `QUANTITIES`."""
+        """`answer_s`: timeout of a reply [s]; `period_s`: time between rounds [s]; `feeds`: a key of `QUANTITIES`."""
         self._name, self._port, self._clock, self._dialogue = name, port, port.clock, dialogue
         self._answer_s, self._period_s = answer_s, period_s
         channels = [ChannelSpec(q, q, role, name, f"{name} {q.replace('_', ' ')}") for q in QUANTITIES[feeds]]
@@ -110,28 +112,28 @@ class SupplyLine:
         self._notices: list[str] = []
 
     def make_safe(self, deadline_s: float) -> Confirmation:
-        """Switch off and see that it is, from any state, over a fresh connection if need be; never raises."""
+        """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
         self._forget_demands()
         self._seen_off = False
-        until = self._clock.now() + deadline_s
-        trouble, progress = "", Progress()
-        while self._clock.now() < until:
+        deadline = self._clock.now() + deadline_s
+        reason, off_trouble = "", SwitchOffTrouble()
+        while self._clock.now() < deadline:
             try:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                halfway = self._clock.now() + max(0.5 * (until - self._clock.now()), min(0.1, 0.5 * deadline_s))
-                script = self._dialogue.output_off(progress)
-                confirmed = Talk(self._port, script, self._answer_s).finish(min(halfway, until))
+                halfway = self._clock.now() + max(0.5 * (deadline - self._clock.now()), min(0.1, 0.5 * deadline_s))
+                script = self._dialogue.output_off(off_trouble)
+                confirmed = Talk(self._port, script, self._answer_s).finish(min(halfway, deadline))
             except DeviceError as error:
-                if progress.said or not (trouble and isinstance(error, NoAnswer)):  # the last try has little time
-                    trouble = progress.said or str(error)
-                self._start_afresh(until)
+                if off_trouble.text or not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                    reason = off_trouble.text or str(error)
+                self._start_afresh(deadline)
                 continue
             self.supplying, self._seen_off = False, True
             break
         else:
-            confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
+            confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
         if not self._opened:
             self._port.close()
         return confirmed
@@ -143,7 +145,7 @@ class SupplyLine:
             self._clock.sleep_until(min(until, self._clock.now() + 0.02))
 
     def stop_now(self) -> None:
-        """Send what switches the output off, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that switches the output off, without waiting; over a new connection if needed."""
         self._forget_demands()
         for _ in range(2):
             try:
@@ -162,34 +164,34 @@ class SupplyLine:
         self._asked_on = False
 
     def open(self, within_s: float) -> None:
-        """Meet the supply: see who it is, make it off, configure it.
+        """Connect to the supply: identify it, switch it off, configure it.
 
         Raises
         ------
-        DeviceError : it is absent, another one, refuses a setting, or cannot be made off.
+        DeviceError : it is absent, another one, refuses a setting, or cannot be switched off.
         """
         self._port.open()
         self._opened = True
         self._port.discard()
         self._forget_demands()
-        progress = Progress()
-        script = self._dialogue.set_up(progress)
+        off_trouble = SwitchOffTrouble()
+        script = self._dialogue.set_up(off_trouble)
         try:
             self._notices += Talk(self._port, script, self._answer_s).finish(self._clock.now() + within_s)
         except NoAnswer as error:
-            if progress.said:
-                raise DeviceFault(f"{self._name}: {progress.said}") from None
+            if off_trouble.text:
+                raise DeviceFault(f"{self._name}: {off_trouble.text}") from None
             raise NoAnswer(f"{self._name}: {error}") from None
         except DeviceError as error:
             raise type(error)(f"{self._name}: {error}") from None
         self.supplying, self._seen_off = False, True
 
     def close(self) -> None:
-        """Put back what was found, where the output is off, and let the line go.
+        """Restore the settings found at `open` if the output is off, and close the line.
 
         Raises
         ------
-        DeviceError : it could not be put back; the line is let go all the same.
+        DeviceError : a setting could not be restored; the line is closed all the same.
         """
         self._talk = None
         if not self._opened:
@@ -209,11 +211,11 @@ class SupplyLine:
     def supply(
         self, voltage: float, current: float, most: tuple[float, float], least: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        """Have these levels set [V, A], in one of the next calls of `take`.
+        """Demand these levels [V, A]; one of the next calls of `take` sets them.
 
         Raises
         ------
-        InputError : a value is not finite, below the least or above the most; nothing is passed on.
+        InputError : a value is not finite, below `least` or above `most`; nothing is sent.
         """
         for value, low, top, unit in zip((voltage, current), least, most, "VA", strict=True):
             if not low <= value <= top:
@@ -227,7 +229,7 @@ class SupplyLine:
         self._switch, self._seen_off = True, False
 
     def switch_off(self) -> None:
-        """Begin to switch the output off: at once, and then until it is confirmed.
+        """Send the command to switch off at once, and repeat it in `take` until it is confirmed.
 
         Raises
         ------
@@ -239,11 +241,11 @@ class SupplyLine:
     # -- the stream --------------------------------------------------------------------------------------------------
 
     def take(self) -> Sequence[Row]:
-        """Go on with the conversation; what has been measured since the last call; never waits.
+        """Continue the conversation without waiting; returns the rows measured since the last call.
 
         Raises
         ------
-        DeviceError : the line is gone, the instrument has not answered three times in a row, or refuses a command.
+        DeviceError : the line is gone, the instrument did not answer three times in sequence, or refuses a command.
         """
         if self._talk is None:
             self._talk = Talk(self._port, self._conversation(), self._answer_s)
@@ -258,13 +260,13 @@ class SupplyLine:
         return rows
 
     def notices(self) -> Sequence[str]:
-        """What the instrument has told, answers that were lost, changes of what it regulates."""
-        found, self._notices = self._notices, []
-        return found
+        """Notices since the last call: messages of the instrument, lost rounds, changes of the regulation mode."""
+        notices, self._notices = self._notices, []
+        return notices
 
     def _conversation(self) -> Script[None]:
-        """Carry out what was commanded and measure in between; a lost answer costs a round, the third in a row all."""
-        due, lost, in_step = -math.inf, 0, False
+        """Carry out demands and measure in between; a lost reply loses a round, the third in sequence raises."""
+        due, lost_rounds, in_step = -math.inf, 0, False
         while True:
             try:
                 if not in_step:
@@ -276,15 +278,15 @@ class SupplyLine:
                     continue
                 due = self._clock.now() + self._period_s
                 self._judge((yield from self._dialogue.measured()))
-                lost = 0
+                lost_rounds = 0
             except (NoAnswer, Unreadable) as error:
-                lost, in_step = lost + 1, False
-                if lost >= MOST_LOST:
+                lost_rounds, in_step = lost_rounds + 1, False
+                if lost_rounds >= MOST_LOST:
                     raise
                 self._notices.append(f"a round was lost: {error}")
 
     def _carry_out(self) -> Script[None]:
-        """Off before levels, levels before on; a demand stays until it has been confirmed."""
+        """Carry out demands in the order off, levels, on; a demand stays until it is confirmed."""
         if self._switch is False:
             yield from self._dialogue.switched(False)
             self.supplying, self._switch = False, None if self._switch is False else self._switch
@@ -297,7 +299,7 @@ class SupplyLine:
             yield from self._dialogue.switched(True)
             self.supplying, self._switch = True, None if self._switch is True else self._switch
 
-    def _judge(self, reading: Reading) -> None:
+    def _judge(self, reading: SupplyReading) -> None:
         self.supplying, fault = reading.on, reading.fault
         if reading.on is not self._asked_on and not fault:
             fault = f"the output is {'on' if reading.on else 'off'} by itself"

@@ -8,7 +8,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular import file_bytes
 
 MOST_BYTES = 1 << 24
 _ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -81,14 +81,7 @@ def read_xml(path: Path) -> XmlText:
     ------
     InputError : it is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document type.
     """
-    try:
-        with open_regular(path, MOST_BYTES) as stream:
-            raw = stream.read()
-    except OSError as fault:
-        raise InputError(f"{path}: {fault.strerror or fault}") from None
-    except ValueError as fault:  # a path may hold characters that no file name can
-        raise InputError(f"{str(path)!r}: {fault}") from None
-    return parsed(raw, str(path))
+    return parsed(file_bytes(path, MOST_BYTES), str(path))
 
 
 def parsed(raw: bytes, name: str) -> XmlText:

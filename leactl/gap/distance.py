@@ -9,8 +9,8 @@ import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
 from leactl.errors import InputError
-from leactl.runfile.integrity import refuse_altered
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
+from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 FEWEST = 10  # samples in common

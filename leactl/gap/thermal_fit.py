@@ -18,7 +18,7 @@ from leactl.gap.search.parameters import calibrated
 from leactl.gap.signals.record import AMBIENT, Record, record_of
 from leactl.model.motor import Motor
 from leactl.model.nominal import Model
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 Array = npt.NDArray[np.float64]
 FITTED = (

@@ -10,7 +10,7 @@ from leactl.joints.effects import Drawn, alike
 from leactl.joints.machine import Specimen, nominal_text
 from leactl.joints.run import Array, Run, Signals
 from leactl.quantities import ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
 QUANTITIES = {

@@ -1,1 +1,1 @@
-"""YAML to a checked, fully expanded plan; what a bench will do, known before it moves."""
+"""Protocols: YAML files are checked and expanded to plans, which list every action before a bench moves."""

@@ -1,7 +1,7 @@
-"""Bisections: a number of trials that is known before the first one, each at a setpoint between two ends.
+"""Bisections: trials at setpoints between two ends; their number is known before the first one.
 
-The first two trials are at the ends. The others are between them, at setpoints that the run chooses, and are left out
-where both ends have the same outcome. Behind every trial the setpoint is zero.
+The first two trials are at the ends. The others are between them, at setpoints chosen during the run, and are skipped
+if both ends have the same outcome. The setpoint rests at zero after every trial.
 """
 
 from leactl.driver.contract import Mode
@@ -12,19 +12,19 @@ from leactl.protocol.plan import (
     Constant,
     EndWhen,
     Search,
+    SearchTrial,
     Sought,
     StepOutcome,
-    Trial,
     When,
 )
 from leactl.protocol.setpointkeys import CURRENT, SPELLINGS
-from leactl.protocol.steps import BisectStep, Step
+from leactl.protocol.steps import BisectStep, ProtocolStep
 from leactl.protocol.timeline import Timeline
 
 MAX_HALVINGS = 32  # no setpoint of a drive has more bits
 
 
-def bisect(timeline: Timeline, step: Step, pass_number: int) -> None:
+def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a bisection; `pass_number` counts the passes of the repeats around it."""
     content: BisectStep = step.content
     lasts = content.hold_s, content.settle_s
@@ -63,14 +63,14 @@ def bisect(timeline: Timeline, step: Step, pass_number: int) -> None:
             {**where, "trial": number},
             content.settle_s,
             until,
-            Trial(search, number),
+            SearchTrial(search, number),
         )
         timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, where)
     timeline.add(step, EndWhen())
 
 
-def _sound(timeline: Timeline, step: Step, search: Search) -> bool:
-    """Whether ends and resolution make a search; faults are noted."""
+def _sound(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
+    """Check ends and resolution of a search; faults are added to the timeline."""
     span = abs(search.second - search.first)
     if not span > 0.0:
         timeline.complain(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")

@@ -1,7 +1,7 @@
-"""Moving and reading a bench by hand, written as protocols, so that it is checked, run and recorded as they are.
+"""Protocols for moving and reading a bench by hand, so that this is checked, run and recorded like any protocol.
 
-These are texts and no files that ship: a parameter of a protocol stands for a value, and here role, mode and set-up
-vary too. The run file keeps the text, and `leactl run` takes it.
+They are generated as text and not shipped as files, because role, mode and set-up vary, which protocol parameters
+cannot express. The run file keeps the text, and `leactl run` accepts it.
 """
 
 import math
@@ -23,7 +23,7 @@ GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s
 
 
 class Jog(NamedTuple):
-    """A short motion: the setpoint, reached at a rate, held, and for a current or a velocity left at that rate."""
+    """A short motion: ramp to a setpoint, hold it, and ramp a current or velocity back to zero."""
 
     role: str
     mode: Mode
@@ -32,7 +32,7 @@ class Jog(NamedTuple):
     rate: float | None = None  # A/s, rad/s^2 or rad/s
 
     def check(self) -> None:
-        """Refuse what no protocol can be written of.
+        """Check the values before a protocol is written.
 
         Raises
         ------
@@ -66,8 +66,8 @@ class Jog(NamedTuple):
         return [f"mode: {{{self.role}: {self.mode}}}", *moves, f"mode: {{{self.role}: off}}"]
 
 
-def reading(duration_s: float) -> list[str]:
-    """Steps that leave every drive off.
+def reading_steps(duration_s: float) -> list[str]:
+    """Steps that record for `duration_s` with every drive off.
 
     Raises
     ------
@@ -78,23 +78,21 @@ def reading(duration_s: float) -> list[str]:
     return [f"hold: {{name: read, duration_s: {duration_s!r}}}"]
 
 
-def zeroing() -> list[str]:
+def tare_steps() -> list[str]:
     """Steps that tare the torque sensor, with every drive off."""
     return [f"tare: {{samples: {TARE_SAMPLES}}}"]
 
 
-def turning_and_pulling(
-    setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float
-) -> list[str]:
-    """Steps that let every drive do what a set-up allows: coupled, the load drive turns and the test drive pulls.
+def motion_steps(setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float) -> list[str]:
+    """Steps that move the drives as the set-up allows; coupled, the load drive turns and the test drive applies torque.
 
     Parameters
     ----------
-    velocity, current : of what turns and of what pulls [rad/s, A]; locked, nothing turns, and uncoupled nothing pulls.
+    velocity, current : setpoints of the drive that turns and of the drive that applies torque [rad/s, A].
 
     Raises
     ------
-    InputError : no drive that this set-up lets move.
+    InputError : this set-up lets no drive move.
     """
     pulls = "test" in roles and (setup == "locked" or (setup == "coupled" and "load" in roles))
     turns = [] if setup in ("locked", "heated") else [role for role in roles if not (pulls and role == "test")]
@@ -105,18 +103,18 @@ def turning_and_pulling(
     for role, mode in modes.items():
         keys, goal = SPELLINGS[mode], velocity if mode is Mode.VELOCITY else current
         moves.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {GENTLE[mode]!r}}}")
-        held = f"hold: {{name: {HELD}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
+        hold = f"hold: {{name: {HELD}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
     engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
-    left = ", ".join(f"{role}: off" for role in modes)
-    return [f"mode: {{{engaged}}}", *moves, held, f"mode: {{{left}}}"]
+    released = ", ".join(f"{role}: off" for role in modes)
+    return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
 
 
-def written(name: str, setup: str, steps: Sequence[str]) -> Plan:
-    """The plan of a protocol of these steps.
+def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:
+    """Expand a protocol of these steps to a plan.
 
     Raises
     ------
-    InputError : what a protocol file with this text would be refused for.
+    InputError : the same faults as for a protocol file with this text.
     """
     head = f"name: {name}\ntitle: By hand\nsetup: {setup}\nrate_Hz: {RATE_HZ}\nsteps:\n"
     text = head + "".join(f"  - {step}\n" for step in steps)

@@ -1,22 +1,22 @@
-"""Criteria on channels: what a wait, a hold, a trial or a condition asks of a reading, with its bounds checked."""
+"""Criteria on channels, for waits, holds, trials and conditions, with checks of their bounds."""
 
 import math
 
 from leactl.protocol.plan import LEAST_SAMPLES, Until
-from leactl.protocol.steps import CriterionBlock, Step, WaitStep, WhenStep
+from leactl.protocol.steps import CriterionBlock, ProtocolStep, WaitStep, WhenStep
 from leactl.protocol.timeline import Timeline
 from leactl.quantities import UNITS
 
 
 def criterion(
-    timeline: Timeline, step: Step, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
+    timeline: Timeline, step: ProtocolStep, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
 ) -> Until:
-    """The criterion of a step; faults are noted.
+    """The criterion of a step; faults are added to the timeline.
 
     Parameters
     ----------
-    keys : of the criterion and of the duration.
-    lasts : duration and settle window [s].
+    keys : keys of the criterion and of the duration in the step.
+    lasts : duration and settle window of the step [s].
     """
     block: CriterionBlock = getattr(step.content, keys[0])
     low, high = bounds(timeline, step, block, (keys[0],), "/s" if block.statistic == "slope" else "")
@@ -33,12 +33,12 @@ def criterion(
 
 def bounds(
     timeline: Timeline,
-    step: Step,
+    step: ProtocolStep,
     content: WaitStep | CriterionBlock | WhenStep,
     under: tuple[str, ...] = (),
     per: str = "",
 ) -> tuple[float, float]:
-    """Lowest and highest value that a channel is waited for, infinite where open; faults are noted."""
+    """Lowest and highest value that meet a criterion, infinite if open; faults are added to the timeline."""
     unit = UNITS.get(content.quantity or "")
     if unit is None:
         message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"

@@ -1,21 +1,21 @@
-"""Dead weights on an arm of the torque sensor: what the operator hangs, and a hold for each that tells its torque."""
+"""Weighings: prompts to hang dead weights on an arm of the torque sensor, and a hold with the torque of each."""
 
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Hang
-from leactl.protocol.steps import Step, WeighStep
+from leactl.protocol.steps import ProtocolStep, WeighStep
 from leactl.protocol.timeline import Timeline
 
 STANDARD_GRAVITY = 9.80665  # m/s^2 (CGPM 1901); what it is at the place is the analysis's matter
 
 
 def order_of(masses: tuple[float, ...]) -> list[tuple[float, str]]:
-    """Masses and directions: none, rising, the others again falling, none."""
+    """Masses [kg] with directions: 0 and all masses rising, then the same falling without the largest."""
     rising = sorted(masses)
     falling = [(mass, "falling") for mass in reversed([0.0, *rising[:-1]])]
     return [(mass, "rising") for mass in (0.0, *rising)] + falling
 
 
-def weigh(timeline: Timeline, step: Step, pass_number: int) -> None:
+def weigh(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a weighing; `pass_number` counts the passes of the repeats around it."""
     content: WeighStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
@@ -30,6 +30,10 @@ def weigh(timeline: Timeline, step: Step, pass_number: int) -> None:
             torque = content.sign * mass * STANDARD_GRAVITY * content.arm_m
             text = f"Hang {mass:g} kg at {content.arm_m:g} m, pulling in the {side} sense of the shaft, and let it rest"
             timeline.add(step, Hang(text if mass else "Take all weights off the arm", torque))
-            told: dict[str, float | str] = {"weight_Nm": torque, "mass_kg": mass, "arm_m": content.arm_m}
-            told |= {"role": "bench", "direction": direction, "repeat": (pass_number - 1) * content.repeats + number}
-            timeline.segment(step, "hold", content.hold_s, {}, told, content.settle_s)
+            parameters: dict[str, float | str] = {"weight_Nm": torque, "mass_kg": mass, "arm_m": content.arm_m}
+            parameters |= {
+                "role": "bench",
+                "direction": direction,
+                "repeat": (pass_number - 1) * content.repeats + number,
+            }
+            timeline.segment(step, "hold", content.hold_s, {}, parameters, content.settle_s)

@@ -1,4 +1,4 @@
-"""Steps to actions: walk the steps in order, keep track of what each role follows, and write the timeline."""
+"""Expand steps to actions: walk the steps in order, track mode and setpoint of each role, and write the timeline."""
 
 import math
 from collections.abc import Callable
@@ -13,31 +13,31 @@ from leactl.protocol.plan import (
     EndWhen,
     InRange,
     Prompt,
-    Record,
     Samples,
+    SetRecordRate,
+    SetSupply,
     StepOutcome,
-    Supply,
     Tare,
     WaitUntil,
     When,
 )
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
-from leactl.protocol.signals import Csv, Signal
-from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, WaitStep, WhenStep
+from leactl.protocol.signals import CsvSignal, ProtocolSignal
+from leactl.protocol.steps import HoldStep, ProtocolStep, RampStep, SetStep, WaitStep, WhenStep
 from leactl.protocol.timeline import Timeline
 
 HEATED = "heated"
 
 
-def expand(timeline: Timeline, steps: tuple[Step, ...], pass_number: int = 1) -> None:
-    """Write the steps' actions; faults are noted in the timeline.
+def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int = 1) -> None:
+    """Write the actions of the steps; faults are added to the timeline.
 
-    `pass_number` counts the passes of all repeats around these steps and becomes the parameter `repeat` of their holds.
+    `pass_number` counts the passes of all enclosing repeats and becomes the parameter `repeat` of the holds.
 
     Raises
     ------
-    InputError : the whole has become too much.
+    InputError : the plan exceeds the limits of actions, duration or samples.
     """
     for step in steps:
         if step.kind == "repeat":
@@ -56,8 +56,8 @@ def expand(timeline: Timeline, steps: tuple[Step, ...], pass_number: int = 1) ->
             _WRITERS[step.kind](timeline, step, pass_number)
 
 
-def _when(timeline: Timeline, step: Step, pass_number: int) -> None:
-    """Write steps that may be left out, and refuse those that do not leave everything as it was before them."""
+def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Write conditional steps; a fault if modes or setpoints after them differ from those before."""
     condition = None if step.content is None else _condition(timeline, step)
     before = {role: (followed.mode, followed.setpoint) for role, followed in timeline.roles.items()}
     began = len(timeline.actions)
@@ -67,7 +67,7 @@ def _when(timeline: Timeline, step: Step, pass_number: int) -> None:
     if condition is not None:
         timeline.add(step, EndWhen())
     timeline.whole = timeline.whole and condition is not None
-    if any(isinstance(action, Record | Supply) for action in timeline.actions[began:]):
+    if any(isinstance(action, SetRecordRate | SetSupply) for action in timeline.actions[began:]):
         timeline.complain(step, "steps", "a record or supply step would outlast the condition; none was expected")
     for role, (mode, setpoint) in before.items() if timeline.whole else ():
         followed = timeline.roles[role]
@@ -77,8 +77,8 @@ def _when(timeline: Timeline, step: Step, pass_number: int) -> None:
             timeline.complain(step, "steps", message)
 
 
-def _condition(timeline: Timeline, step: Step) -> StepOutcome | InRange | None:
-    """What a `when` asks; None, with faults, where it cannot be."""
+def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange | None:
+    """The condition of a `when` step; None, with faults, if it is invalid."""
     content: WhenStep = step.content
     reading = ("quantity", "role", "below", "above", "unit")
     given = [key for key in reading if getattr(content, key) is not None]
@@ -106,7 +106,7 @@ def _condition(timeline: Timeline, step: Step) -> StepOutcome | InRange | None:
     return StepOutcome(content.step, content.outcome)
 
 
-def _mode(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _mode(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     modes = {role: mode for role in ("test", "load") if (mode := getattr(step.content, role)) is not None}
     if not modes:
         timeline.complain(step, (), "a mode for test, load or both was expected")
@@ -116,16 +116,16 @@ def _mode(timeline: Timeline, step: Step, _pass_number: int) -> None:
     timeline.engage(step, modes)
 
 
-def _set(timeline: Timeline, step: Step, pass_number: int) -> None:
+def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: SetStep = step.content
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        told = _told(timeline, content.role, spelling, value, pass_number)
-        timeline.hold(step, "set", (0.0, 0.0), content.role, value, told)
+        parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, "set", (0.0, 0.0), content.role, value, parameters)
 
 
-def _ramp(timeline: Timeline, step: Step, pass_number: int) -> None:
+def _ramp(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: RampStep = step.content
     spelling = timeline.spelling(step, content.role, content)
     if spelling is None:
@@ -142,7 +142,7 @@ def _ramp(timeline: Timeline, step: Step, pass_number: int) -> None:
         timeline.ramp(step, content.role, (before, value), duration_s, where, content.name)
 
 
-def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
+def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: HoldStep = step.content
     timeline.check_times(step, ("settle_s", "duration_s"), content.duration_s, content.settle_s)
     times = content.duration_s, content.settle_s
@@ -160,17 +160,19 @@ def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        told = _told(timeline, content.role, spelling, value, pass_number)
-        timeline.hold(step, content.name, times, content.role, value, told, until)
+        parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, content.name, times, content.role, value, parameters, until)
 
 
-def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
+def _hold_parameters(
+    timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int
+) -> dict[str, float | str]:
     direction = timeline.roles[role].goes_to(value)
     return {spelling.setpoint: value, "direction": direction, "role": role, "repeat": pass_number}
 
 
-def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
-    content: Signal = step.content.in_pass(pass_number)
+def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    content: ProtocolSignal = step.content.in_pass(pass_number)
     spelling = timeline.spelling(step, content.role, content)
     rate = min(content.reference_Hz or math.inf, timeline.rate_hz)
     faults = list(content.faults(rate))
@@ -181,30 +183,30 @@ def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
         timeline.complain(step, key, message)
     if spelling is None or faults:
         return
-    made = step.location, spelling.setpoint, content
-    if made not in timeline.signals:
+    signal_key = step.location, spelling.setpoint, content
+    if signal_key not in timeline.signals:
         samples = _samples(timeline, step, content, spelling)
         if samples is None:
             return
-        timeline.signals[made] = samples
-    samples = timeline.signals[made]
+        timeline.signals[signal_key] = samples
+    samples = timeline.signals[signal_key]
     duration = len(samples.values) * samples.period
     if content.settle_s >= duration:
         timeline.complain(step, "settle_s", f"{content.settle_s:g} s: less than {duration:g} s was expected")
     keys = content.model_dump(exclude_none=True, exclude={"role", "settle_s", "duration_s"})
-    told = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
-    told |= {"role": content.role, "repeat": pass_number}
-    timeline.segment(step, content.kind, duration, {content.role: samples}, told, content.settle_s)
+    parameters = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
+    parameters |= {"role": content.role, "repeat": pass_number}
+    timeline.segment(step, content.kind, duration, {content.role: samples}, parameters, content.settle_s)
     timeline.roles[content.role].goes_to(float(samples.values[-1]))
 
 
-def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -> Samples | None:
-    """Sample a signal at the rate of its references, once for all passes that have the same."""
+def _samples(timeline: Timeline, step: ProtocolStep, content: Any, spelling: Spelling) -> Samples | None:
+    """Sample a signal at the rate of its setpoints; None, with faults, if it cannot be made."""
     import numpy as np
 
     rate = content.reference_Hz or timeline.rate_hz
     period = 1 / rate
-    if isinstance(content, Csv):
+    if isinstance(content, CsvSignal):
         try:
             times, column = trajectory.read(timeline.folder / content.path, content.column, spelling)
         except InputError as error:
@@ -229,42 +231,42 @@ def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -
     return Samples(period, values)
 
 
-def _wait_until(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _wait_until(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     content: WaitStep = step.content
     low, high = bounds(timeline, step, content)
     timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
 
 
-def _record(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _record(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     rate = step.content.rate_Hz
     if rate and not divides(rate, timeline.rate_hz):
         timeline.complain(
             step, "rate_Hz", f"{rate:g} Hz: a whole part of rate_Hz ({timeline.rate_hz:g} Hz) was expected"
         )
-    timeline.add(step, Record(rate))
+    timeline.add(step, SetRecordRate(rate))
 
 
-def _tare(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _tare(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     timeline.add(step, Tare(step.content.samples))
     timeline.charge(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
 
 
-def _supply(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _supply(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     outputs = step.content.outputs
     if not outputs:
         timeline.complain(step, (), "an output for test, load or both was expected")
     if timeline.setup not in ("", HEATED):
         timeline.complain(step, (), f"a supply feeds leads in set-up {HEATED} alone; setup is {timeline.setup}")
-    timeline.add(step, Supply(outputs))
+    timeline.add(step, SetSupply(outputs))
 
 
-def _prompt(timeline: Timeline, step: Step, _pass_number: int) -> None:
+def _prompt(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     if not step.content.isprintable():
         timeline.complain(step, (), "a text of one printable line was expected")
     timeline.add(step, Prompt(step.content))
 
 
-_WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
+_WRITERS: dict[str, Callable[[Timeline, ProtocolStep, int], None]] = {
     "mode": _mode,
     "set": _set,
     "ramp": _ramp,

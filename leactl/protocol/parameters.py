@@ -1,7 +1,7 @@
-"""Parameters of a protocol: defaults, values under a condition, values from the command line, and `$name` where used.
+"""Parameters of a protocol: defaults, values of a condition, values from the command line, and their use as `$name`.
 
-`--set` goes over the condition and the condition over the default. A value keeps the kind of its default (number, text,
-list of either) and is put in whole; nothing is computed.
+`--set` overrides the condition, and the condition overrides the default. A value has the kind of its default (number,
+text, list of either) and replaces `$name` as a whole; nothing is computed.
 """
 
 import re
@@ -18,37 +18,37 @@ if TYPE_CHECKING:
 
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*\Z")
 REFERENCE = re.compile(r"\$([a-z][A-Za-z0-9_]*)\Z")
-KEPT = ("name", "parameters", "conditions")  # keys of the file in which nothing is put in
+KEPT = ("name", "parameters", "conditions")  # keys of the file in which `$name` is not replaced
 UNKNOWN = "is no parameter"
 EXPECTED = "a finite number, a text that is no $name, or a list of one of these was expected"
 
 
 @dataclass
 class Resolved:
-    """Parameters with their values, and where each value comes from."""
+    """Values of parameters, and the origin of each value."""
 
     values: dict[str, Any] = field(default_factory=dict)
     origins: dict[str, str] = field(default_factory=dict)
 
     def take(self, name: str, value: Any, origin: str) -> None:
-        """Let a value go over the one before."""
+        """Set a value, overriding an earlier one."""
         self.values[name], self.origins[name] = value, origin
 
     def changed(self, name: str) -> bool:
-        """Whether a condition or the command line went over the default."""
+        """Whether a condition or the command line has overridden the default."""
         return not self.origins[name].startswith("line ")
 
 
 @dataclass
 class Substituted(Document):
-    """A protocol file with its parameters put in; a fault at a place where one was names it and its origin."""
+    """A protocol file with its parameters replaced; a fault at a replaced value names the parameter and its origin."""
 
-    uses: dict[Location, str] = field(default_factory=dict)  # the parameter that stands there, and its origin
-    changed: set[Location] = field(default_factory=set)  # places where the value is not the default
-    below: dict[Location, list[str]] = field(default_factory=dict)  # what is changed anywhere below a place
+    uses: dict[Location, str] = field(default_factory=dict)  # parameter and its origin, by location
+    changed: set[Location] = field(default_factory=set)  # locations whose value is not the default
+    below: dict[Location, list[str]] = field(default_factory=dict)  # changed parameters below a location
 
     def put_in(self, location: Location, text: str, changed: bool) -> None:
-        """Remember that a parameter stands at this place."""
+        """Record that a parameter was replaced at this location."""
         self.uses[location] = text
         if changed:
             self.changed.add(location)
@@ -56,20 +56,22 @@ class Substituted(Document):
                 self.below.setdefault(location[:length], []).append(text)
 
     def fault(self, location: Sequence[str | int], message: str) -> str:
-        """The line for a fault, and the parameter that brought the value there."""
-        found = tuple(location)
-        ancestors = [found[:length] for length in range(len(found), 0, -1)]
-        used = next(([self.uses[place]] for place in ancestors if place in self.uses), self.below.get(found, []))
+        """The line for a fault, with the parameter that the value comes from."""
+        keys = tuple(location)
+        ancestors = [keys[:length] for length in range(len(keys), 0, -1)]
+        parameters = next(
+            ([self.uses[ancestor]] for ancestor in ancestors if ancestor in self.uses), self.below.get(keys, [])
+        )
         line = super().fault(location, message)
-        return line + printable(f" ({', '.join(dict.fromkeys(used))})" if used else "")
+        return line + printable(f" ({', '.join(dict.fromkeys(parameters))})" if parameters else "")
 
     def explain(self, error: "ValidationError", under: Location = ()) -> list[str]:
-        """A model's faults, without those of a `$name` that is already said to be unknown."""
+        """Faults of a model, without those of a `$name` that is already reported as unknown."""
         return [line for line in super().explain(error, under) if not line.endswith(f"{UNKNOWN})")]
 
 
 def resolve(document: Document, overrides: Mapping[str, str], condition: str, faults: list[str]) -> Resolved | None:
-    """Read defaults, conditions and overrides, and add to the faults; None where `parameters` is no mapping at all."""
+    """Resolve defaults, condition and overrides; adds faults, and returns None if `parameters` is no mapping."""
     defaults = document.data.get("parameters")
     conditions = document.data.get("conditions")
     if not isinstance(defaults, Mapping | None):
@@ -98,16 +100,16 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
 def _take_condition(
     document: Document, label: str, values: Any, known: Mapping[str, Any], into: Resolved | None, faults: list[str]
 ) -> None:
-    place = ("conditions", label)
+    keys = ("conditions", label)
     if not isinstance(values, Mapping):
-        faults.append(document.fault(place, "a mapping of parameters to values was expected"))
+        faults.append(document.fault(keys, "a mapping of parameters to values was expected"))
         return
     for name, value in values.items():
         message = _misfit(name, value, known)
         if message:
-            faults.append(document.fault((*place, name), message))
+            faults.append(document.fault((*keys, name), message))
         elif into is not None:
-            into.take(name, value, f"condition {label}, line {document.places[*place, name][0]}")
+            into.take(name, value, f"condition {label}, line {document.places[*keys, name][0]}")
 
 
 def _take_override(name: str, text: str, known: Mapping[str, Any], resolved: Resolved, faults: list[str]) -> None:
@@ -125,7 +127,7 @@ def _take_override(name: str, text: str, known: Mapping[str, Any], resolved: Res
 
 
 def _misfit(name: str, value: Any, known: Mapping[str, Any]) -> str:
-    """Why a value cannot go over a default; empty when it can."""
+    """Reason why a value cannot override a default; empty if it can."""
     if name not in known:
         return f"no such parameter; known: {', '.join(known) or 'none'}"
     kind, expected = _kind(value), _kind(known[name])
@@ -149,24 +151,24 @@ def _kind(value: Any) -> str | None:
 
 
 def substitute(document: Document, resolved: Resolved | None, faults: list[str]) -> Substituted:
-    """The document with every `$name` replaced; a name that is no parameter is a fault at its place."""
+    """Replace every `$name` of a document; an unknown name is a fault at its location."""
     result = Substituted(document.name, document.text, None, dict(document.places))
 
-    def put_in(value: Any, place: Location) -> Any:
+    def put_in(value: Any, keys: Location) -> Any:
         if isinstance(value, dict):
-            return {key: put_in(item, (*place, key)) for key, item in value.items()}
+            return {key: put_in(item, (*keys, key)) for key, item in value.items()}
         if isinstance(value, list):
-            return [put_in(item, (*place, index)) for index, item in enumerate(value)]
+            return [put_in(item, (*keys, index)) for index, item in enumerate(value)]
         reference = REFERENCE.match(value) if isinstance(value, str) else None
         if reference is None or resolved is None:
             return value
         name = reference[1]
         if name not in resolved.values:
             known = ", ".join(f"${known}" for known in resolved.values) or "none"
-            faults.append(document.fault(place, f"{value}: no such parameter; known: {known}"))
-            result.put_in(place, f"{value} {UNKNOWN}", changed=False)
+            faults.append(document.fault(keys, f"{value}: no such parameter; known: {known}"))
+            result.put_in(keys, f"{value} {UNKNOWN}", changed=False)
             return value
-        result.put_in(place, f"{value} from {resolved.origins[name]}", resolved.changed(name))
+        result.put_in(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
         return resolved.values[name]
 
     result.data = {k: v if k in KEPT else put_in(v, (k,)) for k, v in document.data.items()}
@@ -174,18 +176,18 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
 
 
 def unused(document: Document) -> list[str]:
-    """A line for each parameter that stands nowhere in a protocol file, at its default."""
+    """A line for each parameter that a protocol file defines and does not use."""
 
-    def standing(value: Any) -> set[str]:
+    def references_in(value: Any) -> set[str]:
         if isinstance(value, dict | list):
             items = value.values() if isinstance(value, dict) else value
-            return {name for item in items for name in standing(item)}
+            return {name for item in items for name in references_in(item)}
         reference = REFERENCE.match(value) if isinstance(value, str) else None
         return {reference[1]} if reference else set()
 
-    stand = standing({key: value for key, value in document.data.items() if key not in KEPT})
+    used_names = references_in({key: value for key, value in document.data.items() if key not in KEPT})
     return [
         document.fault(("parameters", name), f"${name} stands nowhere in the file: to set it changes nothing")
         for name in document.data.get("parameters") or ()
-        if name not in stand
+        if name not in used_names
     ]

@@ -1,7 +1,7 @@
-"""A plan: every action of a protocol in order, with numbers in place of names; what the runner executes.
+"""A plan: every action of a protocol in order, with numbers in place of parameters; the runner executes it.
 
-Setpoints are absolute and SI, in the unit of the mode that the role is in. A role that a segment does not name keeps
-its setpoint; engaging a role brings its setpoint to zero, except in angle mode, which holds the shaft where it is.
+Setpoints are absolute and in the SI unit of the role's mode. A role that a segment does not name keeps its setpoint.
+Engaging a role sets its setpoint to zero, except in angle mode, which holds the present angle.
 """
 
 import math
@@ -25,14 +25,14 @@ SETPOINT_QUANTITY = {
 }
 
 
-LEAST_SAMPLES = 3  # of a criterion's window: any two give a slope, and their deviation says nothing
+LEAST_SAMPLES = 3  # in the window of a criterion: two samples always give a slope, and no deviation from it
 
 
-class Profile(Protocol):
+class SetpointProfile(Protocol):
     """A setpoint over the time since its segment's start."""
 
     def at(self, time: float) -> float:
-        """The setpoint at this time; before the start and after the end, the nearest one."""
+        """The setpoint at a time [s]; before the start and after the end, the nearest one."""
 
     @property
     def low(self) -> float:
@@ -45,7 +45,7 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class Constant:
-    """One setpoint throughout."""
+    """A constant setpoint."""
 
     value: float
 
@@ -98,7 +98,7 @@ class Samples:
 
     period: float
     values: "NDArray[np.float64]"
-    # the same values; its elements are Python floats, at a third of the time that an array's take
+    # the same values as Python floats, whose access takes a third of the time of an array's element
     numbers: "memoryview[float]" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class Samples:
     __hash__ = None  # type: ignore[assignment]  # an array has none
 
     def at(self, time: float) -> float:
-        """The latest sample; a loop that is early by a millionth of a period still takes the sample it is due."""
+        """The latest sample; a time that is early by a millionth of a period counts as on time."""
         index, numbers = int(time / self.period + 1e-6), self.numbers
         if index <= 0:
             return numbers[0]
@@ -133,19 +133,19 @@ class Samples:
 
 @dataclass(frozen=True)
 class Sought:
-    """One setpoint throughout, which a search chooses between two ends while the plan is executed."""
+    """A constant setpoint between two ends that a search chooses while the plan is executed."""
 
     low: float
     high: float
 
     def at(self, time: float) -> float:
-        """The end that is further from zero."""
+        """The end of larger magnitude."""
         return max(self.low, self.high, key=abs)
 
 
 @dataclass(frozen=True)
 class Until:
-    """Criterion that ends a segment early: low <= statistic of a channel over a window <= high, infinite where open."""
+    """Criterion that ends a segment early: low <= statistic of a channel over a window <= high, infinite if open."""
 
     quantity: str
     role: str
@@ -153,7 +153,7 @@ class Until:
     window_s: float
     low: float
     high: float
-    required: bool  # whether the run fails where it is never met
+    required: bool  # whether the run fails if it is never met
 
     def __str__(self) -> str:
         unit = UNITS[self.quantity] + ("/s" if self.statistic == "slope" else "")
@@ -163,7 +163,7 @@ class Until:
 
 @dataclass(frozen=True)
 class Search:
-    """A bisection between two setpoints, until the interval in which a trial's outcome changes is narrow enough."""
+    """A bisection between two setpoints, until the outcome changes within an interval of `resolution` or less."""
 
     name: str
     role: str
@@ -171,16 +171,16 @@ class Search:
     first: float
     second: float
     resolution: float
-    required: bool  # whether the run fails where both ends have the same outcome
+    required: bool  # whether the run fails if both ends have the same outcome
 
     @property
     def halvings(self) -> int:
-        """How often the interval is halved; a quotient that is a power of two may have a rounding error."""
+        """Number of halvings; 1e-9 absorbs the rounding error if the quotient is a power of two."""
         return max(0, math.ceil(math.log2(abs(self.second - self.first) / self.resolution) - 1e-9))
 
     @property
     def trials(self) -> int:
-        """Both ends, and one for each halving."""
+        """Number of trials: two ends, and one for each halving."""
         return 2 + self.halvings
 
     def __str__(self) -> str:
@@ -190,8 +190,8 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One trial of a search, counted from 1: its first two are at the ends."""
+class SearchTrial:
+    """One trial of a search, counted from 1; the first two are at the ends."""
 
     search: Search
     number: int
@@ -199,31 +199,31 @@ class Trial:
 
 @dataclass(frozen=True)
 class Segment:
-    """Setpoints over a duration, which is 0 for a jump; the first `settle_s` are left out by analyses.
+    """Setpoints over a duration, which is 0 for a jump; analyses leave out the first `settle_s`.
 
-    With `until`, the duration is the longest; the setpoints are constant then, so that any end leaves the same ones.
-    A trial has a criterion; a setpoint that its search is still to choose is `Sought`.
+    With `until`, the duration is the longest, and setpoints are constant, so that every end leaves the same ones. A
+    trial has a criterion; a setpoint that its search has yet to choose is `Sought`.
     """
 
     name: str
     duration_s: float
     settle_s: float
-    setpoints: Mapping[str, Profile]  # role: profile
+    setpoints: Mapping[str, SetpointProfile]  # role: profile
     parameters: Mapping[str, float | str]
     until: Until | None = None
-    trial: Trial | None = None
+    trial: SearchTrial | None = None
 
 
 @dataclass(frozen=True)
 class Engage:
-    """Bring roles into modes; `Mode.OFF` releases."""
+    """Put roles into modes; `Mode.OFF` releases the drive."""
 
     modes: Mapping[str, Mode]
 
 
 @dataclass(frozen=True)
 class WaitUntil:
-    """Wait until low <= value <= high, infinite where a side is open, and give up after the timeout."""
+    """Wait until low <= value <= high, infinite if a side is open; fail after the timeout."""
 
     quantity: str
     role: str
@@ -234,47 +234,47 @@ class WaitUntil:
 
 @dataclass(frozen=True)
 class Tare:
-    """Take the mean of so many readings as the zero of every sensor that can be tared."""
+    """Set the zero of every sensor that can be tared to the mean of `samples` readings."""
 
     samples: int
 
 
 @dataclass(frozen=True)
 class Prompt:
-    """Ask the operator to do something and to confirm it."""
+    """Ask the operator for an action and its confirmation."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Hang(Prompt):
-    """Ask the operator to hang a weight on the arm of the torque sensor, or to take all off; then this torque acts."""
+    """Ask the operator to hang a weight on the torque sensor's arm, or to remove all; `torque` is then applied."""
 
     torque: float  # N*m, in the sense of the shaft, by standard gravity
 
 
 @dataclass(frozen=True)
-class Record:
-    """Record at this rate from here on; 0 pauses."""
+class SetRecordRate:
+    """Record at this rate from now on; 0 pauses."""
 
     rate_Hz: float  # noqa: N815 (a unit keeps its letter)
 
 
 @dataclass(frozen=True)
-class Supply:
-    """Have the supply at a role's leads put out no more than this voltage [V] and current [A]; None switches it off."""
+class SetSupply:
+    """Set the limits [V, A] of the supply at each role's leads and switch it on; None switches it off."""
 
     outputs: Mapping[str, tuple[float, float] | None]
 
 
 MET, NOT_MET = CRITERION_OUTCOMES = ("met", "not_met")
 BRACKETED, NOT_IDENTIFIABLE = SEARCH_OUTCOMES = ("bracketed", "not_identifiable")
-BISECTING = "bisecting"  # of a search between its trials
+BISECTING = "bisecting"  # outcome of a search that has not ended
 
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Fulfilled where the latest step, or search, of a name ended so."""
+    """Condition: the latest step or search of this name ended with this outcome."""
 
     step: str
     outcome: str  # of a criterion or a search
@@ -285,7 +285,7 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class InRange:
-    """Fulfilled where low <= newest value <= high, infinite where open; a missing value fulfils nothing."""
+    """Condition: low <= newest value <= high, infinite if open; a missing value does not meet it."""
 
     quantity: str
     role: str
@@ -298,9 +298,9 @@ class InRange:
 
 @dataclass(frozen=True)
 class When:
-    """What follows, up to its `EndWhen`, is executed where the condition is fulfilled, and left out elsewhere.
+    """The actions up to the matching `EndWhen` are executed if the condition is met, and skipped otherwise.
 
-    Modes, setpoints and outputs are the same at both ends, so that what comes after is the same either way.
+    Modes, setpoints and outputs are the same before and after them, so that skipping changes nothing later.
     """
 
     condition: StepOutcome | InRange
@@ -311,12 +311,12 @@ class EndWhen:
     """End of the latest `When` that is still open."""
 
 
-Action = Segment | Engage | WaitUntil | Tare | Prompt | Record | Supply | When | EndWhen
+Action = Segment | Engage | WaitUntil | Tare | Prompt | SetRecordRate | SetSupply | When | EndWhen
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Bounds, infinite where open, that a result of the analysis must keep."""
+    """Bounds of a result of the analysis, infinite if open."""
 
     result: str
     low: float
@@ -325,17 +325,17 @@ class Acceptance:
 
 
 @dataclass(frozen=True)
-class ChannelLimit:
-    """Bounds, infinite where open, that a channel must keep in every step of a name, or in all steps."""
+class ChannelBounds:
+    """Bounds of a channel in every step of a name, or in all steps; infinite if open."""
 
     channel: str
     role: str
-    step: str  # "": every step
-    statistic: str  # mean, min, max or std, of the step without its settle part
+    step: str  # name; empty: every step
+    statistic: str  # mean, min, max or std over the step without its settle time
     low: float
     high: float
     unit: str
-    stop: bool = False  # end the run as soon as it is broken
+    stop: bool = False  # whether the run ends as soon as a bound is exceeded
 
     @property
     def bounds(self) -> str:
@@ -345,7 +345,7 @@ class ChannelLimit:
 
 @dataclass(frozen=True)
 class SearchLimit:
-    """Bounds, infinite where open, that the interval of every search of a name must keep whole."""
+    """Bounds that must contain the whole final interval of every search of a name; infinite if open."""
 
     search: str
     low: float
@@ -353,7 +353,7 @@ class SearchLimit:
     unit: str
 
 
-class Row(NamedTuple):
+class TimelineRow(NamedTuple):
     """One line of the timeline."""
 
     start_s: float
@@ -373,37 +373,41 @@ class Plan:
     analysis: str  # "" where the protocol names none
     rate_Hz: float  # noqa: N815
     record_Hz: float  # noqa: N815
-    parameters: Mapping[str, Any]  # as resolved: --set over condition over default
+    parameters: Mapping[str, Any]  # resolved: --set overrides the condition, which overrides the default
     condition: str
     actions: tuple[Action, ...]
-    acceptance: tuple[Acceptance | ChannelLimit | SearchLimit, ...]
+    acceptance: tuple[Acceptance | ChannelBounds | SearchLimit, ...]
     text: str  # the protocol file, byte for byte
-    separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
-    needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use
-    wants: tuple[str, ...] = ()  # quantities that its analysis takes; what no device measures comes by another record
-    attended: bool = False  # a person says that they stay by the bench, and switch off what stays on
+    separates: tuple[str, ...] = ()  # effects that its runs can tell apart
+    needs: tuple[str, ...] = ()  # quantities that the bench must measure
+    wants: tuple[str, ...] = ()  # quantities that its analysis uses; one without a device may be attached later
+    attended: bool = False  # whether a person stays by the bench and can switch off a supply
 
     @property
     def duration_s(self) -> float:
-        """Sum of the segments at their longest and of taring; waits, prompts and enabling take the time they take."""
+        """Longest duration of segments and taring; waits, prompts and enabling are not included."""
         return math.fsum(map(self._lasts, self.actions))
 
     @property
     def adaptive(self) -> bool:
-        """Whether any segment may end before its duration, or be left out."""
+        """Whether any segment may end early or be skipped."""
         return any(isinstance(action, When) or getattr(action, "until", None) is not None for action in self.actions)
 
     def searches(self) -> list[tuple[Search, float]]:
-        """Every search in order, with how long it takes at the most, its rests left out."""
+        """Every search in order, with its longest duration [s] without rests."""
         trials = [action for action in self.actions if isinstance(action, Segment) and action.trial is not None]
-        firsts = [action for action in trials if action.trial is not None and action.trial.number == 1]
-        return [(one.trial.search, one.trial.search.trials * one.duration_s) for one in firsts if one.trial is not None]
+        first_trials = [action for action in trials if action.trial is not None and action.trial.number == 1]
+        return [
+            (segment.trial.search, segment.trial.search.trials * segment.duration_s)
+            for segment in first_trials
+            if segment.trial is not None
+        ]
 
     def peaks(self) -> dict[tuple[str, str], float]:
-        """Largest magnitude of each setpoint, by role and quantity; of supplies the current."""
+        """Largest magnitude of each setpoint by (role, quantity); supplies count with their current."""
         peaks: dict[tuple[str, str], float] = {}
         for action, modes in self._with_modes():
-            if isinstance(action, Supply):
+            if isinstance(action, SetSupply):
                 for role, output in action.outputs.items():
                     if output is not None:
                         peaks[role, "line_current"] = max(peaks.get((role, "line_current"), 0.0), output[1])
@@ -414,26 +418,26 @@ class Plan:
                 peaks[key] = max(peaks.get(key, 0.0), abs(profile.low), abs(profile.high))
         return peaks
 
-    def timeline(self) -> list[Row]:
-        """One row an action, each starting where the one before ends."""
+    def timeline(self) -> list[TimelineRow]:
+        """One row for each action, starting where the one before ends."""
         rows = []
         start = 0.0
         for action, modes in self._with_modes():
             if isinstance(action, Segment):
-                shown = [f"{role} {_shown(profile, modes[role])}" for role, profile in action.setpoints.items()]
+                shown = [f"{role} {_profile_text(profile, modes[role])}" for role, profile in action.setpoints.items()]
                 if action.until is not None:
                     shown.append(f"at most {action.duration_s:g} s, until {action.until}")
                 if action.trial is not None:
                     shown.append(f"trial {action.trial.number} of {action.trial.search.trials}")
-                rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
+                rows.append(TimelineRow(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:
-                rows.append(Row(start, _NAMES[type(action)], self._lasts(action), 0.0, _told(action)))
+                rows.append(TimelineRow(start, _NAMES[type(action)], self._lasts(action), 0.0, _action_text(action)))
                 start += self._lasts(action)
         return rows
 
     def _lasts(self, action: Action) -> float:
-        """How long an action takes at the least; a reading to tare by comes once a cycle, however fast its sensor."""
+        """Duration of an action [s]; taring takes one reading per cycle."""
         if isinstance(action, Tare):
             return action.samples / self.rate_Hz
         return action.duration_s if isinstance(action, Segment) else 0.0
@@ -452,14 +456,14 @@ _NAMES: dict[type, str] = {
     Tare: "tare",
     Prompt: "prompt",
     Hang: "weigh",
-    Record: "record",
-    Supply: "supply",
+    SetRecordRate: "record",
+    SetSupply: "supply",
     When: "when",
     EndWhen: "end when",
 }
 
 
-def _shown(profile: Profile, mode: Mode) -> str:
+def _profile_text(profile: SetpointProfile, mode: Mode) -> str:
     unit = UNITS[SETPOINT_QUANTITY[mode]]
     if isinstance(profile, Ramp):
         return f"{profile.start:g} -> {profile.stop:g} {unit}"
@@ -468,20 +472,22 @@ def _shown(profile: Profile, mode: Mode) -> str:
     return f"{profile.low:g} .. {profile.high:g} {unit}"
 
 
-def _told(action: Action) -> str:
+def _action_text(action: Action) -> str:
     match action:
         case Engage(modes):
             return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())
         case WaitUntil(quantity, role, low, high, timeout_s):
             return f"{role} {quantity} in {low:g} .. {high:g} {UNITS[quantity]}, at most {timeout_s:g} s"
-        case Supply(outputs):
-            shown = {role: f"{one[0]:g} V, {one[1]:g} A" if one else "off" for role, one in outputs.items()}
-            return ", ".join(f"{role} {text}" for role, text in shown.items())
+        case SetSupply(outputs):
+            output_texts = {
+                role: f"{output[0]:g} V, {output[1]:g} A" if output else "off" for role, output in outputs.items()
+            }
+            return ", ".join(f"{role} {text}" for role, text in output_texts.items())
         case Tare(samples):
             return f"{samples} samples"
         case Prompt(text):
             return text
-        case Record(rate_hz):
+        case SetRecordRate(rate_hz):
             return f"{rate_hz:g} Hz" if rate_hz else "paused"
         case When(condition):
             return str(condition)

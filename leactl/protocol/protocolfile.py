@@ -1,4 +1,4 @@
-"""Protocol files: find by name or path, check whole, and expand with parameters put in.
+"""Protocol files: find one by name or path, check it, and expand it to a plan with its parameters.
 
 name: torque-constant
 title: Torque over q-axis current while the load actuator holds position
@@ -32,7 +32,7 @@ from leactl.errors import InputError
 from leactl.protocol import schema, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
-from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, SearchLimit, Segment
+from leactl.protocol.plan import Acceptance, ChannelBounds, Plan, SearchLimit, Segment
 from leactl.protocol.schema import BisectLimit, Head, ResultLimit, divides
 from leactl.protocol.timeline import Timeline
 
@@ -45,11 +45,11 @@ def names() -> list[str]:
 
 
 def locate(name_or_path: str) -> Path:
-    """The file of a shipped protocol, or the path itself.
+    """Path of a shipped protocol by its name, or the given path.
 
     Raises
     ------
-    InputError : no shipped protocol has this name and it is no path to a .yaml.
+    InputError : neither the name of a shipped protocol nor a path to a .yaml.
     """
     if name_or_path in names():
         return _shipped() / f"{name_or_path}.yaml"
@@ -60,13 +60,13 @@ def locate(name_or_path: str) -> Path:
 
 
 def read_overrides(given: Sequence[str]) -> dict[str, str]:
-    """Texts by parameter from `name=value` as it stands on the command line.
+    """Parse `name=value` texts of the command line to texts by parameter.
 
-    `seed` is left out: it belongs to the emulated bench of a run, and no protocol has it.
+    `seed` is left out, because it belongs to the emulated bench and not to the protocol.
 
     Raises
     ------
-    InputError : one line for each that is no `name=value`, and for each name that was given before.
+    InputError : one line for each text that is no `name=value`, and for each repeated name.
     """
     faults = [f"--set {item}: name=value was expected" for item in given if not item.partition("=")[1]]
     pairs = [item.partition("=") for item in given]
@@ -82,23 +82,23 @@ def load(name_or_path: str, overrides: Mapping[str, str] = NO_OVERRIDES, conditi
 
     Parameters
     ----------
-    overrides : texts by parameter as they stand on the command line; a list begins with `[`.
-    condition : any label; where the protocol has parameters under it, they go over the defaults.
+    overrides : texts by parameter, from the command line; a list begins with `[`.
+    condition : any label; parameters that the protocol has for it override the defaults.
 
     Raises
     ------
-    InputError : no such protocol, or faults in it, all at once with file, line and column.
+    InputError : no such protocol, or all its faults with file, line and column.
     """
     path = locate(name_or_path)
     return expanded(yamlfile.load(path), path.parent, overrides, condition)
 
 
 def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, str], condition: str) -> Plan:
-    """Check and expand a protocol that has been read; CSV files are looked for in the folder.
+    """Check and expand a loaded protocol; relative paths of CSV files refer to `folder`.
 
     Raises
     ------
-    InputError : faults in it, all at once.
+    InputError : all faults of the protocol.
     """
     if not isinstance(document.data, dict):
         raise InputError(document.fault((), f"a mapping with keys of {', '.join(Head.model_fields)} was expected"))
@@ -161,28 +161,30 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
     return head
 
 
-def _bounds(limit: ResultLimit | schema.ChannelLimit | BisectLimit) -> Acceptance | ChannelLimit | SearchLimit:
+def _bounds(
+    limit: ResultLimit | schema.ChannelLimit | BisectLimit,
+) -> Acceptance | ChannelBounds | SearchLimit:
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
     if isinstance(limit, ResultLimit):
         return Acceptance(limit.result, low, high, limit.unit)
     if isinstance(limit, BisectLimit):
         return SearchLimit(limit.bisect, low, high, limit.unit)
-    return ChannelLimit(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
+    return ChannelBounds(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 
 
-def _number(found: object) -> float:
-    """A rate to judge the steps by where another key of the head is at fault."""
-    usable = isinstance(found, int | float) and not isinstance(found, bool) and 0 < found <= 10_000
-    return float(found) if usable else 1000.0  # type: ignore[arg-type]
+def _number(rate: object) -> float:
+    """A control rate [Hz] with which steps can be checked if the head has faults."""
+    usable = isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate <= 10_000
+    return float(rate) if usable else 1000.0  # type: ignore[arg-type]
 
 
 def _in_order(name: str, faults: list[str]) -> list[str]:
-    """Faults by their place in the file; those of the command line stay in front."""
+    """Sort faults by line and column; those of the command line come first."""
     mark = re.compile(re.escape(name) + r":(\d+):(\d+)  ")
 
-    def place(fault: str) -> tuple[int, ...]:
-        found = mark.match(fault)
-        return (int(found[1]), int(found[2])) if found else (0, 0)
+    def position(fault: str) -> tuple[int, ...]:
+        match = mark.match(fault)
+        return (int(match[1]), int(match[2])) if match else (0, 0)
 
-    return sorted(dict.fromkeys(faults), key=place)
+    return sorted(dict.fromkeys(faults), key=position)

@@ -1,4 +1,4 @@
-"""What every block of a protocol file has in common: closed sets of keys, strict numbers, and the file's head."""
+"""Types of values in protocol files, the blocks for acceptance limits, and the head of the file."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
 import math
@@ -33,13 +33,13 @@ Sign = Literal[1, -1]
 
 
 class Driven(Block):
-    """A block whose setpoint keys follow the role's mode; stems as in setpointkeys.py."""
+    """A block whose setpoint keys depend on the role's mode; `needs` and `takes` are stems as in setpointkeys.py."""
 
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[tuple[str, ...]] = ()
 
     def given(self, spelling: Spelling, stem: str) -> Any:
-        """The value of the stem's key under this spelling; None where it was left out."""
+        """The value of a stem's key in this spelling; None if it was left out."""
         return getattr(self, spelling.key(stem))
 
 
@@ -62,7 +62,7 @@ Unit = Annotated[str, Field(min_length=1, max_length=20)]
 
 
 class ResultLimit(Block):
-    """Bounds that a result of the analysis must keep."""
+    """Bounds of a result of the analysis."""
 
     result: Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_]*$", max_length=80)]
     low: Bound | None = None
@@ -70,12 +70,12 @@ class ResultLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys that cannot be, and why; the analysis is asked for its results by whoever judges."""
-        yield from _disordered(self)
+        """Keys at fault with reasons; whether the analysis has the result is checked later."""
+        yield from _faults_of_bounds(self)
 
 
 class ChannelLimit(Block):
-    """Bounds that a channel must keep in every step of a name, without the step's settle part; needs no analysis."""
+    """Bounds of a channel in every step of a name, without the settle time; needs no analysis."""
 
     channel: Quantity
     role: Literal["test", "load", "bench"] = "test"
@@ -87,9 +87,9 @@ class ChannelLimit(Block):
     stop: Annotated[bool, Field(strict=True)] = False
 
     def misfits(self, steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys that cannot be, and why; `steps` are the names of those that there are."""
-        yield from _disordered(self)
-        yield from _strange_unit(self.unit, self.channel, self.channel)
+        """Keys at fault with reasons; `steps` are the names of the protocol's steps."""
+        yield from _faults_of_bounds(self)
+        yield from _faults_of_unit(self.unit, self.channel, self.channel)
         if self.step and self.step not in steps:
             close = get_close_matches(self.step, steps, n=1)
             expected = close[0] if close else f"one of {', '.join(steps)}" if steps else "a step with a duration"
@@ -100,7 +100,7 @@ class ChannelLimit(Block):
 
 
 class BisectLimit(Block):
-    """Bounds that the interval a bisection ends with must keep whole; needs no analysis."""
+    """Bounds that must contain the whole final interval of a bisection; needs no analysis."""
 
     bisect: Annotated[str, Field(max_length=40)]
     low: Bound | None = None
@@ -108,23 +108,23 @@ class BisectLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys that cannot be, and why; `searches` are the quantities that each bisection sets, by name."""
-        yield from _disordered(self)
+        """Keys at fault with reasons; `searches` has the quantity that each bisection sets, by name."""
+        yield from _faults_of_bounds(self)
         if self.bisect in searches:
-            yield from _strange_unit(self.unit, searches[self.bisect], self.bisect)
+            yield from _faults_of_unit(self.unit, searches[self.bisect], self.bisect)
         else:
             known = f"one of {', '.join(searches)}" if searches else "a bisect step"
             yield "bisect", f"'{self.bisect}' is the name of no bisection; {known} was expected"
 
 
-def _strange_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
+def _faults_of_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
     conversion = converter(unit, quantity)
     if conversion is None or conversion.target != UNITS[quantity]:
         known = ", ".join(CONVERSIONS[UNITS[quantity]])
         yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {known} was expected"
 
 
-def _disordered(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
+def _faults_of_bounds(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
     if limit.low is None and limit.high is None:
         yield "", "low, high or both were expected"
     elif limit.low is not None and limit.high is not None and limit.low > limit.high:
@@ -145,7 +145,7 @@ Limit = Annotated[
 
 
 class Head(Block):
-    """The whole file; parameters, conditions and steps are read on their own, so that every fault is found at once."""
+    """The keys of a protocol file; parameters, conditions and steps are checked separately, to report all faults."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
     title: Annotated[str, Field(max_length=200)] = ""
@@ -164,6 +164,6 @@ class Head(Block):
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:
-    """Whether every so-manyth cycle of a loop gives the part's rate."""
+    """Whether a rate is the loop's rate divided by a whole number."""
     ratio = whole_hz / part_hz
     return 1 - 1e-9 < ratio < math.inf and abs(ratio - round(ratio)) < 1e-9 * ratio

@@ -1,4 +1,4 @@
-"""How a setpoint is spelled in each mode: a key carries the unit, so a wrong unit is a wrong key.
+"""Keys of setpoints in each mode: a key contains the unit, so that a wrong unit is an unknown key.
 
 mode                     setpoint         levels, amplitude, ...     rate
 current, torque_profile  current_A        levels_A                   rate_A_s
@@ -12,14 +12,14 @@ from leactl.driver.contract import Mode
 
 
 class Spelling(NamedTuple):
-    """The keys of one kind of setpoint."""
+    """Keys of one kind of setpoint."""
 
     setpoint: str
     suffix: str
     rate: str
 
     def key(self, stem: str) -> str:
-        """The key for a stem: "setpoint", "to_setpoint" and "from_setpoint", "rate", or "levels", "offset", ..."""
+        """The key of a stem: "setpoint", "to_setpoint", "from_setpoint", "rate", "levels", "offset" and so on."""
         if stem.endswith("setpoint"):
             return stem.replace("setpoint", self.setpoint)
         return self.rate if stem == "rate" else f"{stem}_{self.suffix}"

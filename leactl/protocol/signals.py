@@ -1,4 +1,4 @@
-"""Signals: setpoints that are sampled at the control loop's rate, each held until the next.
+"""Signals: setpoints sampled at the rate of the control loop, each held until the next.
 
     kind        keys besides role, kind, duration_s, offset_*, settle_s, reference_Hz
     step        from_current_A (or as the mode asks), to_current_A, at_s; no offset
@@ -8,11 +8,11 @@
     noise       std_*, cutoff_Hz, order, seed, fresh: true | false
     csv         path, column; see trajectory.py; no duration and no offset
 
-The amplitude of a multisine is the peak of the whole sum over its duration. The standard deviation of noise is that of
-the filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise
-and random phases come from their seed alone: a signal inside a `repeat` is the same each time, except that noise that
-is to be `fresh` counts its seed up with every pass. With `reference_Hz`, as of a host that is slower than the record,
-new setpoints come at that rate on average, each in the first cycle in which it is due.
+The amplitude of a multisine is the peak of the sum over its duration. The standard deviation of noise is that of the
+filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise and
+random phases depend on their seed only: a signal inside a `repeat` is the same in each pass, except for `fresh` noise,
+whose seed increases by one with every pass. `reference_Hz` emulates a host that is slower than the recording: new
+setpoints come at that rate on average, each in the first cycle in which it is due.
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
@@ -34,28 +34,28 @@ if TYPE_CHECKING:
 MAX_TERMS = 200_000_000  # samples times frequencies of a multisine: a few seconds of work
 
 
-class Signal(Driven):
-    """What every signal has."""
+class ProtocolSignal(Driven):
+    """Keys of every signal."""
 
     kind: str
     role: Role
     settle_s: Rest = 0.0
     reference_Hz: Frequency | None = None
 
-    def in_pass(self, number: int) -> "Signal":
-        """The signal as this pass of a repeat has it, counted from 1."""
+    def in_pass(self, number: int) -> "ProtocolSignal":
+        """The signal in a pass of a repeat, counted from 1."""
         return self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Keys that do not go with the loop's rate, and why."""
+        """Keys at fault for the rate of the setpoints, with reasons."""
         yield from ()
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Setpoints at these times.
+        """Setpoints (n,) at times (n,) [s].
 
         Raises
         ------
-        ValueError : the signal cannot be made of these numbers.
+        ValueError : no signal exists for these parameters.
         """
         raise NotImplementedError
 
@@ -70,7 +70,7 @@ class Signal(Driven):
         return f"less than half of {name} ({rate_hz / 2:g} Hz) was expected"
 
 
-class StepSignal(Signal):
+class StepSignal(ProtocolSignal):
     """A jump at `at_s`."""
 
     kind: Literal["step"]
@@ -85,12 +85,12 @@ class StepSignal(Signal):
     duration_s: Duration
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The jump must lie inside."""
+        """Fault if the jump is not before the end."""
         if not self.at_s < self.duration_s:
             yield "at_s", f"{self.at_s:g} s: less than duration_s ({self.duration_s:g} s) was expected"
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """One level before the jump, the other from it on."""
+        """The first level before the jump, the second from it on."""
         import numpy as np
 
         before, after = self.given(spelling, "from_setpoint"), self.given(spelling, "to_setpoint")
@@ -98,8 +98,8 @@ class StepSignal(Signal):
         return values
 
 
-class Offset(Signal):
-    """A signal around an offset, zero where none is given."""
+class OffsetSignal(ProtocolSignal):
+    """A signal around an offset, 0 by default."""
 
     takes = ("offset",)
     duration_s: Duration
@@ -108,7 +108,7 @@ class Offset(Signal):
     offset_rad: Setpoint | None = None
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Offset and what goes on around it."""
+        """Offset plus the signal around it."""
         values: Array = self.around(times, spelling) + float(self.given(spelling, "offset") or 0.0)
         return values
 
@@ -117,8 +117,8 @@ class Offset(Signal):
         raise NotImplementedError
 
 
-class Amplitude(Offset):
-    """A signal with an amplitude, the largest distance from its offset."""
+class AmplitudeSignal(OffsetSignal):
+    """A signal with an amplitude, its largest deviation from the offset."""
 
     needs = ("amplitude",)
     amplitude_A: Amount | None = None
@@ -126,27 +126,27 @@ class Amplitude(Offset):
     amplitude_rad: Amount | None = None
 
 
-class Sine(Amplitude):
-    """One frequency."""
+class SineSignal(AmplitudeSignal):
+    """A sine of one frequency."""
 
     kind: Literal["sine"]
     frequency_Hz: Frequency
     phase_rad: Setpoint = 0.0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "frequency_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """A sine that begins at its phase."""
+        """The sine, starting at its phase."""
         import numpy as np
 
         wave: Array = np.sin(2 * math.pi * self.frequency_Hz * times + self.phase_rad)
         return float(self.given(spelling, "amplitude")) * wave
 
 
-class Chirp(Amplitude):
-    """A frequency that glides, in equal steps or in equal ratios."""
+class ChirpSignal(AmplitudeSignal):
+    """A sine whose frequency changes linearly or exponentially with time."""
 
     kind: Literal["chirp"]
     from_Hz: Frequency
@@ -154,7 +154,7 @@ class Chirp(Amplitude):
     spacing: Literal["linear", "log"] = "linear"
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
@@ -171,8 +171,8 @@ class Chirp(Amplitude):
         return float(self.given(spelling, "amplitude")) * wave
 
 
-class Multisine(Amplitude):
-    """Many frequencies of one amplitude at once."""
+class MultisineSignal(AmplitudeSignal):
+    """A sum of sines of equal amplitude."""
 
     kind: Literal["multisine"]
     frequencies_Hz: Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)] | None = None
@@ -183,7 +183,7 @@ class Multisine(Amplitude):
     seed: Seed = 0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Either way of naming the frequencies, and a loop that is fast enough."""
+        """Faults in the choice of frequencies, and for frequencies of half the rate or more."""
         band = (self.from_Hz, self.to_Hz, self.count)
         if (self.frequencies_Hz is None) == (None in band) and any(item is not None for item in band):
             yield "from_Hz", "from_Hz, to_Hz and count together, or frequencies_Hz alone, were expected"
@@ -211,7 +211,7 @@ class Multisine(Amplitude):
         return [first + (last - first) * index / (count - 1) for index in range(count)]
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The sum, scaled to its peak; Schroeder's phases (1970) keep that peak low for a flat spectrum."""
+        """The sum, scaled to its peak; Schroeder's phases (1970) keep the peak of a flat spectrum low."""
         import numpy as np
 
         frequencies = self._frequencies()
@@ -228,8 +228,8 @@ class Multisine(Amplitude):
         return float(self.given(spelling, "amplitude")) / peak * total
 
 
-class Noise(Offset):
-    """Gaussian noise behind a Butterworth low pass."""
+class NoiseSignal(OffsetSignal):
+    """Gaussian noise through a Butterworth low-pass filter."""
 
     kind: Literal["noise"]
     needs = ("std",)
@@ -241,16 +241,16 @@ class Noise(Offset):
     seed: Seed
     fresh: Annotated[bool, Field(strict=True)] = False
 
-    def in_pass(self, number: int) -> Signal:
-        """Each pass has noise of its own where it is to be fresh."""
+    def in_pass(self, number: int) -> ProtocolSignal:
+        """With `fresh`, each pass has another seed."""
         return self.model_copy(update={"seed": self.seed + number - 1}) if self.fresh else self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "cutoff_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """Filtered in second-order sections: a single polynomial of order 35 is unstable in double precision."""
+        """The noise, filtered in second-order sections: a polynomial of order 35 is unstable in double precision."""
         import numpy as np
         from scipy.signal import butter, sosfilt
 
@@ -267,8 +267,8 @@ class Noise(Offset):
         return scaled
 
 
-class Csv(Signal):
-    """A trajectory from a file, relative to the protocol's folder."""
+class CsvSignal(ProtocolSignal):
+    """A trajectory from a CSV file; its path is relative to the protocol's folder."""
 
     kind: Literal["csv"]
     path: Annotated[str, Field(min_length=1, max_length=500)]
@@ -277,9 +277,9 @@ class Csv(Signal):
 
 SIGNALS: dict[str, TypeAdapter[Any]] = {
     "step": TypeAdapter(StepSignal),
-    "sine": TypeAdapter(Sine),
-    "chirp": TypeAdapter(Chirp),
-    "multisine": TypeAdapter(Multisine),
-    "noise": TypeAdapter(Noise),
-    "csv": TypeAdapter(Csv),
+    "sine": TypeAdapter(SineSignal),
+    "chirp": TypeAdapter(ChirpSignal),
+    "multisine": TypeAdapter(MultisineSignal),
+    "noise": TypeAdapter(NoiseSignal),
+    "csv": TypeAdapter(CsvSignal),
 }

@@ -1,4 +1,4 @@
-"""The steps a protocol is written in. Each is a mapping of one key, the kind, to what it needs.
+"""The steps of protocol files. Each step is a mapping with one key, its kind, to a block of settings.
 
     mode: {test: current, load: angle}     off | current | torque_profile | velocity | angle
     set: {role: test, current_A: 5}        a jump
@@ -48,14 +48,14 @@ def _none_where_off(given: Any) -> Any:
 
 
 class ModeStep(Block):
-    """Engage roles in modes, or release them."""
+    """Put roles into modes, or release them."""
 
     test: Mode | None = None
     load: Mode | None = None
 
 
 class TareStep(Block):
-    """Zero the sensors; before a drive is engaged, unless the load at standstill is meant to be left out."""
+    """Zero the sensors; best before a drive is engaged, since a load at standstill is zeroed too."""
 
     samples: Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 
@@ -72,7 +72,7 @@ class SetStep(Driven):
 
 
 class RampStep(Driven):
-    """Move the setpoint at a constant rate; `name` tells analyses what the ramp is for."""
+    """Move the setpoint at a constant rate; analyses identify the ramp by `name`."""
 
     needs = ("to_setpoint",)
     takes = ("rate",)
@@ -90,7 +90,7 @@ class RampStep(Driven):
 
 
 class CriterionBlock(Block):
-    """A criterion on a channel; the unit must be the vocabulary's, of a slope per second."""
+    """A criterion on a channel; the unit must be that of the vocabulary, for a slope per second."""
 
     quantity: str
     role: Literal["test", "load", "bench"]
@@ -102,13 +102,13 @@ class CriterionBlock(Block):
 
 
 class UntilBlock(CriterionBlock):
-    """A criterion on a channel that ends a hold; the unit must be the vocabulary's, of a slope per second."""
+    """A criterion on a channel that ends a hold; the unit must be that of the vocabulary, for a slope per second."""
 
     otherwise: Literal["continue", "fail"] = "continue"
 
 
 class HoldStep(Driven):
-    """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
+    """Keep a setpoint; analyses identify a hold that is no level by `name`."""
 
     guesses = {"current": "current_A", "velocity": "velocity_rad_s", "angle": "angle_rad", "hold_s": "duration_s"}
     takes = ("setpoint",)
@@ -124,11 +124,11 @@ class HoldStep(Driven):
 
 
 class BisectStep(Block):
-    """Search for the current at which a trial's outcome changes.
+    """Search for the current at which the outcome of a trial changes.
 
-    A trial holds a current until the criterion is met, `hold_s` at the longest. The first two are at the ends; where
-    they differ the interval between is halved until it is no wider than the resolution. `rest_s` rests at zero behind
-    every trial, a cycle at the least.
+    A trial holds a current until the criterion is met, at most `hold_s`. The first two trials are at the ends. If their
+    outcomes differ, the interval is halved until it is no wider than the resolution. After every trial the setpoint
+    rests at zero for `rest_s`, at least one cycle.
     """
 
     guesses = {"from": "from_current_A", "to": "to_current_A", "resolution": "resolution_A", "until": "criterion"}
@@ -145,13 +145,12 @@ class BisectStep(Block):
 
 
 class SweepStep(Driven):
-    """Hold level after level, as often as `repeats` says.
+    """Hold a sequence of levels, `repeats` times.
 
     `both` rises through the levels, turns at top + overshoot, falls through them and turns at bottom - overshoot; it
-    begins with that lower turn where the setpoint is not below the levels yet. Without an overshoot the top level is
-    itself the turn and is held once. `around` visits each level by itself, from below and from above, and rests at zero
-    for `rest_s` before the next. With a rate, the way to a level is a ramp of its own before the hold. `pause_s`
-    rests at zero after every repeat but the last.
+    begins with the lower turn if the setpoint is not below the levels yet. Without an overshoot, the top level is the
+    turn and is held once. `around` visits each level from below and from above, and rests at zero for `rest_s` before
+    the next. With a rate, a ramp leads to each hold. `pause_s` rests at zero after every repeat but the last.
     """
 
     needs = ("levels",)
@@ -176,8 +175,8 @@ class SweepStep(Driven):
     sign: Sign = 1
 
 
-class Axis(Driven):
-    """One axis of a grid; with a rate, the way between its levels is a ramp of its own before the hold."""
+class GridAxis(Driven):
+    """One axis of a grid; with a rate, a ramp leads to each hold."""
 
     needs = ("levels",)
     takes = ("rate",)
@@ -191,13 +190,13 @@ class Axis(Driven):
 
 
 class GridStep(Block):
-    """Hold every combination of levels, the first axis outermost.
+    """Hold every combination of levels; the first axis is the outer loop.
 
-    `rest_s` rests after every row (one pass through the last axis) but the last: currents and velocities at zero,
-    angles where they are.
+    After every row (one pass through the last axis) but the last, currents and velocities rest at zero for `rest_s`;
+    angles stay.
     """
 
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=2)]
+    axes: Annotated[tuple[GridAxis, ...], Field(min_length=1, max_length=2)]
     hold_s: Duration
     settle_s: Rest = 0.0
     repeats: Count = 1
@@ -205,9 +204,9 @@ class GridStep(Block):
 
 
 class WhenStep(Block):
-    """Do the steps where an earlier step ended so, or where a reading lies so; leave them out elsewhere.
+    """Execute the steps if an earlier step had an outcome, or if a reading is within bounds; skip them otherwise.
 
-    The steps leave modes and setpoints as they were before them.
+    After the steps, modes and setpoints must be the same as before them.
     """
 
     step: Name | None = None
@@ -221,7 +220,7 @@ class WhenStep(Block):
 
 
 class WaitStep(Block):
-    """Wait for a measured value; the unit must be the vocabulary's, so that a value in another one is caught."""
+    """Wait for a measured value; the unit must be that of the vocabulary, so that another unit is noticed."""
 
     quantity: str
     role: Literal["test", "load", "bench"]
@@ -232,14 +231,14 @@ class WaitStep(Block):
 
 
 class Output(Block):
-    """What a supply puts out at the most: the current, as long as the voltage drives it."""
+    """Limits of a supply's voltage and current."""
 
     voltage_V: Level
     current_A: Level
 
 
 class SupplyStep(Block):
-    """Switch on the supply at a role's leads, at these levels or at others than before; None switches it off."""
+    """Switch on the supply at each role's leads with these limits, or change them; None switches it off."""
 
     test: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
     load: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
@@ -247,14 +246,16 @@ class SupplyStep(Block):
     @property
     def outputs(self) -> dict[str, tuple[float, float] | None]:
         """Voltage [V] and current [A] by role; None for off."""
-        given = {role: getattr(self, role) for role in ("test", "load") if role in self.model_fields_set}
-        return {role: None if one is None else (one.voltage_V, one.current_A) for role, one in given.items()}
+        outputs = {role: getattr(self, role) for role in ("test", "load") if role in self.model_fields_set}
+        return {
+            role: None if output is None else (output.voltage_V, output.current_A) for role, output in outputs.items()
+        }
 
 
 class WeighStep(Block):
-    """Have the operator hang weight after weight on an arm of the torque sensor: none, rising, falling, none.
+    """Let the operator hang weights on an arm of the torque sensor: none, rising, falling, none.
 
-    With `sign: -1` they pull the other way.
+    With `sign: -1` they pull in the opposite direction.
     """
 
     masses_kg: Annotated[tuple[Level, ...], Field(min_length=1)]
@@ -266,13 +267,13 @@ class WeighStep(Block):
 
 
 class RecordStep(Block):
-    """Record at another rate from here on."""
+    """Record at another rate from now on."""
 
     rate_Hz: Annotated[float, Field(strict=True, ge=0, le=10_000)]
 
 
 class RepeatStep(Block):
-    """Do the steps again and again."""
+    """Execute the steps several times."""
 
     times: Count
     steps: Annotated[list[Any], Field(min_length=1)]
@@ -299,28 +300,28 @@ KINDS: dict[str, TypeAdapter[Any]] = {
 
 
 @dataclass(frozen=True)
-class Step:
-    """One step, and where it stands in the file."""
+class ProtocolStep:
+    """One step, and its location in the file."""
 
     location: Location
-    kind: str  # of an unknown one, what was probably meant
-    content: Any  # the kind's block; None where it is faulty
-    inner: tuple["Step", ...] = ()  # of a repeat or a condition
+    kind: str  # for an unknown kind, the closest known one
+    content: Any  # the block of the kind; None if it has faults
+    inner: tuple["ProtocolStep", ...] = ()  # steps of a `repeat` or `when`
 
 
-def read(document: Substituted, raw: list[Any], place: Location, faults: list[str]) -> tuple[Step, ...]:
-    """Check each step on its own; a faulty one stays in the sequence without content, so that the others are judged."""
-    return tuple(_read_one(document, item, (*place, index), faults) for index, item in enumerate(raw))
+def read(document: Substituted, raw: list[Any], keys: Location, faults: list[str]) -> tuple[ProtocolStep, ...]:
+    """Check each step; one with faults stays in the sequence without content, so that the others are checked too."""
+    return tuple(_read_one(document, item, (*keys, index), faults) for index, item in enumerate(raw))
 
 
-def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str]) -> Step:
+def _read_one(document: Substituted, raw: Any, keys: Location, faults: list[str]) -> ProtocolStep:
     known = ", ".join(sorted([*KINDS, "signal"]))
     if not isinstance(raw, Mapping) or len(raw) != 1:
-        faults.append(document.fault(place, f"a mapping of one key was expected, one of {known}"))
-        return Step(place, "unknown", None)
+        faults.append(document.fault(keys, f"a mapping of one key was expected, one of {known}"))
+        return ProtocolStep(keys, "unknown", None)
     kind, given = next(iter(raw.items()))
-    inside = (*place, kind)
-    adapter = _signal(document, given, inside, faults) if kind == "signal" else KINDS.get(kind)
+    kind_keys = (*keys, kind)
+    adapter = _signal(document, given, kind_keys, faults) if kind == "signal" else KINDS.get(kind)
     if adapter is None:
         if kind != "signal":
             close = get_close_matches(kind, [*KINDS, "signal"], n=1)
@@ -329,25 +330,25 @@ def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str
                 expected = f"signal: {{kind: {kind}, ...}}"
             else:
                 expected = close[0] if close else f"one of {known}"
-            faults.append(document.fault(inside, f"no such step; {expected} was expected"))
+            faults.append(document.fault(kind_keys, f"no such step; {expected} was expected"))
             kind = close[0] if close else "unknown"
-        return Step(inside, kind, None)
+        return ProtocolStep(kind_keys, kind, None)
     try:
         content = adapter.validate_python(given)
     except ValidationError as error:
-        faults.extend(document.explain(error, inside))
+        faults.extend(document.explain(error, kind_keys))
         content = None
-    inner: tuple[Step, ...] = ()
+    inner: tuple[ProtocolStep, ...] = ()
     if kind in ("repeat", "when") and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
-        inner = read(document, given["steps"], (*inside, "steps"), faults)
-    return Step(inside, kind, content, inner)
+        inner = read(document, given["steps"], (*kind_keys, "steps"), faults)
+    return ProtocolStep(kind_keys, kind, content, inner)
 
 
-def _signal(document: Substituted, given: Any, place: Location, faults: list[str]) -> TypeAdapter[Any] | None:
+def _signal(document: Substituted, given: Any, keys: Location, faults: list[str]) -> TypeAdapter[Any] | None:
     known = ", ".join(SIGNALS)
     kind = given.get("kind") if isinstance(given, Mapping) else None
     if not isinstance(kind, str) or kind not in SIGNALS:
         shown = f"{kind!r}: " if isinstance(kind, str) else ""
-        faults.append(document.fault((*place, "kind"), f"{shown}one of {known} was expected"))
+        faults.append(document.fault((*keys, "kind"), f"{shown}one of {known} was expected"))
         return None
     return SIGNALS[kind]

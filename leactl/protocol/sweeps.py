@@ -1,4 +1,4 @@
-"""Sweeps and grids: hold level after level, visited in an order that friction and hysteresis ask for."""
+"""Sweeps and grids: hold levels in an order that separates friction and hysteresis."""
 
 import itertools
 import math
@@ -8,14 +8,14 @@ from typing import NamedTuple
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Constant, Ramp
 from leactl.protocol.setpointkeys import Spelling
-from leactl.protocol.steps import Axis, GridStep, Step, SweepStep
+from leactl.protocol.steps import GridAxis, GridStep, ProtocolStep, SweepStep
 from leactl.protocol.timeline import Timeline
 
 
 def visits(
     levels: tuple[float, ...], visit: str, overshoot: float, before: float | None
 ) -> Iterator[tuple[str, float]]:
-    """Names and setpoints in the order of visit; `before` is the setpoint that the sweep comes from."""
+    """Names ("hold", "turn", "rest") and setpoints in order; `before` is the setpoint before the sweep."""
     rising = sorted(levels)
     if visit == "as_given":
         yield from (("hold", level) for level in levels)
@@ -39,8 +39,8 @@ def visits(
             yield "turn", bottom - overshoot
 
 
-def sweep(timeline: Timeline, step: Step, pass_number: int) -> None:
-    """Expand a sweep; `pass_number` counts the passes of the repeats around it."""
+def sweep(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Expand a sweep; `pass_number` counts the passes of the enclosing repeats."""
     content: SweepStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
     spelling = timeline.spelling(step, content.role, content)
@@ -59,7 +59,7 @@ def sweep(timeline: Timeline, step: Step, pass_number: int) -> None:
             timeline.hold(step, "pause", (content.pause_s, 0.0), content.role, 0.0, where)
 
 
-def _visit_levels(timeline: Timeline, step: Step, spelling: Spelling, where: dict[str, float | str]) -> bool:
+def _visit_levels(timeline: Timeline, step: ProtocolStep, spelling: Spelling, where: dict[str, float | str]) -> bool:
     content: SweepStep = step.content
     followed = timeline.roles[content.role]
     before = None if followed.setpoint is None else followed.setpoint * content.sign
@@ -76,13 +76,13 @@ def _visit_levels(timeline: Timeline, step: Step, spelling: Spelling, where: dic
             timeline.hold(step, name, (content.turn_s, 0.0), content.role, level, where)
         else:
             direction = followed.goes_to(level)
-            told = {spelling.setpoint: level, "direction": direction, **where}
-            timeline.hold(step, name, (content.hold_s, content.settle_s), content.role, level, told)
+            parameters = {spelling.setpoint: level, "direction": direction, **where}
+            timeline.hold(step, name, (content.hold_s, content.settle_s), content.role, level, parameters)
     return True
 
 
 class _Lane(NamedTuple):
-    """One axis of a grid as it is at this point of the protocol."""
+    """One axis of a grid, with the setpoint key of its role's present mode."""
 
     role: str
     key: str
@@ -90,8 +90,8 @@ class _Lane(NamedTuple):
     rate: float | None
 
 
-def grid(timeline: Timeline, step: Step, pass_number: int) -> None:
-    """Expand a grid; its holds tell every axis's setpoint, with the role in the key where two axes share a unit."""
+def grid(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Expand a grid; its holds have every axis's setpoint as parameter, with the role in the key if units are equal."""
     content: GridStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
     lanes = _lanes(timeline, step)
@@ -102,29 +102,33 @@ def grid(timeline: Timeline, step: Step, pass_number: int) -> None:
     row: tuple[int, ...] = ()
     for number in range(1, content.repeats + 1):
         repeat = (pass_number - 1) * content.repeats + number
-        for places in itertools.product(*(range(len(lane.levels)) for lane in lanes)):
+        for indices in itertools.product(*(range(len(lane.levels)) for lane in lanes)):
             where: dict[str, float | str] = {"role": lanes[-1].role, "repeat": repeat}
-            if content.rest_s and row and row != (number, *places[:-1]):
+            if content.rest_s and row and row != (number, *indices[:-1]):
                 _rest(timeline, step, lanes, where)
-            row = number, *places[:-1]
-            point = [lane.levels[place] for lane, place in zip(lanes, places, strict=True)]
+            row = number, *indices[:-1]
+            point = [lane.levels[index] for lane, index in zip(lanes, indices, strict=True)]
             _move(timeline, step, lanes, point, where)
-            ways = [timeline.roles[lane.role].goes_to(value) for lane, value in zip(lanes, point, strict=True)]
-            told = {lane.key: value for lane, value in zip(lanes, point, strict=True)} | where | {"direction": ways[-1]}
+            directions = [timeline.roles[lane.role].goes_to(value) for lane, value in zip(lanes, point, strict=True)]
+            parameters = (
+                {lane.key: value for lane, value in zip(lanes, point, strict=True)}
+                | where
+                | {"direction": directions[-1]}
+            )
             setpoints = {lane.role: Constant(value) for lane, value in zip(lanes, point, strict=True)}
-            timeline.segment(step, "hold", content.hold_s, setpoints, told, content.settle_s)
+            timeline.segment(step, "hold", content.hold_s, setpoints, parameters, content.settle_s)
 
 
-def _lanes(timeline: Timeline, step: Step) -> list[_Lane]:
-    """The axes with their keys and levels; faults and no lanes where an axis does not go with its role's mode."""
-    axes: tuple[Axis, ...] = step.content.axes
+def _lanes(timeline: Timeline, step: ProtocolStep) -> list[_Lane]:
+    """The axes with their keys and levels; empty, with faults, if an axis does not fit the mode of its role."""
+    axes: tuple[GridAxis, ...] = step.content.axes
     roles = [axis.role for axis in axes]
     if len(set(roles)) < len(roles):
         timeline.complain(step, ("axes", len(roles) - 1, "role"), f"{roles[-1]} is an axis already")
         return []
-    found = [timeline.spelling(step, axis.role, axis, ("axes", number)) for number, axis in enumerate(axes)]
-    spellings = [spelling for spelling in found if spelling is not None]
-    if len(spellings) < len(found):
+    spelling_of_axes = [timeline.spelling(step, axis.role, axis, ("axes", number)) for number, axis in enumerate(axes)]
+    spellings = [spelling for spelling in spelling_of_axes if spelling is not None]
+    if len(spellings) < len(spelling_of_axes):
         return []
     shared = len(set(spellings)) < len(spellings)
     lanes = []
@@ -137,7 +141,7 @@ def _lanes(timeline: Timeline, step: Step) -> list[_Lane]:
     return lanes
 
 
-def _rest(timeline: Timeline, step: Step, lanes: list[_Lane], where: Mapping[str, float | str]) -> None:
+def _rest(timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], where: Mapping[str, float | str]) -> None:
     resting = [lane for lane in lanes if timeline.roles[lane.role].mode is not Mode.ANGLE]
     _move(timeline, step, resting, [0.0] * len(resting), where)
     for lane in resting:
@@ -147,17 +151,17 @@ def _rest(timeline: Timeline, step: Step, lanes: list[_Lane], where: Mapping[str
 
 
 def _move(
-    timeline: Timeline, step: Step, lanes: list[_Lane], point: list[float], where: Mapping[str, float | str]
+    timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], point: list[float], where: Mapping[str, float | str]
 ) -> None:
-    """Ramp the axes that have a rate, together, none faster than its rate; the others jump when the hold begins."""
-    ways: dict[str, tuple[float, float]] = {}
+    """Ramp all axes with a rate at the same time, none faster than its rate; the others jump at the hold."""
+    ramps: dict[str, tuple[float, float]] = {}
     duration = 0.0
     for lane, value in zip(lanes, point, strict=True):
         before = timeline.roles[lane.role].setpoint
         if lane.rate is not None and before is not None and before != value:
-            ways[lane.role] = before, value
+            ramps[lane.role] = before, value
             duration = max(duration, abs(value - before) / lane.rate)
-    if ways:
-        timeline.segment(step, "ramp", duration, {role: Ramp(*way, duration) for role, way in ways.items()}, where)
-        for role, (_before, value) in ways.items():
+    if ramps:
+        timeline.segment(step, "ramp", duration, {role: Ramp(*ends, duration) for role, ends in ramps.items()}, where)
+        for role, (_before, value) in ramps.items():
             timeline.roles[role].goes_to(value)

@@ -1,6 +1,6 @@
-"""The timeline while it is being written: what each role follows at this point, and how much has been asked for.
+"""The timeline under construction: mode and setpoint of each role, and sums of actions, duration and samples.
 
-Every action is charged before it is kept, so a protocol that multiplies itself is refused while it is still small.
+Every action is counted before it is added, so that a protocol with nested repeats is refused before it grows large.
 """
 
 from collections.abc import Mapping
@@ -16,30 +16,30 @@ from leactl.protocol.plan import (
     Action,
     Constant,
     Engage,
-    Profile,
     Ramp,
     Samples,
+    SearchTrial,
     Segment,
-    Trial,
+    SetpointProfile,
     Until,
 )
 from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
 from leactl.protocol.setpointkeys import SPELLINGS, Spelling
-from leactl.protocol.signals import Signal
-from leactl.protocol.steps import Step
+from leactl.protocol.signals import ProtocolSignal
+from leactl.protocol.steps import ProtocolStep
 from leactl.yamlfile import Location
 
 
 @dataclass
 class Followed:
-    """What a role follows at a point of the protocol."""
+    """Mode and setpoint of a role at a point of the protocol."""
 
     mode: Mode = Mode.OFF
-    setpoint: float | None = None  # None: not known, as the angle at which a drive was engaged
+    setpoint: float | None = None  # None: unknown, such as the angle at which a drive was engaged
     direction: str = "rising"  # of the last change
 
     def goes_to(self, value: float) -> str:
-        """Take a new setpoint; returns the direction, which stays as it was where the setpoint does."""
+        """Set a new setpoint; returns "rising" or "falling", unchanged if the setpoint is."""
         before = self.setpoint
         if before is not None and value != before:
             self.direction = "rising" if value > before else "falling"
@@ -49,16 +49,16 @@ class Followed:
 
 @dataclass
 class Timeline:
-    """Actions so far, roles as they stand, and faults."""
+    """Actions and faults so far, and the present state of the roles."""
 
     document: Substituted
     rate_hz: float
     folder: Path  # of the protocol file
-    setup: str = ""  # empty where the head says it otherwise
+    setup: str = ""  # empty if the head has faults
     actions: list[Action] = field(default_factory=list)
     roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
-    signals: dict[tuple[Location, str, Signal], Samples] = field(default_factory=dict)
+    signals: dict[tuple[Location, str, ProtocolSignal], Samples] = field(default_factory=dict)
     outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # that steps so far may have, by name
     modes_known: bool = True  # False behind a faulty `mode` step
     whole: bool = True  # False behind any faulty step
@@ -68,46 +68,46 @@ class Timeline:
 
     # -- faults and bounds --------------------------------------------------------------------------------------------
 
-    def complain(self, step: Step, keys: str | tuple[str | int, ...], message: str) -> None:
-        """Note a fault of this step, at a key or a path of keys in it."""
+    def complain(self, step: ProtocolStep, keys: str | tuple[str | int, ...], message: str) -> None:
+        """Add a fault at a key, or a path of keys, of a step."""
         path = (keys,) if isinstance(keys, str) else keys
         self.faults.setdefault(self.document.fault((*step.location, *path), message))
 
-    def complain_of_either(self, step: Step, keys: tuple[str, str], message: str) -> None:
-        """Note a fault between two keys, at the one where a parameter was changed if it was at one only."""
+    def complain_of_either(self, step: ProtocolStep, keys: tuple[str, str], message: str) -> None:
+        """Add a fault of two keys: at the second if only its parameter was changed, else at the first."""
         first, second = ((*step.location, key) in self.document.changed for key in keys)
         self.complain(step, keys[1] if second and not first else keys[0], message)
 
-    def charge(self, step: Step, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
-        """Count what a step asks for.
+    def charge(self, step: ProtocolStep, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
+        """Count the actions, duration and samples of a step.
 
         Raises
         ------
-        InputError : the whole has become too much.
+        InputError : a sum exceeds its limit.
         """
         self.foresee(step, steps, duration_s, samples)
         self._steps += steps
         self._duration_s += duration_s
         self._samples += samples
 
-    def foresee(self, step: Step, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
-        """Refuse what a step is going to ask for at the least, before any of it is made.
+    def foresee(self, step: ProtocolStep, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
+        """Check the least demand of a step before any of its actions is created.
 
         Raises
         ------
-        InputError : the whole would become too much.
+        InputError : a sum would exceed its limit.
         """
-        for found, bound, what in (
+        for amount, bound, unit in (
             (self._steps + steps, MAX_ACTIONS, "actions"),
             (self._duration_s + duration_s, MAX_DURATION_S, "s of duration"),
             (self._samples + samples, MAX_SAMPLES, "samples of signals"),
         ):
-            if found > bound:
-                message = f"the protocol reaches more than {bound:.0f} {what} here"
+            if amount > bound:
+                message = f"the protocol reaches more than {bound:.0f} {unit} here"
                 raise InputError(self.document.fault(step.location, message))
 
-    def check_times(self, step: Step, keys: tuple[str, str], hold_s: float, settle_s: float) -> None:
-        """A hold must be seen by the loop and outlast its settle window."""
+    def check_times(self, step: ProtocolStep, keys: tuple[str, str], hold_s: float, settle_s: float) -> None:
+        """Add a fault if a hold is shorter than a cycle or not longer than its settle time."""
         if settle_s >= hold_s:
             message = f"a settle window of {settle_s:g} s leaves nothing of {hold_s:g} s; less was expected"
             self.complain_of_either(step, keys, message)
@@ -116,8 +116,10 @@ class Timeline:
 
     # -- roles --------------------------------------------------------------------------------------------------------
 
-    def spelling(self, step: Step, role: str, block: Driven, under: tuple[str | int, ...] = ()) -> Spelling | None:
-        """How the role's setpoints are spelled at this point; None where the block says it otherwise, with faults."""
+    def spelling(
+        self, step: ProtocolStep, role: str, block: Driven, under: tuple[str | int, ...] = ()
+    ) -> Spelling | None:
+        """Keys of the role's setpoints in its present mode; None, with faults, if the block has other keys."""
         if not self.modes_known:
             return None
         mode = self.roles[role].mode
@@ -141,8 +143,8 @@ class Timeline:
             fits = fits and not strange and not missing
         return spelling if fits else None
 
-    def known_setpoint(self, step: Step, role: str, why: str | tuple[str | int, ...]) -> float | None:
-        """Where a ramp begins; a fault where that is not known."""
+    def known_setpoint(self, step: ProtocolStep, role: str, why: str | tuple[str | int, ...]) -> float | None:
+        """The setpoint at which a ramp begins; None, with a fault, if it is unknown."""
         before = self.roles[role].setpoint
         if before is None and self.whole:
             known = f"the {self.roles[role].mode} of {role} is not known before its first setpoint"
@@ -151,29 +153,29 @@ class Timeline:
 
     # -- actions ------------------------------------------------------------------------------------------------------
 
-    def add(self, step: Step, action: Action) -> None:
-        """Keep an action that is no segment."""
+    def add(self, step: ProtocolStep, action: Action) -> None:
+        """Add an action that is no segment."""
         self.charge(step)
         self.actions.append(action)
 
-    def engage(self, step: Step, modes: Mapping[str, Mode]) -> None:
-        """Bring roles into modes: setpoint zero, except that an angle stays where it is, wherever that is."""
+    def engage(self, step: ProtocolStep, modes: Mapping[str, Mode]) -> None:
+        """Put roles into modes; the setpoint becomes zero, in angle mode unknown."""
         for role, mode in modes.items():
             self.roles[role] = Followed(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
         self.add(step, Engage(dict(modes)))
 
     def segment(
         self,
-        step: Step,
+        step: ProtocolStep,
         name: str,
         duration_s: float,
-        setpoints: Mapping[str, Profile],
+        setpoints: Mapping[str, SetpointProfile],
         parameters: Mapping[str, float | str],
         settle_s: float = 0.0,
         until: Until | None = None,
-        trial: Trial | None = None,
+        trial: SearchTrial | None = None,
     ) -> None:
-        """Keep a segment."""
+        """Add a segment."""
         self.charge(step, duration_s=duration_s)
         if until is not None:
             self.outcomes[name] = CRITERION_OUTCOMES if trial is None else SEARCH_OUTCOMES
@@ -181,7 +183,7 @@ class Timeline:
 
     def hold(
         self,
-        step: Step,
+        step: ProtocolStep,
         name: str,
         times: tuple[float, float],
         role: str,
@@ -189,27 +191,27 @@ class Timeline:
         parameters: Mapping[str, float | str],
         until: Until | None = None,
     ) -> None:
-        """Keep a segment at one setpoint; times are duration and settle window."""
+        """Add a segment at a constant setpoint; `times` are duration and settle time [s]."""
         self.roles[role].goes_to(value)
         self.segment(step, name, times[0], {role: Constant(value)}, parameters, times[1], until)
 
     def ramp(
         self,
-        step: Step,
+        step: ProtocolStep,
         role: str,
         ends: tuple[float, float],
         duration_s: float,
         parameters: Mapping[str, float | str],
         name: str = "ramp",
     ) -> None:
-        """Keep a ramp from one setpoint to another."""
+        """Add a ramp between two setpoints."""
         self.roles[role].goes_to(ends[1])
         self.segment(step, name, duration_s, {role: Ramp(*ends, duration_s)}, parameters)
 
     def approach(
-        self, step: Step, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
+        self, step: ProtocolStep, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
     ) -> bool:
-        """Keep a ramp where a rate is given and there is a way to go; False where it is not known from where."""
+        """Add a ramp to a setpoint if a rate is given and the setpoint changes; False if the start is unknown."""
         if rate is None or self.roles[role].setpoint == value:
             return True
         before = self.known_setpoint(step, role, SPELLINGS[self.roles[role].mode].rate)

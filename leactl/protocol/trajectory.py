@@ -1,6 +1,6 @@
-"""Trajectories from CSV: a header with `time_s` and a column whose name ends in its unit, times increasing.
+"""Trajectories from CSV files: a header with `time_s` and a column whose name ends in its unit; times increase.
 
-Other columns are ignored. Values between two rows lie on the straight line; the first row's time is the signal's start.
+Other columns are ignored. Values between rows are interpolated linearly; the signal starts at the first row's time.
 """
 
 import csv
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1 << 28
 MAX_VALUE = 1e6
-MAX_FAULTS = 20  # a file in the wrong unit or format has one in every row
+MAX_FAULTS = 20  # faults reported: a file in the wrong unit has one in every row
 
 
 def read(path: Path, column: str | None, spelling: Spelling) -> tuple["Array", "Array"]:
-    """Times from zero, and setpoints.
+    """Times (n,) from zero [s], and setpoints (n,).
 
     Raises
     ------
-    InputError : the file is absent or too large, lacks a column, or has rows that are no increasing finite numbers.
+    InputError : the file is absent or too large, lacks a column, or has rows without finite, increasing numbers.
     """
     import numpy as np
 
@@ -58,8 +58,10 @@ def _rows(stream: TextIO, wanted: str) -> "tuple[Doubles, Doubles]":
     try:
         header = [cell.strip() for cell in next(reader, [])]
         if header.count("time_s") != 1 or header.count(wanted) != 1:
-            found = ", ".join(header)[:200] or "nothing"
-            raise InputError(f"{name}:1: columns 'time_s' and '{wanted}' were expected, each once; found {found}")
+            columns_present = ", ".join(header)[:200] or "nothing"
+            raise InputError(
+                f"{name}:1: columns 'time_s' and '{wanted}' were expected, each once; found {columns_present}"
+            )
         columns = header.index("time_s"), header.index(wanted)
         for row in reader:
             if not row:
@@ -83,7 +85,7 @@ def _rows(stream: TextIO, wanted: str) -> "tuple[Doubles, Doubles]":
 
 
 def _take(row: list[str], columns: tuple[int, int], into: "tuple[Doubles, Doubles]") -> str:
-    """Add a row, or say why not."""
+    """Add a row; returns the reason if it is invalid, else ""."""
     if len(row) <= max(columns):
         return f"{max(columns) + 1} columns were expected; found {len(row)}"
     cells = [row[column].strip() for column in columns]

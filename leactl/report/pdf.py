@@ -6,7 +6,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from leactl.bench.host_checks import Finding
+from leactl.bench.host_checks import HostFinding
 from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import replacement
 
@@ -26,11 +26,11 @@ FLAGS = (
 LONGEST_S = 120.0
 
 
-def examine() -> Finding:
+def examine() -> HostFinding:
     """Whether a page can be printed on this machine."""
     found = installed()
     told = found or "none in PATH; `leactl report --pdf` prints by one"
-    return Finding("Chromium", found is not None, False, told, "" if found else "sudo apt install chromium")
+    return HostFinding("Chromium", found is not None, False, told, "" if found else "sudo apt install chromium")
 
 
 def installed() -> str | None:

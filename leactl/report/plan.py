@@ -7,7 +7,7 @@ from typing import Any
 
 from leactl.protocol.plan import Plan
 from leactl.quantities import UNITS
-from leactl.runfile.description import new_run_id
+from leactl.runfile.write.description import new_run_id
 from leactl.runner.session import Rehearsal, Request
 from leactl.safety.limits import Limits
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 
 @dataclass(frozen=True)

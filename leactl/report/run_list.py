@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from leactl.runfile.selection import differing
+from leactl.runfile.catalog.selection import differing
 from leactl.runfile.summary import Summary
 
 WIDEST_NAME = 50  # characters; `20261120T101530Z-torque-sensor-calibration-7f3a.h5` has 50

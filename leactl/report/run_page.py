@@ -12,8 +12,8 @@ import numpy as np
 from leactl.report.chart import Curve, Layer, Stretch, chart
 from leactl.report.html import Html, document, table, tag
 from leactl.report.page_style import PAGE
-from leactl.runfile.reader import Run, Step
-from leactl.runfile.traces import Trace
+from leactl.runfile.read.reader import Run, Step
+from leactl.runfile.read.traces import ChannelTrace
 
 BINS = 2000  # of a channel: more than the pixels of a wide screen
 STYLE = (
@@ -36,7 +36,7 @@ svg path.step { fill: var(--step); fill-opacity: 0.15; }
 )
 
 
-def page(run: Run, traces: Sequence[Trace], start: float, stop: float) -> str:
+def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) -> str:
     """Return the page of these channels between two times [s] of the run."""
     steps = [step for step in run.steps if step.stop > start and step.start < stop]
     title = f"{run.attributes.get('protocol', '') or 'Run'} {run.path.name}"
@@ -75,9 +75,9 @@ def controls(steps: Sequence[Step]) -> Html:
     )
 
 
-def pairs(traces: Sequence[Trace]) -> list[list[Trace]]:
+def pairs(traces: Sequence[ChannelTrace]) -> list[list[ChannelTrace]]:
     """Return the traces chart by chart: a setpoint joins the reading of its quantity, role and stream."""
-    charts: dict[tuple[str, str, str, str], list[Trace]] = {}
+    charts: dict[tuple[str, str, str, str], list[ChannelTrace]] = {}
     for trace in traces:
         channel = trace.channel
         quantity = channel.quantity.removesuffix("_reference")
@@ -87,7 +87,7 @@ def pairs(traces: Sequence[Trace]) -> list[list[Trace]]:
     return list(charts.values())
 
 
-def figure(traces: Sequence[Trace], steps: Sequence[Step], start: float, stop: float) -> Html:
+def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, stop: float) -> Html:
     """Return the chart of a reading, its setpoint, or both, over the shaded steps."""
     shades = [Stretch("every other step", "step", step.start, step.stop) for step in steps[1::2]]
     layers: list[Layer] = [*shades]

@@ -8,8 +8,8 @@ import numpy as np
 from leactl.report.html import fit
 from leactl.report.plot import Axis, Canvas, floor_with_axis, rows_with_axis
 from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
-from leactl.runfile.reader import Step
-from leactl.runfile.traces import Trace
+from leactl.runfile.read.reader import Step
+from leactl.runfile.read.traces import ChannelTrace
 
 TICKS = (6, 4)  # at most about so many along time and value: a panel has few rows
 ROWS_ABOUT = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
@@ -18,7 +18,7 @@ SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
 
 
 def text(
-    traces: Sequence[Trace], steps: Sequence[Step], part: tuple[float, float], width: int, screen_rows: int
+    traces: Sequence[ChannelTrace], steps: Sequence[Step], part: tuple[float, float], width: int, screen_rows: int
 ) -> str:
     """Return the panels of a part of a run (start and stop [s]) for stdout: up to three fill the screen."""
     encoding = encoding_of_stdout()
@@ -28,7 +28,7 @@ def text(
 
 
 def panels(
-    traces: Sequence[Trace],
+    traces: Sequence[ChannelTrace],
     steps: Sequence[Step],
     part: tuple[float, float],
     width: int,
@@ -63,13 +63,13 @@ def panels(
     return [*lines, "time in s"]
 
 
-def value_axis(trace: Trace) -> Axis | None:
+def value_axis(trace: ChannelTrace) -> Axis | None:
     """Return the axis over a trace's finite values; None where it has none."""
     finite = trace.values[np.isfinite(trace.values)]
     return Axis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
 
 
-def segments(trace: Trace) -> list[list[tuple[float, float]]]:
+def segments(trace: ChannelTrace) -> list[list[tuple[float, float]]]:
     """Return the stretches of a trace between its missing samples, so that no line is drawn across a gap."""
     points = zip(trace.time.tolist(), trace.values.tolist(), strict=True)
     runs = itertools.groupby(points, key=lambda point: bool(np.isfinite(point[1])))

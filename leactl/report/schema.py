@@ -115,7 +115,7 @@ def _model() -> JsonSchema:
 
 
 def _mapping() -> JsonSchema:
-    from leactl.runfile.importing_mapping import Mapping
+    from leactl.runfile.importing.mapping import Mapping
 
     return Mapping.model_json_schema()
 

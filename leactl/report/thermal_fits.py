@@ -11,8 +11,8 @@ from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit
 from leactl.model.motor import Motor
-from leactl.runfile.catalog import run_files
-from leactl.runfile.reader import Run
+from leactl.runfile.catalog.summaries import run_files
+from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True)

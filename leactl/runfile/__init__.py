@@ -1,6 +1,18 @@
 """Run files: one HDF5 file holds one run, written while the bench moves and read years later by anyone.
 
 A kill at any moment loses at most the last unflushed second, nothing is ever overwritten, and plain h5py, xarray and
-MATLAB open what is written here. `writer` records, `reader` opens and checks, `integrity` verifies, recovers and
-annotates, `export` and `catalog` serve people; `layout`, `repack` and `publish` are what these five share.
+MATLAB open what is written here.
+
+    write/      record a run: rows into memory, memory into a live file, at the end the compressed file
+    read/       read channels, steps, events and notes of a run
+    verify/     check, recover, annotate and convert run files
+    importing/  convert recordings of other programs to run files, as a mapping states
+    attach.py   add the record of another device to a closed run
+    export.py   write CSV, MATLAB and Parquet files
+    catalog/    list the runs of a folder: summaries, index, tags, selection
+    align/      find the offset and drift between two clocks from signals recorded on both
+    hdf5/       open HDF5 files of unknown origin safely
+
+`layout` (names of groups and attributes), `seal` (digests), `summary`, `publish` (write whole files or none) and
+`instruments` are shared by these packages.
 """

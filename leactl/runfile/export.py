@@ -1,7 +1,6 @@
 """Export a run to CSV, MATLAB or Parquet for people who do not read HDF5; the run file stays the record.
 
-One file per stream where the format knows one table, one file in all for MATLAB. Nothing is overwritten or left half
-written.
+CSV and Parquet get one file per stream, MATLAB one file for the run. No file is overwritten or left half written.
 """
 
 import csv
@@ -15,9 +14,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.runfile.formats.parquet import modules
+from leactl.runfile.importing.sources.formats.parquet import modules
 from leactl.runfile.publish import new_file, refuse_existing
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 Format = Literal["csv", "mat", "parquet"]
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet runs (OWASP, "CSV injection")
@@ -70,25 +69,25 @@ def csv_writers(run: Run) -> dict[str, Writer]:
 
 
 def heading(text: str) -> str:
-    """A heading that a spreadsheet takes for text: what begins as a formula would be run where the file is opened."""
+    """A heading that no spreadsheet takes for a formula: an apostrophe stands before a leading `=`, `+`, `-` or `@`."""
     plain = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
     return f"'{plain}" if plain.startswith(FORMULA) else plain
 
 
 def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
-    """Shortest digits that read back as the same value: float32 needs nine at most."""
+    """Shortest decimal texts that read back as the same values; float32 needs at most nine digits."""
     return (f"{value:.9g}" if column.itemsize < 8 else repr(value) for value in column.tolist())
 
 
 def parquet_writers(run: Run) -> dict[str, Writer]:
-    """One Parquet file per stream, units and the run's attributes as metadata."""
+    """One Parquet file per stream, with units and the run's attributes as metadata."""
     arrow, parquet = modules()
 
     def write(stream: str, target: Path) -> None:
         fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]
         for spec in run.streams[stream]:
-            told = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
-            metadata = {key: str(value) for key, value in told.items()}
+            facts = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
+            metadata = {key: str(value) for key, value in facts.items()}
             fields.append(arrow.field(spec.name, arrow.from_numpy_dtype(spec.dtype), metadata=metadata))
         schema = arrow.schema(fields, metadata={key: str(value) for key, value in run.attributes.items()})
         with parquet.ParquetWriter(target, schema) as table:
@@ -120,17 +119,17 @@ def mat_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_stream(run: Run, stream: str) -> dict[str, Any]:
-    """One stream as a struct of channels, each with its values and what they are."""
+    """One stream as a struct of channels, each a struct of values, quantity, role, units and names."""
     columns: dict[str, Any] = {"time": run.time(stream)}
-    values = {name: np.concatenate(parts) for name, parts in collected(run, stream).items()}
+    values = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
     for spec in run.streams[stream]:
         about = {key: value for key, value in spec._asdict().items() if value and key != "dtype"}
         columns[spec.name] = struct({"values": values[spec.name], **about})
     return struct(columns)
 
 
-def collected(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
-    """All blocks of a stream, by column."""
+def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
+    """Blocks of all rows of a stream, by channel name."""
     columns: dict[str, list[np.ndarray[Any, Any]]] = {
         spec.name: [np.empty(0, spec.dtype)] for spec in run.streams[stream]
     }
@@ -141,7 +140,7 @@ def collected(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
 
 
 def struct(fields: dict[str, Any]) -> dict[str, Any]:
-    """The fields under names that MATLAB takes: letters, digits and underscores, a letter first, no two alike."""
+    """The fields under distinct names that MATLAB accepts: letters, digits and underscores, a letter first."""
     named: dict[str, Any] = {}
     for name, value in fields.items():
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)

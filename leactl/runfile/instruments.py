@@ -1,4 +1,4 @@
-"""What a person may say of an instrument in a bench file or a mapping: who it is, and when it was calibrated."""
+"""Facts about an instrument that a bench file or a mapping may state: identity and calibration dates."""
 
 import re
 from datetime import date
@@ -12,7 +12,7 @@ LONGEST = 200  # characters of a text that is to be on one line
 
 
 def _iso(given: Any) -> Any:
-    """Let nothing but an ISO date pass: pydantic would take a number for seconds since 1970."""
+    """Refuse anything but an ISO date: pydantic would take a number for seconds since 1970."""
     if isinstance(given, str) and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", given, re.ASCII):
         raise ValueError("a date as 2026-01-31 was expected")
     if isinstance(given, int | float):
@@ -21,7 +21,7 @@ def _iso(given: Any) -> Any:
 
 
 def _quoted(given: Any) -> Any:
-    """Refuse a bare number, which would have lost its leading zeros."""
+    """Refuse an unquoted number, which would have lost its leading zeros."""
     if isinstance(given, int | float):
         raise ValueError(f'a text was expected: put it in quotes, "{given}"')  # noqa: TRY004 (as above)
     return given
@@ -32,7 +32,7 @@ Day = Annotated[date, BeforeValidator(_iso)]
 
 
 class Instrument(Block):
-    """Who an instrument is and when it was calibrated, as far as a person says it."""
+    """Identity and calibration dates of an instrument, as far as they are stated."""
 
     model: Label = ""
     serial: Label = ""
@@ -48,7 +48,7 @@ class Instrument(Block):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is known, by the names that the run file uses."""
+        """The stated facts as text, by their attribute names in the run file."""
         texts = {"model": self.model, "serial": self.serial, "firmware": self.firmware}
         days = {"calibrated": self.calibrated, "calibration_due": self.calibration_due}
         return {name: text for name, text in texts.items() if text} | {

@@ -49,12 +49,12 @@ BLOCK_ROWS: Final = 1 << 18  # 2 MiB of float64 at a time, whatever the length o
 TEXT: Final = h5py.string_dtype("utf-8")
 
 
-def plain(value: Any) -> Any:
-    """An attribute as Python sees it: str for bytes, a scalar for the one-element arrays that MATLAB writes."""
+def to_python(value: Any) -> Any:
+    """Convert an attribute to a Python value: bytes to str, one-element arrays (as MATLAB writes them) to scalars."""
     if isinstance(value, np.ndarray):
         if value.size == 1:
-            return plain(value.reshape(-1)[0])
-        return value.tolist() if value.dtype.kind in "fiub" else [plain(item) for item in value]
+            return to_python(value.reshape(-1)[0])
+        return value.tolist() if value.dtype.kind in "fiub" else [to_python(item) for item in value]
     if isinstance(value, bytes):
         return value.rstrip(b"\0").decode("utf-8", "replace")
     if isinstance(value, h5py.Empty):
@@ -63,18 +63,18 @@ def plain(value: Any) -> Any:
 
 
 def attributes(node: Any) -> dict[str, Any]:
-    """Attributes of a group or dataset, without those that HDF5 keeps for its dimension scales."""
-    own = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
-    return {name: plain(node.attrs[name]) for name in node.attrs if name not in own}
+    """Attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
+    of_hdf5 = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
+    return {name: to_python(node.attrs[name]) for name in node.attrs if name not in of_hdf5}
 
 
 def storable(text: str) -> str:
-    """The text without what HDF5 cannot hold: NUL ends a string there, lone surrogates are not UTF-8."""
+    """Replace characters that HDF5 cannot store: NUL, which ends a string, and lone surrogates, which are no UTF-8."""
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
 
 
 def parameter_value(value: Any) -> Any:
-    """A protocol's parameter as an attribute holds it: text, a number, or a list of either."""
+    """Convert a protocol's parameter to an attribute: text, a number, or a list of either."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list | tuple) and any(isinstance(item, str) for item in value):
@@ -84,7 +84,7 @@ def parameter_value(value: Any) -> Any:
 
 
 def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str, Mapping[str, str]]) -> None:
-    """Write `/parameters` and `/instruments`; an instrument of which nothing is known has no group."""
+    """Write `/parameters` and `/instruments`; an instrument without known facts gets no group."""
     group = file.create_group("parameters")
     for name, value in parameters.items():
         group.attrs[name] = parameter_value(value)
@@ -96,21 +96,21 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
 
 
 def parameters(file: Any) -> dict[str, Any]:
-    """The protocol's parameters with the values that were used; empty where the file does not say."""
+    """Parameters of the protocol with the values of the run; empty if the file has none."""
     group = file.get("parameters")
-    found = attributes(group) if isinstance(group, h5py.Group) else {}
-    return {name: value for name, value in found.items() if is_parameter(value)}
+    values = attributes(group) if isinstance(group, h5py.Group) else {}
+    return {name: value for name, value in values.items() if is_parameter(value)}
 
 
 def is_parameter(value: Any) -> bool:
-    """Whether an attribute is what a protocol's parameter may be: text, a finite number, or a list of either."""
+    """Whether an attribute has a type that a parameter may have: text, a finite number, or a list of either."""
     if isinstance(value, list):
         return all(not isinstance(item, list) and is_parameter(item) for item in value)
     return isinstance(value, str) or (isinstance(value, int | float) and math.isfinite(value))
 
 
 def instruments(file: Any) -> dict[str, dict[str, str]]:
-    """What is known of each device, by its name in the bench file; empty where the file does not say."""
+    """Known facts of each device, by its name in the bench file; empty if the file has none."""
     group = file.get("instruments")
     devices = group.items() if isinstance(group, h5py.Group) else ()
     known = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
@@ -118,7 +118,7 @@ def instruments(file: Any) -> dict[str, dict[str, str]]:
 
 
 def copy_attributes(source: Any, target: Any) -> None:
-    """Copy attributes with their types, but those that HDF5 keeps for its dimension scales."""
+    """Copy attributes with their types, except those of HDF5's dimension scales."""
     for name in attributes(source):
         identifier = source.attrs.get_id(name)
         target.attrs.create(name, source.attrs[name], identifier.shape, identifier.dtype)
@@ -142,11 +142,11 @@ def is_text(dataset: Any) -> bool:
 
 def texts(dataset: Any, rows: int | None = None) -> list[str]:
     """A 1-D string dataset, of fixed or variable length, as str."""
-    return [str(plain(value)) for value in dataset[:rows]]
+    return [str(to_python(value)) for value in dataset[:rows]]
 
 
 def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: Any) -> Any:
-    """Create one stream: its time scale, its channels in their order, their attributes and their scale."""
+    """Create a stream: `time` as dimension scale, then the channels in order, with attributes and that scale."""
     group = streams.create_group(name, track_order=True)
     time = group.create_dataset("time", dtype="<f8", **storage)
     time.make_scale("time")
@@ -161,8 +161,8 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
 
 
 def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
-    """The attributes that a channel is found and read by; those that say nothing are left out."""
-    found: dict[str, str | float] = {
+    """Attributes of a channel; empty optional ones are left out."""
+    required: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,
         "role": spec.role,
@@ -175,16 +175,16 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
         "skew": spec.skew_s,
         "scale_std": spec.scale_std,
     }
-    return found | {key: value for key, value in optional.items() if value}
+    return required | {key: value for key, value in optional.items() if value}
 
 
-def datasets(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Every dataset of the file with its path; links that lead out of the file are not followed."""
+def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every dataset below a group with its path; soft and external links are not followed."""
     for name in node:
         if not isinstance(node.get(name, getlink=True), h5py.HardLink):
             continue
         child = node[name]
-        path = f"{place}/{name}"
+        path = f"{parent_path}/{name}"
         if isinstance(child, h5py.Group):
             yield from datasets(child, path)
         elif isinstance(child, h5py.Dataset):
@@ -200,7 +200,7 @@ def digest(dataset: Any) -> str:
     sha = hashlib.sha256()
     if is_text(dataset):
         if dataset.shape == ():
-            sha.update(str(plain(dataset[()])).encode())
+            sha.update(str(to_python(dataset[()])).encode())
         else:
             for text in texts(dataset):
                 sha.update(text.encode() + b"\0")

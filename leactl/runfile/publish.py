@@ -1,6 +1,6 @@
-"""Put a finished file in its place in one step, so that nobody ever sees half of one.
+"""Publish a finished file in one step, so that no reader ever sees a partial file.
 
-Both ways write under a hidden name in the same directory, force it to the disk and then move it.
+The file is written under a hidden name in the same directory, forced to the disk and then renamed.
 """
 
 import os
@@ -14,12 +14,12 @@ from leactl.errors import InputError
 
 
 class NotWritten(InputError):
-    """A file could not be written; whatever stood in its place before still does."""
+    """A file could not be written; a file of that name that existed before is unchanged."""
 
 
 @contextmanager
 def new_file(target: Path) -> Iterator[Path]:
-    """Yield a temporary path; what is written there becomes `target`, which must not exist before or after."""
+    """Yield a temporary path; the file written there becomes `target`, which must not exist yet."""
     refuse_existing(target)
     with temporary(target) as path:
         yield path
@@ -29,7 +29,7 @@ def new_file(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacement(target: Path) -> Iterator[Path]:
-    """Yield a temporary path; what is written there takes the place of `target` at once or not at all."""
+    """Yield a temporary path; the file written there replaces `target` in one step or not at all."""
     with temporary(target) as path:
         yield path
         force_to_disk(path)
@@ -38,13 +38,13 @@ def replacement(target: Path) -> Iterator[Path]:
 
 
 def refuse_existing(target: Path) -> None:
-    """Refuse a name that is taken: nothing is ever overwritten."""
+    """Raise InputError if the path exists: no file is ever overwritten."""
     if os.path.lexists(target):
         raise InputError(f"{target}: exists already and is never overwritten; choose another name or move it away")
 
 
 def move_without_overwriting(source: Path, target: Path) -> None:
-    """Rename, but fail where the target exists; a hard link does both in one step."""
+    """Rename a file; raises InputError if the target exists. A hard link makes check and rename one step."""
     try:
         os.link(source, target)
     except FileExistsError:
@@ -60,7 +60,7 @@ def move_without_overwriting(source: Path, target: Path) -> None:
 
 @contextmanager
 def temporary(target: Path) -> Iterator[Path]:
-    """Yield a free hidden name next to the target and remove what is left under it."""
+    """Yield an unused hidden path next to the target, and remove the file there at the end."""
     path = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield path
@@ -72,7 +72,7 @@ def temporary(target: Path) -> Iterator[Path]:
 
 
 def force_to_disk(path: Path) -> None:
-    """Wait until the disk itself has the file or the directory entry."""
+    """Wait until the file or the directory entry is on the disk (fsync)."""
     on_windows = sys.platform == "win32"
     if on_windows and path.is_dir():
         return  # it opens none, and forces a file to the disk only through a descriptor that may write

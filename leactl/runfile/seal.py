@@ -1,9 +1,9 @@
-"""The seal of a run file: what every object of the tree was when the run was closed, names and attributes included.
+"""The seal of a run file: digests of all its objects, names and attributes included, when the run was closed.
 
 `/seal` lists each group and dataset with a digest of its kind, its attributes and the checksum of its values; the
-root's attribute `seal` is the digest of that list. What is added later carries a `seal` of its own, over its own tree,
-and the root's attribute `additions` is the digest of those. How a value is stored (compression, chunks, the version of
-HDF5 or of h5py, a scalar or an array of one) is in no digest: a rewritten file keeps its seal.
+root's attribute `seal` is the digest of that list. A group that is added later has a `seal` of its own tree, and the
+root's attribute `additions` is the digest of those. The storage of a value (compression, chunks, version of HDF5 or
+h5py, scalar or array of one) is in no digest, so that a rewritten file keeps its seal.
 """
 
 import hashlib
@@ -19,81 +19,83 @@ SEAL: Final = "seal"  # attribute of the root and of each addition, and the grou
 ADDITIONS: Final = "additions"
 COLUMNS: Final[dict[str, int | None]] = {"path": 0, "sha256": 0}
 OWN: Final = ("sha256", SEAL, ADDITIONS)  # attributes that are digests themselves
-FEW: Final = 5  # places with a line each
+MOST_LISTED: Final = 5  # places with a line each
 
 
 def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
-    """Every object of a tree, the node itself first, with its digest; additions and the list itself are left out."""
+    """Path and digest of every object of a tree, the node itself first; without additions and `/seal`."""
     yield path, object_digest(node)
     if not isinstance(node, h5py.Group):
         return
     for name in node:
-        place = f"{path.rstrip('/')}/{name}"
-        if place == f"/{SEAL}":
+        child_path = f"{path.rstrip('/')}/{name}"
+        if child_path == f"/{SEAL}":
             continue
         link = node.get(name, getlink=True)
         if not isinstance(link, h5py.HardLink):
-            yield place, digest_of(["link", type(link).__name__])
+            yield child_path, digest_of(["link", type(link).__name__])
         elif SEAL not in (child := node[name]).attrs:
-            yield from entries(child, place)
+            yield from entries(child, child_path)
 
 
 def object_digest(node: Any) -> str:
-    """Digest of what a group or dataset is: its kind, shape, attributes, and the stored checksum of its values."""
+    """Digest of a group or dataset: its kind, shape, attributes, and the stored checksum of its values."""
     digests = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
     attributes = {name: value for name, value in layout.attributes(node).items() if name not in digests}
     if isinstance(node, h5py.Dataset):
         kind = "text" if layout.is_text(node) else node.dtype.newbyteorder("<").str
-        return digest_of(["dataset", kind, list(node.shape), layout.plain(node.attrs.get("sha256", "")), attributes])
+        return digest_of(
+            ["dataset", kind, list(node.shape), layout.to_python(node.attrs.get("sha256", "")), attributes]
+        )
     return digest_of(["group", attributes])
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 of a value as JSON with sorted keys and the shortest numbers that read back the same."""
+    """SHA-256 of a value as JSON with sorted keys and shortest round-trip numbers."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def table_of(file: Any) -> list[dict[str, str]]:
-    """The rows of `/seal` for a file as it is now."""
+    """Rows of `/seal` for the present state of a file."""
     return [{"path": path, "sha256": digest} for path, digest in sorted(entries(file))]
 
 
 def digest_of_table(rows: list[dict[str, str]]) -> str:
-    """What the root's `seal` holds."""
+    """Value of the root's attribute `seal` for these rows."""
     return digest_of([[row["path"], row["sha256"]] for row in rows])
 
 
 def additions(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """What was added after the run was closed: the groups below the root that carry a seal of their own."""
+    """Path and object of each addition after the close: the objects that have a seal of their own."""
     for name in node:
-        place = f"{path}/{name}"
-        if place == f"/{SEAL}" or not isinstance(node.get(name, getlink=True), h5py.HardLink):
+        child_path = f"{path}/{name}"
+        if child_path == f"/{SEAL}" or not isinstance(node.get(name, getlink=True), h5py.HardLink):
             continue
         child = node[name]
         if SEAL in child.attrs:
-            yield place, child
+            yield child_path, child
         elif isinstance(child, h5py.Group):
-            yield from additions(child, place)
+            yield from additions(child, child_path)
 
 
-def seal_additions(file: Any, places: Iterable[str]) -> None:
-    """Seal what was added at these places, or taken from them, where the file is sealed itself."""
+def seal_additions(file: Any, hdf5_paths: Iterable[str]) -> None:
+    """Update the seals of additions at these paths and the root's digest of them; does nothing in an unsealed file."""
     if SEAL not in file.attrs:
         return
-    for place in places:
-        if place in file:
-            file[place].attrs[SEAL] = digest_of(sorted(entries(file[place], place)))
+    for hdf5_path in hdf5_paths:
+        if hdf5_path in file:
+            file[hdf5_path].attrs[SEAL] = digest_of(sorted(entries(file[hdf5_path], hdf5_path)))
     file.attrs[ADDITIONS] = digest_of_additions(file)
 
 
 def digest_of_additions(file: Any) -> str:
-    """What the root's `additions` holds."""
-    return digest_of(sorted((place, layout.plain(node.attrs[SEAL])) for place, node in additions(file)))
+    """Value of the root's attribute `additions`."""
+    return digest_of(sorted((hdf5_path, layout.to_python(node.attrs[SEAL])) for hdf5_path, node in additions(file)))
 
 
-def broken(file: Any) -> list[str]:
-    """What is not as it was when the run was closed or the addition made; empty for a file without a seal."""
+def seal_findings(file: Any) -> list[str]:
+    """One line for each difference to the closed run or to its sealed additions; empty for a file without a seal."""
     sealed = SEAL in file.attrs
     if not sealed and SEAL not in file:
         return []
@@ -104,44 +106,46 @@ def broken(file: Any) -> list[str]:
         ]
     except (KeyError, ValueError, TypeError, AttributeError):
         return [f"/{SEAL}: the list of what the file held at its close is missing or damaged"]
-    if not sealed or layout.plain(file.attrs[SEAL]) != digest_of_table(rows):
+    if not sealed or layout.to_python(file.attrs[SEAL]) != digest_of_table(rows):
         return [f"/{SEAL}: the list of what the file held at its close does not match the root's seal"]
-    if more := more_than_the_list(file[SEAL]):
-        return [f"/{SEAL}: holds more than the list of what the file held at its close: {more}"]
-    then, now = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
+    if unlisted := more_than_the_list(file[SEAL]):
+        return [f"/{SEAL}: holds more than the list of what the file held at its close: {unlisted}"]
+    recorded, present = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
     findings = [
-        *told(without_members(then.keys() - now.keys()), "is missing; it was there when the run was closed"),
-        *told(without_members(now.keys() - then.keys()), "was not there when the run was closed"),
-        *told(
-            {path for path in then.keys() & now.keys() if then[path] != now[path]},
+        *findings_for(
+            without_members(recorded.keys() - present.keys()), "is missing; it was there when the run was closed"
+        ),
+        *findings_for(without_members(present.keys() - recorded.keys()), "was not there when the run was closed"),
+        *findings_for(
+            {path for path in recorded.keys() & present.keys() if recorded[path] != present[path]},
             "attributes, kind or checksum are not those of when the run was closed",
         ),
     ]
     later = dict(additions(file))
-    for place, node in later.items():
-        if layout.plain(node.attrs[SEAL]) != digest_of(sorted(entries(node, place))):
-            findings.append(f"{place}: is not as it was added after the run was closed")
-    noted = layout.plain(file.attrs.get(ADDITIONS, ""))
-    if noted != (digest_of_additions(file) if later or noted else ""):
+    for hdf5_path, node in later.items():
+        if layout.to_python(node.attrs[SEAL]) != digest_of(sorted(entries(node, hdf5_path))):
+            findings.append(f"{hdf5_path}: is not as it was added after the run was closed")
+    sealed_additions = layout.to_python(file.attrs.get(ADDITIONS, ""))
+    if sealed_additions != (digest_of_additions(file) if later or sealed_additions else ""):
         findings.append("/: what was added after the run was closed is not all there, or more was added")
     return findings
 
 
 def more_than_the_list(group: Any) -> str:
-    """What else the group of the list holds, which the list does not cover itself; empty where that is nothing."""
+    """Members and attributes of `/seal` beside its list, which no digest covers; empty if there are none."""
     members = [name for name in group if name not in COLUMNS]
     columns = {name for column in COLUMNS for name in layout.attributes(group[column])}
     return ", ".join(map(repr, [*members, *layout.attributes(group), *(columns - {"sha256"})]))
 
 
-def told(paths: Iterable[str], reason: str) -> list[str]:
-    """A line for each path, or one for all of them where they are many."""
-    places = sorted(paths)
-    if len(places) > FEW:
-        return [f"{places[0]} and {len(places) - 1} more: {reason}"]
-    return [f"{place}: {reason}" for place in places]
+def findings_for(paths: Iterable[str], reason: str) -> list[str]:
+    """A line for each path, or one line for all if there are more than `MOST_LISTED`."""
+    in_order = sorted(paths)
+    if len(in_order) > MOST_LISTED:
+        return [f"{in_order[0]} and {len(in_order) - 1} more: {reason}"]
+    return [f"{path}: {reason}" for path in in_order]
 
 
 def without_members(paths: set[str]) -> set[str]:
-    """The topmost of paths that lie below one another."""
+    """The paths that do not lie below another one of them."""
     return {path for path in paths if not any(path.startswith(f"{other}/") for other in paths if other != path)}

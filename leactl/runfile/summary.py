@@ -1,4 +1,4 @@
-"""What a list knows of a run: plain values, without HDF5, so that they can be kept, sent and asked about."""
+"""Summary of a run for lists: plain values without HDF5, which can be stored, sent and compared."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ STATUSES: Final = (RECORDING, *CLOSED_STATUSES, "recovered")
 
 
 class Summary(NamedTuple):
-    """One run of a folder; where `fault` is not empty, only `folder`, `file` and `size` are known."""
+    """Summary of one run file; if `fault` is not empty, only `folder`, `file` and `size` are known."""
 
     folder: Path
     file: str  # its name in the folder
@@ -41,7 +41,7 @@ class Summary(NamedTuple):
         return self.folder / self.file
 
     def as_json(self) -> dict[str, Any]:
-        """Everything that is known of it."""
+        """All fields as a JSON object."""
         known = self._asdict()
         del known["folder"]
         changed = {"parameters": dict(self.parameters), "tags": list(self.tags)}
@@ -49,5 +49,5 @@ class Summary(NamedTuple):
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a file is taken for a run by its name."""
+    """Whether a file name is that of a run file."""
     return name.endswith((".h5", ".h5.partial")) and not name.startswith(".")

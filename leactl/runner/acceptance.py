@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.protocol.plan import Acceptance, Plan
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.channel_limits import ACCEPTANCE
 from leactl.units import CONVERSIONS, SECONDS
 
@@ -30,9 +30,9 @@ def check_analysis(plan: Plan, name: str) -> None:
     InputError : one line a fault with file, line and column.
     """
     from leactl.analysis.analyze import is_known, names, results_of
-    from leactl.runfile.catalog import asked_in
+    from leactl.runfile.catalog.summaries import analysis_in
 
-    asked = asked_in(plan.text)
+    asked = analysis_in(plan.text)
     limits = {n: limit for n, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
     if not (asked or limits):
         return

@@ -4,7 +4,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.plan import ChannelLimit, Engage, InRange, Plan, Segment, Supply, Until, WaitUntil, When
+from leactl.protocol.plan import ChannelBounds, Engage, InRange, Plan, Segment, SetSupply, Until, WaitUntil, When
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.safety.refusals import check_setpoints
 from leactl.safety.witnesses import lone_sensors
@@ -38,7 +38,7 @@ def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
     ------
     InputError : the bench measures no such channel.
     """
-    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
+    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelBounds)]
     return ChannelLimits(limits, bench.streams(), bench.file.name)
 
 
@@ -48,7 +48,7 @@ def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
     for action in plan.actions:
         if isinstance(action, Engage):
             heated |= {role: "q_axis_current" for role, mode in action.modes.items() if mode is not Mode.OFF}
-        elif isinstance(action, Supply):
+        elif isinstance(action, SetSupply):
             heated |= {role: "line_current" for role, output in action.outputs.items() if output is not None}
     channels = [channel for several in bench.streams().values() for channel in several]
     return lone_sensors(bench.file.interlocks, channels, plan.setup, dict(sorted(heated.items(), reverse=True)))

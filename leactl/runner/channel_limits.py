@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from leactl.errors import AcceptanceFailed, InputError
-from leactl.protocol.plan import ChannelLimit, SearchLimit
+from leactl.protocol.plan import ChannelBounds, SearchLimit
 from leactl.quantities import UNITS, ChannelSpec
 from leactl.units import converter
 
@@ -52,7 +52,7 @@ class _Window:
 class _Watched:
     """One limit on one channel."""
 
-    limit: ChannelLimit
+    limit: ChannelBounds
     location: str
     factor: float  # from the channel's unit to the limit's
     zero: float
@@ -115,7 +115,7 @@ class _Watched:
 class Verdict:
     """How one channel, or search, kept its limit."""
 
-    limit: ChannelLimit | SearchLimit
+    limit: ChannelBounds | SearchLimit
     row: Mapping[str, Any]  # as --json tells it
     met: bool
     told: str
@@ -130,7 +130,7 @@ class ChannelLimits:
     """
 
     def __init__(
-        self, limits: Sequence[ChannelLimit], streams: Mapping[str, Sequence[ChannelSpec]], bench: str
+        self, limits: Sequence[ChannelBounds], streams: Mapping[str, Sequence[ChannelSpec]], bench: str
     ) -> None:
         self._by_stream: dict[str, list[tuple[int, _Watched]]] = {}
         self._every: list[_Watched] = []
@@ -184,7 +184,7 @@ class ChannelLimits:
         return [watched.verdict() for watched in self._every]
 
 
-def _conversion(limit: ChannelLimit) -> tuple[float, float]:
+def _conversion(limit: ChannelBounds) -> tuple[float, float]:
     """Factor and zero that take a number from the channel's unit to the limit's; a deviation has no zero."""
     conversion = converter(limit.unit, limit.channel)
     assert conversion is not None  # the protocol was checked

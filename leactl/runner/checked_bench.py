@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 
 from leactl.bench import benchfile
-from leactl.bench.bench import Bench, refuse_blind
+from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, host_silences
 from leactl.bench.wiring import MachineWiring, unknown_interface
 from leactl.driver.contract import SAFE_STATE_S
@@ -39,7 +39,7 @@ def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Doc
     except InputError as error:
         faults += error.faults
     try:
-        refuse_blind(Bench(file, devices, MachineWiring()), document)
+        require_channels_for_interlocks(Bench(file, devices, MachineWiring()), document)
     except InputError as error:
         faults += error.faults
     if faults:

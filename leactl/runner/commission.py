@@ -20,7 +20,7 @@ from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner import locks
 from leactl.runner.session import Outcome, Request, rehearse
 from leactl.runner.thermal_admission import Windings

@@ -12,7 +12,7 @@ from enum import StrEnum
 from leactl.bench.bench import Bench
 from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.errors import InputError
-from leactl.protocol.plan import Plan, Supply
+from leactl.protocol.plan import Plan, SetSupply
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.bound import BURNT, HOTTEST
@@ -62,7 +62,7 @@ def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
     supplies = at_leads(bench.others, windings.motors)
     levels: dict[Levels, None] = {}
     for action in plan.actions:
-        for role, output in action.outputs.items() if isinstance(action, Supply) else ():
+        for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
             if output is not None and role in supplies:
                 levels[role, *output] = None
     return [_judged(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]

@@ -19,11 +19,11 @@ from leactl.protocol.plan import (
     Hang,
     InRange,
     Plan,
-    Profile,
     Prompt,
-    Record,
     Segment,
-    Supply,
+    SetpointProfile,
+    SetRecordRate,
+    SetSupply,
     Tare,
     Until,
     WaitUntil,
@@ -119,7 +119,7 @@ class Loop:
                 self._move(action)
             case Engage():
                 self._engage(action.modes)
-            case Supply():
+            case SetSupply():
                 self._supply(action.outputs)
             case WaitUntil():
                 self._wait_until(action)
@@ -130,7 +130,7 @@ class Loop:
                 self._bench.hang(action.torque)
             case Prompt():
                 self._prompt(action.text)
-            case Record():
+            case SetRecordRate():
                 self._record_at(action.rate_Hz)
 
     def _record_at(self, rate: float) -> None:
@@ -325,7 +325,7 @@ class Loop:
         if segment.trial is not None and (answer := self.outcomes.answer(segment.trial.search)):
             self._note("info", "runner", answer)
 
-    def _scaled(self, setpoints: list[tuple[str, Profile]]) -> bool:
+    def _scaled(self, setpoints: list[tuple[str, SetpointProfile]]) -> bool:
         return any(self._supervisor.scales(role) for role, _profile in setpoints)
 
     def _meets(self, until: Until, judge: Judge) -> bool:
@@ -336,7 +336,7 @@ class Loop:
             judge.receive(self.time, values[place] if place < len(values) else math.nan)
         return judge.met(self.time)
 
-    def _command(self, setpoints: list[tuple[str, Profile]], into: float) -> None:
+    def _command(self, setpoints: list[tuple[str, SetpointProfile]], into: float) -> None:
         for role, profile in setpoints:
             self._supervisor.command(role, profile.at(into))
 

@@ -9,7 +9,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.wiring import MachineWiring
 from leactl.driver import registry
 from leactl.driver.contract import OwnRecording, RecordingDevice
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runner import locks
@@ -44,7 +44,7 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     """
     refuse_existing(target)
     file, devices, _document = load_checked(name_or_path)
-    moved = benchfile.put_elsewhere(file, elsewhere)
+    moved = benchfile.changed_buses(file, elsewhere)
     chosen = [entry for entry in devices if entry.name == device]
     if not chosen:
         raise InputError(f"bench '{file.name}' has no device '{device}'; it has {', '.join(d.name for d in devices)}")
@@ -82,7 +82,7 @@ def _uploaded(bench: Bench, name: str) -> OwnRecording:
 def _let_go(bench: Bench, name: str) -> str:
     """Make the device safe and close it; gives what could not be confirmed of it."""
     try:
-        return doubt(make_safe([bench.drivers[name]]))
+        return unconfirmed_devices(make_safe([bench.drivers[name]]))
     finally:
         bench.close()
 

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from leactl.runfile.writer import RecordingFailed, RunWriter
+from leactl.runfile.write.writer import RecordingFailed, RunWriter
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.progress import Progress
 from leactl.safety.disk import free_bytes

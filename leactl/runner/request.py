@@ -68,7 +68,7 @@ def prepare_by_hand(
     InputError : as `prepare`.
     """
     placed = _placed(bench, buses, served)
-    plan = by_hand.written(name, setup or placed[0].setup or "coupled", steps)
+    plan = by_hand.plan_of(name, setup or placed[0].setup or "coupled", steps)
     return _request(plan, placed, directory, realtime, served, everything)
 
 
@@ -82,14 +82,14 @@ def _placed(bench: str, buses: Sequence[str], served: bool) -> Placed:
             f"--bus {buses[0]}: bench '{file.name}' has its buses in this process;"
             " --served meets one that another process serves"
         )
-    return file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)}), devices, document
+    return file.model_copy(update={"buses": file.buses | benchfile.changed_buses(file, buses)}), devices, document
 
 
 def _request(
     plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool, everything: bool = False
 ) -> Request:
     file, every, document = placed
-    devices = every if everything else benchfile.asked_for(every, {*plan.needs, *plan.wants})
+    devices = every if everything else benchfile.devices_of_run(every, {*plan.needs, *plan.wants})
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
         plan=plan,

@@ -14,18 +14,18 @@ from pathlib import Path
 from typing import Any
 
 from leactl import __version__, yamlfile
-from leactl.bench.bench import Bench, refuse_blind
+from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.bench.provenance import overdue
-from leactl.bench.records import awaited, collect, placed
+from leactl.bench.records import attach_exports, devices_with_exports, with_run_folders
 from leactl.bench.wire_trace import CALLS, TracedWiring, WireTrace
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
-from leactl.driver.stopping import doubt
+from leactl.driver.safe_state import unconfirmed_devices
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
-from leactl.runfile.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
+from leactl.protocol.plan import Plan, SearchLimit, SetRecordRate, SetSupply
+from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
@@ -143,7 +143,7 @@ def execute(
     """
     _check(request)
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
-    devices = placed(request.devices, request.directory, run_id if request.in_process else "")
+    devices = with_run_folders(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
     with _alone(request) as locks, listening() as stop, ExitStack() as lasting:
         place = state.place_of(request.bench, request.in_process)
@@ -240,7 +240,7 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
     bench = _bench(request)
     check_fit(request.plan, bench)
-    refuse_blind(bench, request.bench_document)
+    require_channels_for_interlocks(bench, request.bench_document)
     planned = _planned_bytes(request.plan, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
     request = replace(request, plan=windings.admit(request.plan, request.insert_cooldown))
@@ -263,7 +263,7 @@ def _left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
 
 
 def _switches_on(plan: Plan) -> bool:
-    return any(isinstance(action, Supply) for action in plan.actions)
+    return any(isinstance(action, SetSupply) for action in plan.actions)
 
 
 def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
@@ -311,7 +311,7 @@ def _run(context: RunContext) -> Outcome:
         loop = Loop(plan, bench, supervisor, watchdog, context.people, recording)
     except BaseException:
         safe = supervisor.make_safe()
-        if unsafe := doubt(safe):
+        if unsafe := unconfirmed_devices(safe):
             watchdog.take_over(unsafe)
         announcement.tell_safe(safe)
         raise
@@ -323,7 +323,7 @@ def _run(context: RunContext) -> Outcome:
                 progress.warnings += unwitnessed(plan, bench)
             for text in _left_on(plan, windings, bench):
                 writer.event(0.0, "info", "supplies", text)
-            for name, source in awaited(bench.drivers).items() if not request.in_process else ():
+            for name, source in devices_with_exports(bench.drivers).items() if not request.in_process else ():
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")
                     writer.event(0.0, "warning", name, progress.warnings[-1])
@@ -343,7 +343,7 @@ def _run(context: RunContext) -> Outcome:
             error = caught
         watchdog.ending()
         safe = supervisor.make_safe()
-        unsafe = doubt(safe)
+        unsafe = unconfirmed_devices(safe)
         windings.end(confirmed=not unsafe)
         if unsafe:
             watchdog.take_over(unsafe)
@@ -378,7 +378,7 @@ def _run(context: RunContext) -> Outcome:
     try:
         writer.close(*_status(error))
         notes += writer.notes()
-        notes += collect(bench.drivers, request.bench_document, writer.path)
+        notes += attach_exports(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
         if _is_out_of_order(failure) and not out_of_order:
             _latch(context.latch, failure, writer.path)
@@ -454,7 +454,7 @@ def _check(request: Request) -> None:
 def _check_supplies(request: Request, supervisor: Supervisor) -> None:
     name, most = request.bench.name, supervisor.supplies.most
     for action in request.plan.actions:
-        for role, output in action.outputs.items() if isinstance(action, Supply) else ():
+        for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
             if role not in most:
                 raise InputError(
                     f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
@@ -468,7 +468,7 @@ def _check_supplies(request: Request, supervisor: Supervisor) -> None:
 
 
 def _planned_bytes(plan: Plan, bench: Bench) -> float:
-    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
+    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, SetRecordRate))]
     return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
 
 
@@ -540,7 +540,10 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
         writer.event(0.0, "info", "campaign", f"{name} = {value}")
     for name, value in request.plan.parameters.items():
         writer.event(0.0, "info", "protocol", f"{name} = {value}")
-    channels = [*bench.streams().values(), *(source.channels for source in awaited(bench.drivers).values())]
+    channels = [
+        *bench.streams().values(),
+        *(source.channels for source in devices_with_exports(bench.drivers).values()),
+    ]
     measured = {channel.quantity for several in channels for channel in several}
     for quantity in request.plan.wants:
         if quantity not in measured:
@@ -565,7 +568,7 @@ def _seed(request: Request) -> int | None:
 
 def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
     """A device that could not be confirmed safe is an error of its own, or part of the one there is."""
-    text = doubt(safe)
+    text = unconfirmed_devices(safe)
     if not text:
         return error
     if error is None:

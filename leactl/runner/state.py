@@ -16,7 +16,7 @@ from leactl.regular import AS_BYTES, AT_ONCE, NO_LINK
 
 if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile
-    from leactl.bench.host_checks import Finding
+    from leactl.bench.host_checks import HostFinding
 
 MACHINE = "/var/lib/leactl"
 OF_EVERYBODY, OF_ITS_OWNER = 0o666, 0o644
@@ -108,9 +108,9 @@ def reachable() -> tuple[list[Place], list[str]]:
     return reached, faults
 
 
-def examine() -> "Finding":
+def examine() -> "HostFinding":
     """Where locks, trip latches and winding memory of benches on real buses are, and whether all users share them."""
-    from leactl.bench.host_checks import Finding
+    from leactl.bench.host_checks import HostFinding
 
     directory = _machine_directory()
     locks = "locks in the kernel, shared by all users; trip latches and winding memory in"
@@ -118,10 +118,10 @@ def examine() -> "Finding":
     if not fault and os.lstat(directory).st_mode & SHARED_DIRECTORY != SHARED_DIRECTORY:
         fault = f"{directory}: not every user can write there"
     if not fault or (not os.path.lexists(directory) and os.access(directory.parent, os.W_OK)):  # the first run makes it
-        return Finding("state", True, False, f"{locks} {directory}, shared by all users")
+        return HostFinding("state", True, False, f"{locks} {directory}, shared by all users")
     mend = f"sudo install -d -o root -m 1777 {shlex.quote(str(directory))}"
     kept = state_directory() if _unusable(directory) else directory
-    return Finding("state", False, False, f"{locks} {kept}, this user's alone ({fault})", mend)
+    return HostFinding("state", False, False, f"{locks} {kept}, this user's alone ({fault})", mend)
 
 
 def read(path: Path) -> bytes:

@@ -18,7 +18,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile, check_devices
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.contract import Confirmation
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.errors import LeactlError
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, time_to_end_s
@@ -136,12 +136,12 @@ def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbo
     say(cause)
     if not (inbox.ended or inbox.unsafe):
         end(process, time_to_end_s(len(devices)), inbox)
-        if doubt(safe):  # the process may have held what no second connection could have
+        if unconfirmed_devices(safe):  # the process may have held what no second connection could have
             safe = stopped(bench)
     for device, confirmation in safe.items():
         say(f"{device}: {confirmation.detail}")
-    if doubt(safe):
-        say(doubt(safe))
+    if unconfirmed_devices(safe):
+        say(unconfirmed_devices(safe))
     try:
         latch.set(cause, Path(inbox.run))
     except LeactlError as error:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, NoReturn
 
-from leactl.driver import stopping
+from leactl.driver import safe_state
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Block, Confirmation, Driver, Mode, MotionDevice, Row
 from leactl.errors import SafetyTrip
@@ -439,7 +439,7 @@ class Supervisor:
     def make_safe(self) -> dict[str, Confirmation]:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
-        safe = stopping.make_safe((*drives, *self._others))
+        safe = safe_state.make_safe((*drives, *self._others))
         with suppress(Exception):  # what flowed last is not in the bounds yet that the next run starts from
             self._thermal.end(self._clock.now())
         return safe

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 from tests.loops import current_step
 
 RATE = 1000

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 
 def zero(values):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 SPEEDS, CURRENTS = (5.0, 15.0, 25.0), (2.0, 8.0, 14.0, 20.0)
 RATE_HZ, ZERO_S, HOLD_S, SETTLE_S = 50, 4.0, 2.5, 0.5

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 REGIONS = ("active", "inactive", "housing")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 PAIRS = ("ab", "bc", "ca")
 THIRD = 2.0 * np.pi / 3.0

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import yaml
 
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 SIZES = {"larger": (20.0, 2.0, 1.6), "smaller": (0.02, 0.4, 0.5)}
 KEYS = {

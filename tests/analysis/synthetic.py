@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 TORQUE_LEVELS = (4.9, 9.8, 14.7, 19.6, 24.5)
 FRICTION_LEVELS = (0.6, 0.635, 0.67, 0.705, 0.74)

@@ -13,7 +13,7 @@ import yaml
 from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.registry import shipped
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.analysis.corrupted import CORRUPTIONS, constant, frozen, gappy, rewritten, thousandfold, turned
 from tests.analysis.heated import HeatedBench
 from tests.analysis.short_runs import SETTINGS, short_run

@@ -8,7 +8,7 @@ import pytest
 
 from leactl.analysis.analyze import analyze_runs, names
 from leactl.errors import InputError, MissingChannel
-from leactl.runfile.integrity import recover
+from leactl.runfile.verify.integrity import recover
 
 from .synthetic import FRICTION_LEVELS
 

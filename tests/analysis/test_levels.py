@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.analysis.signals.levels import settled_mean, standard_error
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 
 def channel(time, values, sampling="instant"):

@@ -10,7 +10,7 @@ import pytest
 from leactl.analysis.heating.narrowing import Accuracy, narrowed
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import load_motor
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.commission import LONGER
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box

@@ -7,7 +7,7 @@ import pytest
 
 from leactl.analysis.quality.saturation import saturated
 from leactl.analysis.signals.levels import Hold
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 LEVELS = (2.0, 4.0, 6.0, 8.0)
 COUNT = 0.000375

@@ -10,7 +10,7 @@ from scipy.signal import StateSpace, lsim
 
 from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 from .heated import HeatedBench, Plant

@@ -15,7 +15,7 @@ from leactl.analysis.experiments import (
     torque_pulses,
 )
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 from .back_driven import driven
 from .control_runs import step_run

@@ -3,7 +3,7 @@
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 LEADS, ALPHA = 0.528, 0.004  # ohm at 25 degC, 1/K
 BEFORE = 10.0  # s of rest

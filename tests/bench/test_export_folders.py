@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from leactl.bench import benchfile
-from leactl.bench.records import placed
+from leactl.bench.records import with_run_folders
 from leactl.errors import DeviceError, InputError
 from leactl.runner import locks
 from tests.cli.terminal import leactl
@@ -54,30 +54,39 @@ def test_a_folder_without_a_name_is_refused(tmp_path, wrong):
 
 def test_a_relative_folder_lies_where_the_runs_do(tmp_path):
     _file, devices, _document = benchfile.load("emulated-heated")
-    folder = {device.name: device for device in placed(devices, tmp_path, "r7")}["camera"].settings.exports_folder
+    folder = {device.name: device for device in with_run_folders(devices, tmp_path, "r7")}[
+        "camera"
+    ].settings.exports_folder
     assert folder == str(tmp_path / "camera" / "r7")
     _file, devices, _document = benchfile.load(written(tmp_path, second_camera("/elsewhere")))
-    folder = {device.name: device for device in placed(devices, Path("runs"))}["other"].settings.exports_folder
+    folder = {device.name: device for device in with_run_folders(devices, Path("runs"))}[
+        "other"
+    ].settings.exports_folder
     assert folder == "/elsewhere"
 
 
 def test_a_folder_is_held_by_one_run(tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     file, devices, _document = benchfile.load("emulated-heated")
-    cameras = [device for device in placed(devices, tmp_path) if device.name == "camera"]
+    cameras = [device for device in with_run_folders(devices, tmp_path) if device.name == "camera"]
     words = rf"the folder {tmp_path}/camera of 'camera' is driven by another run, process {os.getpid()}"
     with locks.held(file.model_copy(update={"name": "one"}), cameras):
         other = file.model_copy(update={"name": "other"})
         with pytest.raises(DeviceError, match=words), locks.held(other, cameras):
             raise AssertionError
-        with locks.held(other, placed(benchfile.asked_for(devices, ["winding_temperature"]), tmp_path / "b")[1:]):
+        with locks.held(
+            other, with_run_folders(benchfile.devices_of_run(devices, ["winding_temperature"]), tmp_path / "b")[1:]
+        ):
             pass
 
 
 def test_a_camera_is_left_alone_by_protocols_that_ask_for_no_temperature():
     _file, devices, _document = benchfile.load("emulated-heated")
-    assert [device.name for device in benchfile.asked_for(devices, ["line_voltage"])] == ["supply"]
-    assert [device.name for device in benchfile.asked_for(devices, ["housing_temperature"])] == ["supply", "camera"]
+    assert [device.name for device in benchfile.devices_of_run(devices, ["line_voltage"])] == ["supply"]
+    assert [device.name for device in benchfile.devices_of_run(devices, ["housing_temperature"])] == [
+        "supply",
+        "camera",
+    ]
 
 
 def test_a_folder_that_is_not_there_is_told_before_and_after_the_run(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from leactl.bench import benchfile
-from leactl.bench.bench import Bench, refuse_blind
+from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.wiring import MachineWiring
 from leactl.errors import InputError
 from tests.cli.terminal import leactl
@@ -24,7 +24,7 @@ def written(tmp_path, interlocks, more=""):
 def refused(path):
     with pytest.raises(InputError) as caught:
         file, devices, document = benchfile.load(str(path))
-        refuse_blind(Bench(file, devices, MachineWiring()), document)
+        require_channels_for_interlocks(Bench(file, devices, MachineWiring()), document)
     return caught.value.faults
 
 
@@ -114,7 +114,7 @@ def test_a_temperature_that_is_measured_needs_a_trip(tmp_path):
     assert "and no trip_degC says how hot it may be" in fault
     path = written(tmp_path, "housing_temperature: {role: test, trip_degC: 85}", THERMISTOR)
     file, devices, document = benchfile.load(str(path))
-    refuse_blind(Bench(file, devices, MachineWiring()), document)
+    require_channels_for_interlocks(Bench(file, devices, MachineWiring()), document)
 
 
 def test_a_bench_without_limits_is_refused_and_one_without_interlocks_has_defaults(tmp_path):

@@ -1,10 +1,10 @@
 """What the doctor makes of a machine's files, and what the commands it names would change."""
 
-from leactl.bench.host_checks import examine
+from leactl.bench.host_checks import run_checks
 
 
 def finding(root, subject):
-    return next(item for item in examine(root) if item.subject == subject)
+    return next(item for item in run_checks(root) if item.subject == subject)
 
 
 def interface(root, name, kind, state):

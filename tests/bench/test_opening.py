@@ -5,7 +5,7 @@ import pytest
 from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.driver.contract import SAFE_STATE_S
-from leactl.driver.stopping import make_safe
+from leactl.driver.safe_state import make_safe
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.errors import DeviceError
 

@@ -14,7 +14,7 @@ from leactl.driver.contract import Identity
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.errors import DeviceError
 from leactl.runfile.instruments import Instrument
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
 

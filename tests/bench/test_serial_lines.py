@@ -143,6 +143,6 @@ def test_a_serial_line_is_put_elsewhere(tmp_path):
     bench, path = write(tmp_path)
     path.write_text(yaml.safe_dump(bench, sort_keys=False))
     file = benchfile.load(str(path))[0]
-    assert benchfile.put_elsewhere(file, ["line=serial:/dev/pts/7"])["line"].port == "/dev/pts/7"
+    assert benchfile.changed_buses(file, ["line=serial:/dev/pts/7"])["line"].port == "/dev/pts/7"
     with pytest.raises(InputError, match=r"NAME=serial:PORT, with a serial line of it \(can0, line\)"):
-        benchfile.put_elsewhere(file, ["line=pty"])
+        benchfile.changed_buses(file, ["line=pty"])

@@ -10,7 +10,7 @@ from leactl.bench.benchfile import CanBus
 from leactl.driver.i2c_port import SmBus
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.write.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted

@@ -8,8 +8,8 @@ from leactl.analysis.experiments.back_emf import analyze
 from leactl.driver.contract import Block, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.quantities import ChannelSpec
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.writer import RunWriter
 from leactl.safety.limits import Limits
 from leactl.safety.supervisor import Supervisor
 from tests.analysis.open_leads import PAIRS, OpenLeads, described

@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.run_index import list_runs
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.catalog.run_index import list_runs
+from leactl.runfile.write.writer import RunWriter
 from tests.benchmarks.rounds import compare
 from tests.benchmarks.test_recording import CHANNELS
 from tests.runfile.specimen import info

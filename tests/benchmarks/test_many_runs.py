@@ -13,10 +13,10 @@ import pytest
 from leactl import run_protocol
 from leactl.processes import Workers
 from leactl.quantities import ChannelSpec
-from leactl.runfile.description import RunInfo
-from leactl.runfile.run_index import NAME, list_runs, update
-from leactl.runfile.selection import selection_of
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.catalog.run_index import NAME, list_runs, update
+from leactl.runfile.catalog.selection import selection_of
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 from tests.benchmarks.test_recording import CHANNELS
 
 RUNS, ANALYSED = 10_000, 1_000

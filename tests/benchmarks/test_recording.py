@@ -6,7 +6,7 @@ import pytest
 
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
-from leactl.runfile.writer import LIVE_CHUNK_ROWS, RunWriter
+from leactl.runfile.write.writer import LIVE_CHUNK_ROWS, RunWriter
 from tests.benchmarks.rounds import compare
 from tests.runfile.specimen import info
 

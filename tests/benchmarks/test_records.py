@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from leactl_plugins.thermal_csv.emulator import series
 
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import TableDialect
 from tests.driver.camera import camera
 
 ROWS, REGIONS, LIMIT_S = 270_000, 9, 10.0
@@ -19,7 +19,7 @@ def test_a_thermal_record_is_read_in_seconds(tmp_path, figure):
     values = np.round(25 + np.linspace(0, 90, ROWS)[:, None] + rng.normal(0, 0.1, (ROWS, REGIONS)), 2)
     columns = {f"R{k}": list(values[:, k]) for k in range(REGIONS)}
     path = tmp_path / "export.csv"
-    path.write_bytes(series(stamps, columns, Dialect("utf-16-le", True, ";", ",")))
+    path.write_bytes(series(stamps, columns, TableDialect("utf-16-le", True, ";", ",")))
     regions = {f"r{k}": {"column": f"R{k}", "quantity": "winding_temperature"} for k in range(REGIONS)}
     source = camera(regions=regions, time={"column": "Time", "zone": "Europe/Berlin"})
     before = time.process_time()

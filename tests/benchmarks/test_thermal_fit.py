@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from leactl.analysis.heating.network import Unknowns, drive_of, fit_network, measured
 from leactl.analysis.heating.record import stretches
 from leactl.analysis.heating.start import covered
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.analysis.heated import HeatedBench
 
 RATE = 30.0  # Hz

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from leactl.bench import benchfile
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
 

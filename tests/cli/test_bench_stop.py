@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from leactl.bench import benchfile
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.cli.terminal import leactl, live_run, start
 from tests.runner.conftest import SPIN
 

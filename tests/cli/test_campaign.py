@@ -11,8 +11,8 @@ from collections import Counter
 
 import pytest
 
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.cli.terminal import COMMAND, leactl, start
 from tests.runner.campaign.conftest import SMALL, SPIN
 

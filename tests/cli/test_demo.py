@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from leactl.runfile.integrity import verify
+from leactl.runfile.verify.integrity import verify
 from tests.cli.sessions import BLOCK, LIVE, commands, masked, typed
 from tests.cli.terminal import interpreted
 

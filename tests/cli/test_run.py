@@ -10,7 +10,7 @@ import sys
 import h5py
 import pytest
 
-from leactl.runfile.integrity import recover, verify
+from leactl.runfile.verify.integrity import recover, verify
 from tests.cli.terminal import COMMAND, leactl, live_run, start
 from tests.runner.conftest import SPIN
 
@@ -228,7 +228,7 @@ def test_a_recording_that_took_no_more_is_not_closed_again_on_the_way_out(tmp_pa
     script = """
 import sys
 from leactl.cli.main import main
-from leactl.runfile import writer
+from leactl.runfile.write import writer
 
 class File:
     def __del__(self):

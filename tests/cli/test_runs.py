@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.description import RunInfo
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 
 from .terminal import leactl
 

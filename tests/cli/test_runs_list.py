@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.catalog import run_files
-from leactl.runfile.description import RunInfo
-from leactl.runfile.selection import ordered, selection_of
+from leactl.runfile.catalog.selection import ordered, selection_of
+from leactl.runfile.catalog.summaries import run_files
 from leactl.runfile.summary import Summary
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 
 from .terminal import COMMAND, leactl
 
@@ -167,7 +167,7 @@ def test_nothing_that_fits_is_said(sweep):
 
 
 def test_files_of_a_folder_are_named_without_being_opened(sweep, monkeypatch):
-    monkeypatch.setattr("leactl.runfile.catalog.open_run_file", None)
+    monkeypatch.setattr("leactl.runfile.catalog.summaries.open_run_file", None)
     assert len(run_files([sweep])) == 8
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from leactl.protocol import protocolfile
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 SHORTER = {

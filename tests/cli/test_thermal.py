@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 BURSTS = """

@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from leactl.runfile.alignment import Alignment, by_likeness, tied
-from leactl.runfile.onsets import ties_by_onset
+from leactl.runfile.align.alignment import Alignment, align_by_similarity, fit_alignment
+from leactl.runfile.align.onsets import ties_by_onset
 from tests.runfile.test_alignment import DRIFT, heating, pair
 
 COVERED = 0.95
@@ -16,7 +16,7 @@ COVERED = 0.95
 def likeness(seed: int, noise: float) -> tuple[float, float]:
     """Error and claim of one pair of channels that measured the same [s]."""
     own, reference, offset, rate = pair(seed, noise)
-    found = by_likeness(own, reference, 2.0, "both", near=5.0, drift_within=DRIFT)
+    found = align_by_similarity(own, reference, 2.0, "both", near=5.0, drift_within=DRIFT)
     return judged(found, 8.0, offset, rate)
 
 
@@ -29,7 +29,7 @@ def onset(seed: int, noise: float) -> tuple[float, float]:
     current = np.where((base >= starts) & (base < ends), 9.0, 0.0) + 0.01 * rng.normal(size=len(base))
     seen = np.round(heating(offset + rate * own, starts, ends) + noise * rng.normal(size=len(own)), 2)
     ties = ties_by_onset(own, seen, base, current, 4.0, 40.0, 60.0, 5.0)
-    return judged(tied("onset", ties, DRIFT, 0.0), 300.0, offset, rate)
+    return judged(fit_alignment("onset", ties, DRIFT, 0.0), 300.0, offset, rate)
 
 
 def judged(found: Alignment, at: float, offset: float, rate: float) -> tuple[float, float]:

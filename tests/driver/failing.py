@@ -5,7 +5,7 @@ import math
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
-from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, Error
+from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, InterpreterError
 from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
 from leactl.driver.far_end import Frame
@@ -339,7 +339,7 @@ class FailingElmoEnd(ElmoSerialEmulator):
 
     def _set(self, name: str, value: float, now: float) -> None:
         if name in self._refused and value:
-            raise Error(self._refused[name])
+            raise InterpreterError(self._refused[name])
         if name not in self._deaf:
             super()._set(name, value, now)
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.driver.conversation import Question, Talk, Unreadable
+from leactl.driver.conversation import Query, Talk, Unreadable
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import NoAnswer
@@ -43,7 +43,7 @@ def port(line, clock, end=b"\n"):
 def test_no_answer_is_told_at_its_time_whatever_the_clock_says(now, answer_s):
     clock = EmulatedClock()
     clock.sleep_until(now)
-    talk = Talk(port(Silent(clock), clock), asked(Question("GETD", bytes)), answer_s)
+    talk = Talk(port(Silent(clock), clock), asked(Query("GETD", bytes)), answer_s)
     with pytest.raises(NoAnswer, match="no answer to GETD"):
         talk.finish(now + 10.0)
     assert clock.now() == pytest.approx(now + answer_s)
@@ -52,7 +52,7 @@ def test_no_answer_is_told_at_its_time_whatever_the_clock_says(now, answer_s):
 def test_an_answer_of_several_lines_ends_with_its_last():
     clock = EmulatedClock()
     line = Silent(clock, b"01", b"0120\rO", b"K\rrest")
-    question = Question("GETS", bytes, last=b"OK")
+    question = Query("GETS", bytes, last=b"OK")
     assert Talk(port(line, clock, b"\r"), asked(question), 0.3).finish(1.0) == b"010120\nOK"
     assert line.said == b"GETS\r"
 
@@ -66,7 +66,7 @@ def refusing(answer):
 @pytest.mark.parametrize(("patient", "outcome"), [(True, b"mine"), (False, None)])
 def test_only_a_patient_question_lets_other_answers_go_by(patient, outcome):
     clock = EmulatedClock()
-    talk = Talk(port(Silent(clock, b"other\nmine\n"), clock), asked(Question("?", refusing, patient)), 0.3)
+    talk = Talk(port(Silent(clock, b"other\nmine\n"), clock), asked(Query("?", refusing, patient)), 0.3)
     if patient:
         assert talk.finish(1.0) == outcome
         return

@@ -103,7 +103,7 @@ def test_what_a_recording_does_not_say_is_refused_with_the_key_that_does(tmp_pat
 
 def test_uneven_stamps_and_missing_samples_are_told(tmp_path):
     record = read(tmp_path, FILE + "7,,0\n8,1.0,0\n")
-    told = "\n".join(record.told)
+    told = "\n".join(record.remarks)
     assert "UNEVEN: 0.001 to 0.005 s apart" in told
     assert "1 gaps, about 4 frames missing" in told
     assert np.isnan(record.values[3, 0])

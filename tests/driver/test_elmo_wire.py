@@ -6,7 +6,7 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leactl_plugins.elmo_can.cia402 import State, state_of
+from leactl_plugins.elmo_can.cia402 import DriveState, state_of
 from leactl_plugins.elmo_can.emulator import ElmoEmulator
 from leactl_plugins.elmo_can.settings import ElmoSettings
 from pydantic import ValidationError
@@ -86,14 +86,14 @@ def test_enable_walks_one_transition_a_cycle(bench):
 @pytest.mark.parametrize(
     ("word", "state"),
     [
-        (0x0250, State.DISABLED),
-        (0x0231, State.READY),
-        (0x0233, State.SWITCHED_ON),
-        (0x0637, State.ENABLED),
-        (0x0218, State.FAULT),
-        (0x0298, State.FAULT),
-        (0x0617, State.QUICK_STOP),
-        (0x02C0, State.DISABLED),
+        (0x0250, DriveState.DISABLED),
+        (0x0231, DriveState.READY),
+        (0x0233, DriveState.SWITCHED_ON),
+        (0x0637, DriveState.ENABLED),
+        (0x0218, DriveState.FAULT),
+        (0x0298, DriveState.FAULT),
+        (0x0617, DriveState.QUICK_STOP),
+        (0x02C0, DriveState.DISABLED),
     ],
 )
 def test_statuswords_seen_on_real_drives(word, state):

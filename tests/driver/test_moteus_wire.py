@@ -10,7 +10,7 @@ from leactl_plugins.moteus_can.registers import TORQUE_FACTOR, Register
 
 from leactl.driver.contract import Identity, Mode
 from leactl.driver.far_end import FdFrame
-from leactl.driver.stopping import make_safe
+from leactl.driver.safe_state import make_safe
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
 from .failing import Shaft

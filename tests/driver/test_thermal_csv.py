@@ -24,7 +24,7 @@ ROWS = np.array([[25.31, 24.90], [25.40, 24.91], [25.52, 24.93]])
 
 
 def told(record):
-    return "\n".join(record.told)
+    return "\n".join(record.remarks)
 
 
 def test_a_plain_export_is_read_and_told(tmp_path):

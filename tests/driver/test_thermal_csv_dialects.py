@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.thermal_csv.emulator import FROM_CELSIUS, matrix, series
 
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import TableDialect
 from leactl.errors import InputError
 
 from .camera import camera
@@ -35,7 +35,7 @@ NAMES = st.lists(
 def dialects(draw):
     encoding, mark = draw(st.sampled_from(ENCODINGS))
     decimal, thousands = draw(MARKS)
-    return Dialect(
+    return TableDialect(
         encoding=encoding,
         byte_order_mark=mark,
         delimiter=draw(st.sampled_from([",", ";", "\t", "|"])),
@@ -63,7 +63,7 @@ def tables(draw):
 def written(table, dialect, unit):
     names, values = table
     columns = {name: list(values[:, k]) for k, name in enumerate(names)}
-    elapsed = Dialect(decimal=dialect.decimal, decimals=1)
+    elapsed = TableDialect(decimal=dialect.decimal, decimals=1)
     stamps = [elapsed.number(0.1 * k) for k in range(len(values))]
     return series(stamps, columns, dialect, unit, time_heading="Time [s]")
 
@@ -115,7 +115,7 @@ def test_everything_told_gives_the_same_values(tmp_path_factory, table, dialect,
 @settings(max_examples=30)
 @given(dialects(), st.lists(st.floats(-40, 1500), min_size=12, max_size=12), st.integers(1, 3))
 def test_frames_of_pixels_in_any_dialect(tmp_path_factory, dialect, pixels, frames):
-    dialect = Dialect(**(vars(dialect) | {"missing": "NaN"}))
+    dialect = TableDialect(**(vars(dialect) | {"missing": "NaN"}))
     whole = [[[value + k for value in pixels[row * 4 : row * 4 + 4]] for row in range(3)] for k in range(frames)]
     raw = matrix(whole, [[f"Time = {k}.5"] for k in range(frames)], dialect)
     path = tmp_path_factory.getbasetemp() / "frames.csv"

@@ -11,7 +11,7 @@ import yaml
 from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.driver.far_end import FailingSupply
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.plant.exact.rig import Rig
 from leactl.emulation.plant.stepped.rig import SteppedRig
@@ -118,7 +118,7 @@ def test_a_supply_that_does_not_switch_off_goes_on_heating_and_is_told(opened, a
     far = emulated.far_ends["supply"]
     assert isinstance(far, FailingSupply)
     far.stuck_on(admits)
-    told = doubt(make_safe(bench.drivers.values()))
+    told = unconfirmed_devices(make_safe(bench.drivers.values()))
     assert told == f"NOT CONFIRMED SAFE, switch off the supply: supply: not confirmed within 1 s: {said}"
     assert emulated.rig.line_current == 9.0
 
@@ -141,7 +141,7 @@ def test_a_bench_file_lets_a_supply_be_stuck_on_until_it_is_mended(opened, admit
     bench, emulated = opened("heated", LEADS, faults=[STUCK | {"admits": admits}])
     switched_on(bench, 8.0, 9.0)
     run(bench, 10.0 - bench.clock.now())
-    assert doubt(make_safe(bench.drivers.values())).endswith(f"supply: not confirmed within 1 s: {said}")
+    assert unconfirmed_devices(make_safe(bench.drivers.values())).endswith(f"supply: not confirmed within 1 s: {said}")
     assert emulated.rig.line_current == 9.0
     bench.clock.sleep_until(30.1)
     assert make_safe(bench.drivers.values())["supply"].safe

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.description import RunInfo
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.exchange.robots import leg
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.gap.diagnose import Case
 from leactl.gap.signals.record import build
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 RATE = 200.0  # Hz
 PARTS = 10  # steps a sample

@@ -12,7 +12,7 @@ import numpy as np
 from leactl.gap.diagnose import Case
 from leactl.gap.signals.record import build
 from leactl.model.nominal import Model
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 PARTS = 10  # steps in a sample
 SECONDS = 12.0

@@ -12,7 +12,7 @@ import numpy as np
 from leactl.gap.diagnose import Case
 from leactl.gap.signals.record import build
 from leactl.model.nominal import Model
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 COUNT = 2.0 * np.pi / 4096
 FINEST = 40  # parts of the time constant of the lightest servo, that a step lasts

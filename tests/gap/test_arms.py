@@ -13,7 +13,7 @@ from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_calibration, with_effects
 from leactl.gap.signals.record import read_record
 from leactl.model.nominal import Model
-from leactl.runfile.importing import import_runs
+from leactl.runfile.importing.importer import import_runs
 from tests.gap.arms import TESTS, Arm, case_of, logs, recorded
 
 VOLTS = {"name": "arm", "feedforward": {"kS": 0.17, "kV": 1.1, "kA": 0.13}}

@@ -12,7 +12,7 @@ from leactl.gap.servo.simulation import replay
 from leactl.gap.signals.record import build
 from leactl.gap.signals.rig import creep_sense
 from leactl.model.nominal import Model
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 from .test_foreign import NO_PRIORS, fitted, rows_of
 

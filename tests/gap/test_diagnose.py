@@ -15,7 +15,7 @@ from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.ringing import ringing
 from leactl.gap.signals.record import build
 from leactl.gap.verdict.notes import gathered
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 from leactl.vocabulary.effect import effect_definition
 from tests.gap.emulated_cases import EVERY, FEW, OFTEN, SEED, emulated_cases
 

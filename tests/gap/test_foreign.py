@@ -19,8 +19,8 @@ from leactl.gap.servo.simulation import replay, table
 from leactl.gap.signals.record import read_record
 from leactl.gap.signals.smoothing import thinned
 from leactl.model.nominal import read_model
-from leactl.runfile.importing import import_runs
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.read.reader import Run
 
 FILES = Path(__file__).parent / "foreign"
 NO_PRIORS = dict.fromkeys(PRIORS, np.inf)

@@ -14,9 +14,9 @@ from leactl.gap.signals.record import read_record
 from leactl.gap.verdict.notes import unlike
 from leactl.model.nominal import as_mapping, read_model
 from leactl.quantities import ChannelSpec
-from leactl.runfile.description import RunInfo
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.gap.synthetic import model
 

@@ -12,7 +12,7 @@ from leactl.gap.diagnose import Case, diagnose, split
 from leactl.gap.signals.record import build
 from leactl.joints.make import make
 from leactl.model.nominal import Model, as_mapping, read_model
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 CASES = int(os.environ.get("SIMILAR", "60"))
 MACHINES = 10

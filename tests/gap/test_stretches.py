@@ -12,7 +12,7 @@ import pytest
 from leactl.gap.diagnose import diagnose, read_case, split
 from leactl.gap.replay import stretches
 from leactl.gap.replay.stretches import STRETCHES, fair_share, read_records
-from leactl.runfile import heaps
+from leactl.runfile.hdf5 import text_heaps
 from tests.gap import nights
 
 ROWS = 60_000
@@ -109,13 +109,13 @@ def test_an_effect_is_named_in_stretches_as_in_the_whole_run(pair, monkeypatch):
 @pytest.mark.parametrize("size", [8, 9, 64, 4096])
 def test_heaps_are_found_whatever_the_blocks_they_are_read_in(pair, monkeypatch, size):
     path = pair / "night-1.h5"
-    raw = path.read_bytes()[:40_000] + 3 * (b"\0" * 5 + heaps.HEAD)
+    raw = path.read_bytes()[:40_000] + 3 * (b"\0" * 5 + text_heaps.HEAD)
     part = pair / "part.bin"
     part.write_bytes(raw)
-    monkeypatch.setattr(heaps, "BLOCK", size)
+    monkeypatch.setattr(text_heaps, "BLOCK", size)
     with part.open("rb") as stream:
-        found = list(heaps.heaps(stream))
-    assert found == [at for at in range(len(raw)) if raw.startswith(heaps.HEAD, at)]
+        found = list(text_heaps.heaps(stream))
+    assert found == [at for at in range(len(raw)) if raw.startswith(text_heaps.HEAD, at)]
     assert len(found) >= 3
 
 

@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.gap.thermal_fit import FITTED, thermal_fit
 from leactl.model.motor import load_motor
 from leactl.report.thermal_fits import thermal_fits
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 LEA = load_motor("lea")[0]

@@ -16,7 +16,7 @@ FLOWING_A = 0.05
 
 def main():
     file, devices, _document = benchfile.load(sys.argv[1] if len(sys.argv) > 1 else "emulated-heated")
-    bench = EmulatedBench(file, benchfile.asked_for(devices, ()), "heated", "")
+    bench = EmulatedBench(file, benchfile.devices_of_run(devices, ()), "heated", "")
     flowing = False
 
     def look(_now):

@@ -16,9 +16,9 @@ import h5py
 import yaml
 
 from leactl.bench import benchfile
-from leactl.runfile.integrity import recover, verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runfile.summary import RECORDING
+from leactl.runfile.verify.integrity import recover, verify
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import ROOT, can_place
 from tests.kills import stuck

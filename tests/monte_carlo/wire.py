@@ -15,8 +15,8 @@ import yaml
 
 from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import observed
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner import thermal_admission
 from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted

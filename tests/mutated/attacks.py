@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from leactl.runfile import layout
-from leactl.runfile.heaps import HEAD, HEADER, OBJECT
+from leactl.runfile.hdf5.text_heaps import HEAD, HEADER, OBJECT
 from leactl.runfile.summary import RECORDING
 from tests.runfile.specimen import unseal
 

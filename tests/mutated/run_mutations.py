@@ -99,7 +99,7 @@ def attribute_renamed(rng: random.Random, file: Any) -> bool:
 def attribute_replaced(rng: random.Random, file: Any) -> bool:
     """An attribute of another type or size."""
     node, name = any_attribute(rng, file)
-    before = layout.plain(node.attrs[name])
+    before = layout.to_python(node.attrs[name])
     value = rng.choice(
         [
             rng.choice(TEXTS),
@@ -117,7 +117,7 @@ def attribute_replaced(rng: random.Random, file: Any) -> bool:
     )
     del node.attrs[name]
     node.attrs[name] = value
-    return repr(layout.plain(node.attrs[name])) != repr(before)
+    return repr(layout.to_python(node.attrs[name])) != repr(before)
 
 
 def attribute_huge(rng: random.Random, file: Any) -> bool:
@@ -287,7 +287,7 @@ def hostile_text(rng: random.Random, file: Any) -> bool:
     dataset = file[path]
     attributes = {name: dataset.attrs[name] for name in dataset.attrs if name not in OF_SCALES}
     shape = dataset.shape
-    before = [layout.plain(dataset[()])] if shape == () else layout.texts(dataset)
+    before = [layout.to_python(dataset[()])] if shape == () else layout.texts(dataset)
     text = rng.choice(TEXTS)
     after = [text] if shape == () else [text if rng.random() < 0.5 else item for item in before]
     del dataset

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile import tree
-from leactl.runfile.formats.mat import mat_tree
-from leactl.runfile.opening import open_run_file
+from leactl.runfile.hdf5 import tree
+from leactl.runfile.hdf5.opening import open_run_file
+from leactl.runfile.importing.sources.formats.mat import mat_tree
 from tests.analysis.short_runs import short_run
 from tests.mutated import attacks
 from tests.mutated.child import outcome
@@ -176,7 +176,7 @@ def test_a_mat_file_of_version_5_unpacks_no_further_than_it_may(tmp_path, monkey
     path = tmp_path / "a.mat"
     packed = zlib.compress(struct.pack("<LL", 14, 1 << 22) + bytes(1 << 22))
     path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + struct.pack("<LL", 15, len(packed)) + packed)
-    monkeypatch.setattr("leactl.runfile.formats.mat.MOST_UNPACKED", (8, 1 << 20))
+    monkeypatch.setattr("leactl.runfile.importing.sources.formats.mat.MOST_UNPACKED", (8, 1 << 20))
     with pytest.raises(InputError, match=f"{path}: unpacks to more than"):
         mat_tree(path)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from leactl.analysis.analyze import analyze_runs, experiment_of
 from leactl.analysis.estimate import Estimate, Result
 from leactl.report.terminal import figures, interval_text, value_text
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 from .truths import truths
 

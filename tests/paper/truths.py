@@ -8,7 +8,7 @@ import numpy as np
 from leactl.analysis.estimate import Result
 from leactl.bench import benchfile
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.analysis.coupled import Truth
 from tests.analysis.heated import Plant
 from tests.coverage_of_intervals import efficiency as efficiencies

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.by_hand import Jog, reading, turning_and_pulling, written, zeroing
+from leactl.protocol.by_hand import Jog, motion_steps, plan_of, reading_steps, tare_steps
 from leactl.protocol.plan import SETPOINT_QUANTITY, Engage, Tare
 from leactl.protocol.protocolfile import expanded
 from tests.protocol.writing import segments
@@ -29,7 +29,7 @@ motions = st.builds(
 @given(motions, amounts)
 def test_a_jog_reaches_its_setpoint_at_its_rate_and_leaves_the_drive_off(jog, stands_at):
     jog.check()
-    plan = written("jog", "free", jog.steps(stands_at))
+    plan = plan_of("jog", "free", jog.steps(stands_at))
     begins = stands_at if jog.mode is Mode.ANGLE else 0.0
     goal = begins + jog.value
     assert plan.actions[0] == Engage({jog.role: jog.mode})
@@ -49,12 +49,12 @@ def test_a_jog_reaches_its_setpoint_at_its_rate_and_leaves_the_drive_off(jog, st
 
 @given(motions)
 def test_the_text_in_the_run_file_is_a_protocol_that_runs_the_same(jog):
-    plan = written("jog", "coupled", jog.steps())
+    plan = plan_of("jog", "coupled", jog.steps())
     assert expanded(yamlfile.parse(plan.text), None, {}, "").actions == plan.actions
 
 
 def test_reading_and_zeroing_engage_no_drive():
-    read, zero = written("read", "coupled", reading(2.0)), written("zero", "coupled", zeroing())
+    read, zero = plan_of("read", "coupled", reading_steps(2.0)), plan_of("zero", "coupled", tare_steps())
     assert [type(action) for action in zero.actions] == [Tare]
     assert (read.duration_s, read.peaks(), zero.peaks()) == (2.0, {}, {})
     assert not any(isinstance(action, Engage) for action in read.actions)
@@ -88,7 +88,7 @@ def test_what_no_protocol_can_be_written_of_is_refused(changes, words):
     ],
 )
 def test_a_bench_turns_and_pulls_as_far_as_its_set_up_allows(setup, roles, modes):
-    plan = written("drill", setup, turning_and_pulling(setup, roles, 5.0, 4.0, 1.0))
+    plan = plan_of("drill", setup, motion_steps(setup, roles, 5.0, 4.0, 1.0))
     engaged = [action.modes for action in plan.actions if isinstance(action, Engage)]
     assert engaged == [modes, dict.fromkeys(modes, Mode.OFF)]
     goals = {Mode.VELOCITY: 5.0, Mode.CURRENT: 4.0}
@@ -98,4 +98,4 @@ def test_a_bench_turns_and_pulls_as_far_as_its_set_up_allows(setup, roles, modes
 @pytest.mark.parametrize(("setup", "roles"), [("heated", ["test"]), ("locked", ["load"]), ("free", [])])
 def test_where_nothing_can_be_moved_no_protocol_is_written(setup, roles):
     with pytest.raises(InputError, match="nothing could be moved"):
-        turning_and_pulling(setup, roles, 5.0, 4.0, 1.0)
+        motion_steps(setup, roles, 5.0, 4.0, 1.0)

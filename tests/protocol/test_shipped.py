@@ -6,7 +6,7 @@ import pytest
 
 from leactl.driver.contract import Mode
 from leactl.protocol import protocolfile
-from leactl.protocol.plan import Engage, Ramp, Supply, Tare
+from leactl.protocol.plan import Engage, Ramp, SetSupply, Tare
 from tests.protocol.writing import levels, segments
 
 KT = 0.49  # N*m/A
@@ -23,7 +23,7 @@ def test_every_shipped_protocol_is_in_order(name):
     for action in found.actions:
         if isinstance(action, Engage):
             modes |= action.modes
-        if isinstance(action, Supply):
+        if isinstance(action, SetSupply):
             outputs |= action.outputs
     assert modes or outputs
     assert set(modes.values()) <= {Mode.OFF}
@@ -104,7 +104,7 @@ def test_friction_breaks_loose_turns_at_every_level_and_keeps_below_the_limit(pr
 def test_thermal():
     found = protocolfile.load("thermal", {"current_A": "9"})
     assert found.setup == "heated"
-    assert [action.outputs for action in found.actions if isinstance(action, Supply)] == [
+    assert [action.outputs for action in found.actions if isinstance(action, SetSupply)] == [
         {"test": (8.0, 9.0)},
         {"test": None},
     ]

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from leactl.driver.contract import Mode
-from leactl.protocol.plan import Constant, Engage, Prompt, Ramp, Record, Segment, Tare, WaitUntil
+from leactl.protocol.plan import Constant, Engage, Prompt, Ramp, Segment, SetRecordRate, Tare, WaitUntil
 from tests.protocol.writing import levels, plan, segments
 
 
@@ -198,8 +198,8 @@ def test_actions_that_are_no_setpoints():
     assert found.actions[1:] == (
         Tare(500),
         Prompt("Lock the shaft"),
-        Record(0),
-        Record(25),
+        SetRecordRate(0),
+        SetRecordRate(25),
         WaitUntil("velocity", "test", -math.inf, 0.1, 5.0),
         WaitUntil("velocity", "test", -1.0, 0.1, 5.0),
         Engage({"test": Mode.OFF}),

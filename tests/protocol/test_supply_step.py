@@ -3,7 +3,7 @@
 import pytest
 
 from leactl.errors import InputError
-from leactl.protocol.plan import Supply
+from leactl.protocol.plan import SetSupply
 from tests.protocol.writing import read
 
 HEAD = "name: trial\nsetup: {setup}\nrate_Hz: 30\nparameters: {{amperes: 9}}\nsteps:\n"
@@ -16,8 +16,8 @@ def protocol(*steps, setup="heated"):
 
 def test_levels_and_off_in_order():
     found = read(protocol(ON, "hold: {duration_s: 5}", "supply: {test: off}"))
-    assert found.actions[0] == Supply({"test": (8.0, 9.0)})
-    assert found.actions[2] == Supply({"test": None})
+    assert found.actions[0] == SetSupply({"test": (8.0, 9.0)})
+    assert found.actions[2] == SetSupply({"test": None})
     assert found.peaks() == {("test", "line_current"): 9.0}
     assert [row.setpoints for row in found.timeline()] == ["test 8 V, 9 A", "", "test off"]
 

@@ -10,10 +10,10 @@ import pytest
 from leactl.quantities import ChannelSpec
 from leactl.report.run_page import page
 from leactl.report.run_plot import panels
-from leactl.runfile.description import RunInfo
-from leactl.runfile.reader import Run
-from leactl.runfile.traces import channel_names, part_of_run, trace
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 from tests.report.browser import dumped, look, needs_chromium
 
 CHANNELS = [
@@ -52,7 +52,7 @@ def run(tmp_path):
 
 
 def traces(run, words, bins):
-    return [trace(run, name, *part_of_run(run, "", None, None), bins) for name in channel_names(run, words)]
+    return [channel_trace(run, name, *part_of_run(run, "", None, None), bins) for name in channel_names(run, words)]
 
 
 @pytest.mark.parametrize("width", [40, 80, 200])

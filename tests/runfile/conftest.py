@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import STREAMS, info
 

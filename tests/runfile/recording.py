@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.runfile.writer import RecordingFailed, RunWriter
+from leactl.runfile.write.writer import RecordingFailed, RunWriter
 
 from .specimen import STREAMS, info
 

@@ -1,7 +1,7 @@
 """Channels and description of a small run."""
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.writer import RunInfo
+from leactl.runfile.write.writer import RunInfo
 
 LOOP = [
     ChannelSpec("iq", "q_axis_current", "test", "drive_a"),

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from leactl.errors import InputError
-from leactl.runfile.alignment import Tie, by_likeness, tied
-from leactl.runfile.onsets import jumps, onset, ties_by_onset
+from leactl.runfile.align.alignment import Tie, align_by_similarity, fit_alignment
+from leactl.runfile.align.onsets import fit_onset, jumps, ties_by_onset
 
 DRIFT = 1e-4  # 95 %
 UNSEEN = 0.0005  # s, half a recorder's interval, as it is stated for a record that is attached
@@ -36,7 +36,7 @@ def pair(seed, noise, interval=0.005):
 
 
 def test_one_tie_gives_its_offset_and_a_drift_that_is_only_bounded():
-    alignment = tied("x", [Tie(100.0, 112.0, 0.5 / 1.959964)], DRIFT, 0.0)
+    alignment = fit_alignment("x", [Tie(100.0, 112.0, 0.5 / 1.959964)], DRIFT, 0.0)
     assert alignment.on_run(np.array([100.0]))[0] == pytest.approx(112.0)
     assert alignment.uncertainty(100.0) == pytest.approx(0.5)
     assert alignment.uncertainty(100.0 + 9000.0) == pytest.approx(np.hypot(0.5, 9000.0 * DRIFT))
@@ -46,7 +46,7 @@ def test_one_tie_gives_its_offset_and_a_drift_that_is_only_bounded():
 def test_two_far_ties_give_offset_and_drift():
     rate = 1 + 40e-6
     ties = [Tie(0.0, 3.0, 0.001), Tie(9000.0, 3.0 + rate * 9000.0, 0.001)]
-    alignment = tied("x", ties, DRIFT, 0.0)
+    alignment = fit_alignment("x", ties, DRIFT, 0.0)
     assert alignment.drift_ppm == pytest.approx(40.0, abs=0.01)
     assert alignment.drift_uncertainty_ppm == pytest.approx(1.96 * 1e6 * 0.001 * np.sqrt(2) / 9000.0, rel=0.01)
     middle, end = alignment.uncertainty(4500.0), alignment.uncertainty(9000.0)
@@ -56,13 +56,13 @@ def test_two_far_ties_give_offset_and_drift():
 
 def test_ties_that_scatter_more_than_they_claim_widen_the_interval():
     own = np.linspace(0, 100, 6)
-    calm = tied("x", [Tie(t, t + 1.0, 0.01) for t in own], DRIFT, 0.0)
-    torn = tied("x", [Tie(t, t + 1.0 + 0.1 * (-1) ** k, 0.01) for k, t in enumerate(own)], DRIFT, 0.0)
+    calm = fit_alignment("x", [Tie(t, t + 1.0, 0.01) for t in own], DRIFT, 0.0)
+    torn = fit_alignment("x", [Tie(t, t + 1.0 + 0.1 * (-1) ** k, 0.01) for k, t in enumerate(own)], DRIFT, 0.0)
     assert torn.uncertainty(50.0) > 5 * calm.uncertainty(50.0)
 
 
 def test_a_systematic_delay_stays_whatever_the_number_of_ties():
-    alignment = tied("x", [Tie(t, t, 1e-6) for t in np.linspace(0, 100, 50)], DRIFT, 0.02)
+    alignment = fit_alignment("x", [Tie(t, t, 1e-6) for t in np.linspace(0, 100, 50)], DRIFT, 0.02)
     assert alignment.uncertainty(50.0) == pytest.approx(0.02, rel=1e-3)
 
 
@@ -71,7 +71,7 @@ def test_likeness_finds_the_offset_and_says_how_well(noise):
     errors, claims = [], []
     for seed in range(6):
         own, reference, offset, rate = pair(seed, noise)
-        found = by_likeness(own, reference, 2.0, "a and b", near=5.0, drift_within=DRIFT)
+        found = align_by_similarity(own, reference, 2.0, "a and b", near=5.0, drift_within=DRIFT)
         errors.append(found.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
         claims.append(found.uncertainty(8.0))
     assert np.sum(np.abs(errors) < claims) >= 5
@@ -83,10 +83,10 @@ def test_unlike_channels_and_channels_at_rest_are_refused():
     own, reference, _, _ = pair(1, 0.02)
     noise = np.random.default_rng(0).normal(size=len(own[0]))
     with pytest.raises(InputError, match=r"a and b correlate by 0\.\d+ at best"):
-        by_likeness((own[0], noise), reference, 2.0, "a and b", near=5.0)
+        align_by_similarity((own[0], noise), reference, 2.0, "a and b", near=5.0)
     ramp = (np.arange(0, 20, 0.01), np.zeros(2000))
     with pytest.raises(InputError, match="correlate"):
-        by_likeness(ramp, ramp, 2.0, "a and b")
+        align_by_similarity(ramp, ramp, 2.0, "a and b")
 
 
 def seen_twice(signal, offset, noise=0.01, seed=1, seconds=16.0, rate=1.0):
@@ -149,7 +149,7 @@ def rustle(time):
 def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shifts_told(signal, period, noise):
     own, reference = seen_twice(signal, 20.3, noise)
     with pytest.raises(InputError, match=r"a and b are as alike at .*near_s") as refused:
-        by_likeness(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT)
+        align_by_similarity(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT)
     one, other = (float(told) for told in re.findall(r"at ([-\d.]+) s", str(refused.value)))
     apart = (one - other) / period
     assert round(apart) != 0
@@ -160,7 +160,7 @@ def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shif
 def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_than_its_period(signal):
     for offset in (20.3, 19.95, 20.55):
         own, reference = seen_twice(signal, offset)
-        found = by_likeness(own, reference, 0.4, "a and b", near=20.2, drift_within=DRIFT, systematic=UNSEEN)
+        found = align_by_similarity(own, reference, 0.4, "a and b", near=20.2, drift_within=DRIFT, systematic=UNSEEN)
         assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 
@@ -168,14 +168,14 @@ def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_tha
 def test_a_signal_that_never_repeats_itself_whole_is_aligned_over_a_wide_search(signal):
     for offset in (16.2, 20.3037):
         own, reference = seen_twice(signal, offset)
-        found = by_likeness(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT, systematic=UNSEEN)
+        found = align_by_similarity(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT, systematic=UNSEEN)
         assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 
 @pytest.mark.parametrize(("signal", "offset"), [(stepping, -12.0), (chirp, 53.0)])
 def test_a_record_of_which_the_run_saw_a_part_is_aligned_in_spite_of_shorter_parts_that_fit(signal, offset):
     own, reference = seen_twice(signal, offset, noise=0.05)
-    found = by_likeness(own, reference, 14.0, "a and b", near=offset + 3.0, drift_within=DRIFT)
+    found = align_by_similarity(own, reference, 14.0, "a and b", near=offset + 3.0, drift_within=DRIFT)
     assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 
@@ -188,7 +188,7 @@ def test_whatever_is_answered_is_true(signal):
         own, reference = seen_twice(signal, offset, noise, seed, rng.uniform(4, 16), rate)
         try:
             near = offset + within * rng.uniform(-0.9, 0.9)
-            found = by_likeness(own, reference, within, "a and b", near, DRIFT, UNSEEN)
+            found = align_by_similarity(own, reference, within, "a and b", near, DRIFT, UNSEEN)
         except InputError:
             continue
         at = 0.5 * own[0][-1]
@@ -222,7 +222,7 @@ def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
         seen = heating(offset + rate * own, starts, ends) + 0.1 * rng.normal(size=len(own))
         ties = ties_by_onset(own, np.round(seen, 2), base, current, 4.0, 40.0, 60.0, 5.0)
         assert len(ties) == 2
-        found = tied("x", ties, DRIFT, 0.0)
+        found = fit_alignment("x", ties, DRIFT, 0.0)
         errors.append(found.on_run(np.array([300.0]))[0] - (offset + rate * 300.0))
         claims.append(found.uncertainty(300.0))
     assert np.sum(np.abs(errors) < claims) >= 5
@@ -244,7 +244,7 @@ def pulses(*edges):
 def test_heat_that_lasts_shorter_than_the_search_reaches_is_not_mistaken_for_cooling(sign, leads):
     own, seen, base, current = pulses(8.1, 20.2)
     ties = ties_by_onset(own, 50.0 + sign * seen, base, leads * current, 4.0, 0.0, 60.0, 5.0)
-    assert [tie.run - tie.own for tie in ties] == pytest.approx([-7.0, -7.0], abs=0.15)
+    assert [tie.run_time - tie.device_time for tie in ties] == pytest.approx([-7.0, -7.0], abs=0.15)
 
 
 def test_onsets_that_do_not_belong_together_are_refused():
@@ -255,11 +255,11 @@ def test_onsets_that_do_not_belong_together_are_refused():
 def test_a_camera_that_sees_nothing_has_no_onset():
     rng = np.random.default_rng(3)
     time = np.arange(0, 200, 1 / 30)
-    assert onset(time, 25 + 0.05 * rng.normal(size=len(time)), 100.0, 60.0, 5.0, 1.0) is None
-    assert onset(time[:10], np.full(10, 25.0), 0.0, 60.0, 5.0, 1.0) is None
+    assert fit_onset(time, 25 + 0.05 * rng.normal(size=len(time)), 100.0, 60.0, 5.0, 1.0) is None
+    assert fit_onset(time[:10], np.full(10, 25.0), 0.0, 60.0, 5.0, 1.0) is None
 
 
 def test_a_jump_over_two_samples_is_one_and_a_missing_sample_is_none():
     time = np.arange(8.0)
     values = np.array([0.0, 0.0, 5.0, 9.0, 9.0, np.nan, 9.0, 0.0])
-    assert [(tie.run, round(tie.sd, 3)) for tie in jumps(time, values, 4.0)] == [(1.5, 0.289), (6.5, 0.289)]
+    assert [(tie.run_time, round(tie.sd, 3)) for tie in jumps(time, values, 4.0)] == [(1.5, 0.289), (6.5, 0.289)]

@@ -11,13 +11,13 @@ from leactl_plugins.thermal_csv.emulator import series
 
 from leactl import yamlfile
 from leactl.bench.records import RecordDevice
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import TableDialect
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 
 from .specimen import info, unseal
@@ -64,7 +64,7 @@ def export(tmp_path):
         celsius = 25 + 1.8 * rises * np.exp(-rises / 12) + noise
         stamps = [stamp(k / rate) for k in range(frames)]
         path = tmp_path / name
-        path.write_bytes(series(stamps, {"R1 Avg": list(celsius)}, Dialect(delimiter=";")))
+        path.write_bytes(series(stamps, {"R1 Avg": list(celsius)}, TableDialect(delimiter=";")))
         return path
 
     return write
@@ -161,7 +161,7 @@ def test_check_tells_and_changes_nothing(run, export, bench):
 
 def test_rows_outside_the_run_are_left_out_and_told(run, export, bench):
     found = attach(run, export(elapsed, frames=2400), bench({"offset_s": -10.0, "offset_within_s": 0.2}))
-    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in found.told()[-1]  # of -10 to 70 s
+    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in found.summary_lines()[-1]  # of -10 to 70 s
     with Run.open(run) as opened:
         assert opened.rows["camera"] == 1799
         assert opened.time("camera")[0] >= 0.0

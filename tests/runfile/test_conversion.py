@@ -10,9 +10,9 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.conversion import convert
-from leactl.runfile.integrity import annotate, checksums, recover, verify
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.verify.conversion import convert
+from leactl.runfile.verify.integrity import annotate, checksums, recover, verify
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import STREAMS, info
 
@@ -118,7 +118,7 @@ def test_a_run_of_the_newest_format_becomes_old_with_every_value_and_attribute(n
         for place, attributes in before.items():
             own = layout.attributes(file[place])
             assert {name: own.get(name) for name in own} == {
-                name: layout.plain(value) for name, value in attributes.items() if name in own
+                name: layout.to_python(value) for name, value in attributes.items() if name in own
             }
         assert file["streams/loop/iq"].dims[0][0] == file["streams/loop/time"]
 

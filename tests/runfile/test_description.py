@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.conversion import convert
-from leactl.runfile.importing import import_runs
-from leactl.runfile.integrity import annotate, recover, verify
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.conversion import convert
+from leactl.runfile.verify.integrity import annotate, recover, verify
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import STREAMS, info
 

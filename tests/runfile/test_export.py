@@ -12,7 +12,7 @@ from scipy.io import loadmat
 
 from leactl.errors import InputError
 from leactl.runfile.export import export
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 from .specimen import unseal
 

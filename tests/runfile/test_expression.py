@@ -7,8 +7,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.expression import ALLOWED, LONGEST
-from leactl.runfile.expression import test_of as read_test
+from leactl.runfile.catalog.expression import ALLOWED, MOST_CHARACTERS
+from leactl.runfile.catalog.expression import read_expression as read_test
 from leactl.runfile.summary import Summary
 
 RUN = Summary(
@@ -127,7 +127,7 @@ def test_a_day_is_whole_and_a_moment_is_one(relation, fitting):
         ("hold_s == 6; import os", "is no expression"),
         ("hold_s == \0", "is no expression"),
         ("(" * 300 + "hold_s", "is no expression"),
-        ("hold_s == 6 " + "and hold_s == 6 " * LONGEST, f"at most {LONGEST} were expected"),
+        ("hold_s == 6 " + "and hold_s == 6 " * MOST_CHARACTERS, f"at most {MOST_CHARACTERS} were expected"),
     ],
 )
 def test_what_is_no_expression_is_refused_in_one_line(text, message):

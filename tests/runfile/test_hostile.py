@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile import layout, opening, tree
-from leactl.runfile.heaps import HEAD, MOST_BYTES, longest_text
-from leactl.runfile.integrity import altered, recover, verify
-from leactl.runfile.live import (
+from leactl.runfile import layout
+from leactl.runfile.catalog.run_index import list_runs
+from leactl.runfile.hdf5 import opening, tree
+from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, unpacked
+from leactl.runfile.hdf5.swmr import (
     CHECKSUM_AT,
     FLAGS_AT,
     LENGTH,
@@ -20,10 +21,10 @@ from leactl.runfile.live import (
     as_closed,
     checksum,
 )
-from leactl.runfile.packing import DEFLATE_AT_MOST, chunks, unpacked
-from leactl.runfile.reader import Run
-from leactl.runfile.run_index import list_runs
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.hdf5.text_heaps import HEAD, MOST_BYTES, longest_text
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import altered, recover, verify
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.mutated.child import outcome
 from tests.mutated.test_mutated_files import command

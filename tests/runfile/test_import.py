@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from leactl.runfile.importing import import_runs
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 
 N = 400
 T = np.arange(N) * 0.005

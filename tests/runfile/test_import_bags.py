@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.importing import import_runs
-from leactl.runfile.importing_deciding import streams_of
-from leactl.runfile.importing_survey import survey
-from leactl.runfile.reader import Run
-from leactl.runfile.ros_types import RosTypes
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.proposal.channels import streams_of
+from leactl.runfile.importing.proposal.survey import survey
+from leactl.runfile.importing.sources.ros_types import RosTypes
+from leactl.runfile.read.reader import Run
 
 from . import logs
 from .test_import import mapping

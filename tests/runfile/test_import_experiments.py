@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 from .test_import_steps import answered, imported, results
 

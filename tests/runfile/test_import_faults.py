@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.importing import import_runs
+from leactl.runfile.importing.importer import import_runs
 
 from ..cli.terminal import leactl
 from .test_import import ANGLE, SPEED, TWO_CLOCKS, N, T, mapping, write_csv

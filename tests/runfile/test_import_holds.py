@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from leactl.errors import InputError
-from leactl.runfile.importing_holds import NotDistinct, held
+from leactl.runfile.importing.holds import NotDistinct, find_holds
 
 from .test_import_steps import SMALL, imported, steps_in
 
@@ -41,7 +41,7 @@ def test_a_setpoint_holds_exactly_but_for_strays_and_what_is_missing(levels, see
     values[strays] += size * random.integers(-3, 4, len(strays))
     missing = (random.random(len(values)) < 0.05) & (np.arange(len(values)) % ROWS > 2)
     values[missing] = np.nan
-    found = held(stamps(values), values, 3.9, 1.0, is_setpoint)
+    found = find_holds(stamps(values), values, 3.9, 1.0, is_setpoint)
     expected = [(ROWS * k, ROWS * (k + 1), size * level) for k, level in enumerate(levels)]
     assert [(hold.first, hold.after, hold.level) for hold in found] == expected
     assert [hold.before for hold in found[1:]] == pytest.approx([size * level for level in levels[:-1]])
@@ -51,14 +51,14 @@ def test_a_setpoint_holds_exactly_but_for_strays_and_what_is_missing(levels, see
 def test_two_rows_off_a_setpoint_end_its_hold_and_one_does_not(rows, holds):
     values = np.full(900, 2.0)
     values[400 : 400 + rows] = 2.1
-    assert [(hold.first, hold.after) for hold in held(stamps(values), values, 3.0, 0.5, True)] == holds
+    assert [(hold.first, hold.after) for hold in find_holds(stamps(values), values, 3.0, 0.5, True)] == holds
 
 
 @pytest.mark.parametrize("is_setpoint", [True, False])
 def test_a_long_silence_ends_a_hold_and_a_short_one_does_not(is_setpoint):
     values = np.repeat([1.0, 2.0, 2.0], ROWS)
     values[100:110] = values[300:500] = values[795:1000] = values[1190:] = np.nan
-    found = held(stamps(values), values, 1.8, 0.5, is_setpoint)
+    found = find_holds(stamps(values), values, 1.8, 0.5, is_setpoint)
     assert [(hold.first, hold.after) for hold in found] == [(0, 300), (500, 795), (1000, 1200)]
     assert all(math.isnan(hold.before) for hold in found)
 
@@ -78,7 +78,7 @@ def test_levels_of_a_reading_are_found_whatever_the_colour_of_its_noise(levels, 
     loud = 1.0 + speed * np.abs(true) / 9.0  # it grows with the level
     values = size * (true + noise * loud * coloured(len(true), lifetime, random))
     values[random.random(len(values)) < 0.05] = np.nan
-    found = held(stamps(values), values, 3.5, 1.0, False)
+    found = find_holds(stamps(values), values, 3.5, 1.0, False)
     assert [hold.level / size for hold in found] == pytest.approx(levels, abs=0.1)
     for number, hold in enumerate(found):
         assert abs(hold.first - number * ROWS) <= 0.05 * ROWS
@@ -95,7 +95,7 @@ def test_ramps_between_levels_are_in_no_hold(levels, lifetime, seed):
         parts += [np.linspace(before, level, ROWS // 4), np.full(ROWS, float(level))]
     values = np.concatenate(parts)
     values = values + 0.02 * coloured(len(values), lifetime, random)
-    found = held(stamps(values), values, 3.5, 1.0, False)
+    found = find_holds(stamps(values), values, 3.5, 1.0, False)
     assert [hold.level for hold in found] == pytest.approx(levels, abs=0.05)
     begins = [number * (ROWS + ROWS // 4) for number in range(len(levels))]
     for begin, hold in zip(begins, found, strict=True):
@@ -107,7 +107,7 @@ def test_a_reading_that_flickers_by_one_count_is_held():
     random = np.random.default_rng(4)
     true = np.repeat([0.0, 20.0, 40.0, 20.0], ROWS)
     for share in (0.003, 0.03, 0.3):
-        found = held(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
+        found = find_holds(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
         assert [hold.first for hold in found] == pytest.approx([0, 400, 800, 1200], abs=0.05 * ROWS)
 
 
@@ -117,7 +117,7 @@ def test_a_level_that_comes_again_and_drifts_a_little_is_held():
     values = np.concatenate([parts[0][100:], *parts[1:]])
     values += 0.02 * random.standard_normal(len(values))
     values[500 * 3 : 500 * 3 + ROWS] += np.linspace(0.0, 0.05, ROWS)
-    holds = held(stamps(values), values, 3.5, 0.5, False)
+    holds = find_holds(stamps(values), values, 3.5, 0.5, False)
     assert [hold.first for hold in holds] == pytest.approx([500 * number for number in range(8)], abs=0.05 * ROWS)
 
 
@@ -137,7 +137,7 @@ def test_levels_that_noise_hides_are_refused(kind, seed):
     if kind == "drift and a step":
         values += 0.02 * random.standard_normal(len(values))
     with pytest.raises(NotDistinct):
-        held(stamps(values), values, 3.5, 1.0, False)
+        find_holds(stamps(values), values, 3.5, 1.0, False)
 
 
 HOLDS = "steps_by_holds: {channel: loop/iq, parameter: current_A, least_s: 1.9, settle_s: 0.2}"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.importing import import_runs
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.read.reader import Run
 
 from . import logs
 from .test_import import mapping

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.importing import import_runs
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 CSV = """

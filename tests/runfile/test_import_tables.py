@@ -14,11 +14,11 @@ from pyarrow import parquet
 
 from leactl.errors import InputError
 from leactl.runfile.export import export
-from leactl.runfile.formats import npz
-from leactl.runfile.importing import import_runs
-from leactl.runfile.importing_formats import open_source
-from leactl.runfile.importing_sources import SourceRequest, WantedColumn
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.sources.formats import npz
+from leactl.runfile.importing.sources.registry import open_source
+from leactl.runfile.importing.sources.source import SourceRequest, WantedColumn
+from leactl.runfile.read.reader import Run
 
 from .logs import HIP, HIP_SPEED, KNEE, N, T
 from .test_import import mapping
@@ -172,7 +172,7 @@ def test_an_episode_of_lerobot_goes_by_the_names_of_its_motors(folder):
 
 
 def test_a_table_that_swells_is_refused_unread(folder, monkeypatch):
-    monkeypatch.setattr("leactl.runfile.formats.parquet.MOST_UNPACKED", (32, 1 << 10))
+    monkeypatch.setattr("leactl.runfile.importing.sources.formats.parquet.MOST_UNPACKED", (32, 1 << 10))
     write_parquet("log.parquet", t=np.zeros(1 << 20), w=np.zeros(1 << 20), q=np.zeros(1 << 20))
     assert "3145728 values in a file of" in fault(folder, "log.parquet")
 

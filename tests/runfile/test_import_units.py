@@ -9,10 +9,10 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.runfile.importing_mapping import Mapping
-from leactl.runfile.importing_streams import Stream
-from leactl.runfile.importing_units import notes_on_units
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.checks import notes_on_units
+from leactl.runfile.importing.mapping import Mapping
+from leactl.runfile.importing.streams import Stream
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
 TURN = 2.0 * math.pi

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.formats.wpilog import WpiLog
-from leactl.runfile.importing import import_runs
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.sources.formats.wpilog import WpiLog
+from leactl.runfile.read.reader import Run
 
 from .logs import HIP, HIP_SPEED, WPILOG_HEAD, T, wpilog_record, wpilog_start
 from .test_import import mapping

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.integrity import annotate, recover, verify
-from leactl.runfile.reader import Run
-from leactl.runfile.run_index import list_runs
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.catalog.run_index import list_runs
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import annotate, recover, verify
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import STREAMS, info
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.runfile.integrity import recover, verify
 from leactl.runfile.publish import NotWritten
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RecordingFailed, RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import recover, verify
+from leactl.runfile.write.writer import RecordingFailed, RunWriter
 
 from .specimen import STREAMS, info
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile import importing_formats
-from leactl.runfile.importing import import_runs
-from leactl.runfile.importing_sources import Listed, Tabulated
-from leactl.runfile.importing_trees import TreeSource
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.sources import registry
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
+from leactl.runfile.importing.sources.trees import TreeSource
+from leactl.runfile.read.reader import Run
 
 from . import logs
 from .test_import import ANGLE, SPEED, T, mapping, write_csv
@@ -23,7 +23,7 @@ ROOM = {"csv", "json", "mat", "mcap", "npz", "parquet", "ros2", "sysid", "wpilog
 
 class HexSource(TreeSource):
     def tables(self):
-        return [Tabulated(None, (Listed("q"),))]
+        return [ListedTable(None, (ListedColumn("q"),))]
 
 
 def open_hex(path, request):
@@ -38,15 +38,15 @@ def point(name, load):
 @pytest.fixture
 def foreign(monkeypatch):
     def given(*points):
-        monkeypatch.setattr(importing_formats, "entry_points", lambda group: points)
+        monkeypatch.setattr(registry, "entry_points", lambda group: points)
 
     return given
 
 
 def test_the_shipped_formats_are_their_files():
-    assert importing_formats.shipped() == ROOM
+    assert registry.shipped() == ROOM
     for name in ROOM:
-        loaded = importing_formats.load(name)
+        loaded = registry.load(name)
         assert callable(loaded.open_source)
         assert all(ending.startswith(".") and ending == ending.lower() for ending in loaded.ENDINGS)
 
@@ -92,10 +92,10 @@ def test_a_missing_package_names_its_extra(tmp_path, monkeypatch):
 def test_sysid_is_recognised_by_its_tests_and_json_stays_json(tmp_path):
     (tmp_path / "a.json").write_text('{"fast-backward": [[0, 1, 2, 3], [1, 1, 2, 3]], "sysid": true}')
     (tmp_path / "b.json").write_text('{"q": [1, 2]}')
-    assert importing_formats.format_of(tmp_path / "a.json") == "sysid"
-    assert importing_formats.format_of(tmp_path / "b.json") == "json"
+    assert registry.format_of(tmp_path / "a.json") == "sysid"
+    assert registry.format_of(tmp_path / "b.json") == "json"
     with pytest.raises(InputError, match="the ending does not tell its format; give `format:` as one of csv, json"):
-        importing_formats.format_of(tmp_path / "c.xyz")
+        registry.format_of(tmp_path / "c.xyz")
 
 
 SYSID = """

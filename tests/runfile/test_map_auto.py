@@ -15,11 +15,11 @@ from scipy.io import savemat
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.runfile.importing_deciding import LEAVE_OUT, streams_of
-from leactl.runfile.importing_mapping import Mapping as MappingFile
-from leactl.runfile.importing_proposal import UNDECIDED, accepted, propose
-from leactl.runfile.importing_survey import survey
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.mapping import Mapping as MappingFile
+from leactl.runfile.importing.proposal.channels import LEAVE_OUT, streams_of
+from leactl.runfile.importing.proposal.proposal import UNDECIDED, accepted_answer, propose
+from leactl.runfile.importing.proposal.survey import survey
+from leactl.runfile.read.reader import Run
 from leactl.units import converter
 
 from ..cli.terminal import COMMAND, leactl
@@ -362,7 +362,7 @@ def test_counts_of_an_encoder_need_its_scale(tmp_path):
     seen = survey(tmp_path / "a.npz")
     _, scale = propose(seen, {}).questions
     assert (scale.key[-1], scale.choices) == ("scale", ())
-    assert [accepted(scale, text) for text in ("1/4096", "0.5", "0", "-1", "1/0", "x", "nan", "1e999")] == [
+    assert [accepted_answer(scale, text) for text in ("1/4096", "0.5", "0", "-1", "1/0", "x", "nan", "1e999")] == [
         "1/4096", "0.5", None, None, None, None, None, None,
     ]  # fmt: skip
     text = propose(seen, {scale.key: "1/4096", ("mechanical",): "free"}).text
@@ -374,7 +374,7 @@ def test_samples_without_stamps_need_their_rate(tmp_path):
     np.savez(tmp_path / "a.npz", position_rad=MEASURED)
     seen = survey(tmp_path / "a.npz")
     _, rate = propose(seen, {}).questions
-    assert (rate.key, accepted(rate, "100")) == (("streams", "loop", "time", "rate_Hz"), "100")
+    assert (rate.key, accepted_answer(rate, "100")) == (("streams", "loop", "time", "rate_Hz"), "100")
     assert "time: {rate_Hz: UNDECIDED}" in propose(seen, {}).text
     assert "time: {rate_Hz: 100.0}" in propose(seen, {rate.key: "100"}).text
     with pytest.raises(InputError, match="every channel was left out"):
@@ -414,10 +414,15 @@ def test_whatever_columns_are_called_the_proposal_is_a_mapping(tmp_path_factory,
 def test_answers_are_checked(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, torque=EFFORT)
     mechanical, torque = propose(survey(tmp_path / "a.npz"), {}).questions
-    assert [accepted(mechanical, text) for text in ("1", "free\n", "5", "loose", LEAVE_OUT, "")] == [
+    assert [accepted_answer(mechanical, text) for text in ("1", "free\n", "5", "loose", LEAVE_OUT, "")] == [
         "free", "free", None, None, None, None,
     ]  # fmt: skip
-    assert [accepted(torque, text) for text in ("2", "lbf*ft", "V", LEAVE_OUT)] == ["mN*m", "lbf*ft", None, LEAVE_OUT]
+    assert [accepted_answer(torque, text) for text in ("2", "lbf*ft", "V", LEAVE_OUT)] == [
+        "mN*m",
+        "lbf*ft",
+        None,
+        LEAVE_OUT,
+    ]
 
 
 def test_a_log_that_says_nothing_is_one_line(tmp_path):

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.importing_messages import Message, MessageSource, OpenLog, Topic
-from leactl.runfile.importing_sources import Lacking, SourceRequest, WantedColumn
+from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
+from leactl.runfile.importing.sources.source import MissingColumn, SourceRequest, WantedColumn
 
 KEYS = st.sampled_from(["a", "b", "name", "header", "stamp", "sec", "nanosec", "position"])
 LEAVES = st.none() | st.booleans() | st.integers(-(10**400), 10**400) | st.floats() | st.text(max_size=3)
@@ -39,7 +39,7 @@ def test_any_message_gives_a_column_or_one_line(tmp_path_factory, documents, rec
     for column in columns:
         try:
             values = opened.column(*column)
-        except Lacking as lacking:
+        except MissingColumn as lacking:
             assert "\n" not in str(lacking)
         else:
             assert len(values) <= len(documents)
@@ -56,7 +56,7 @@ def test_what_is_listed_can_be_asked_for(tmp_path_factory, documents):
         for column in columns:
             try:
                 assert len(opened.column(*column)) == 1
-            except Lacking as lacking:
+            except MissingColumn as lacking:
                 assert "beyond any float" in str(lacking)
 
 
@@ -94,7 +94,7 @@ def test_paths_into_a_message(tmp_path, column, value):
     ],
 )
 def test_what_a_message_lacks_is_told_with_its_number(tmp_path, document, column, told):
-    with pytest.raises(Lacking) as caught:
+    with pytest.raises(MissingColumn) as caught:
         source(tmp_path, [document], [column]).column(*column)
     assert told in str(caught.value)
 

@@ -9,16 +9,19 @@ import leactl
 
 # what each of these opens it has just written itself, under a name of its own
 OWN = {
-    ("runfile/conversion.py", "w"),
-    ("runfile/integrity.py", "r+"),  # a copy of a run that has passed the door
-    ("runfile/repack.py", "x"),
-    ("runfile/writer.py", "r"),  # the live file of the run that it closes
-    ("runfile/writer.py", "r+"),  # its copy where the file's folder vanished
-    ("runfile/writer.py", "x"),
+    ("runfile/verify/conversion.py", "w"),
+    ("runfile/verify/integrity.py", "r+"),  # a copy of a run that has passed the door
+    ("runfile/write/repack.py", "x"),
+    ("runfile/write/writer.py", "r"),  # the live file of the run that it closes
+    ("runfile/write/writer.py", "r+"),  # its copy where the file's folder vanished
+    ("runfile/write/writer.py", "x"),
 }
-DOOR = {("runfile/opening.py", "r")}
+DOOR = {("runfile/hdf5/opening.py", "r")}
 ROOTS = [Path(package.__file__).parent for package in (leactl, leactl_plugins)]
-BUILDS = {"runfile/labelled.py", "runfile/reader.py"}  # a dataset of what was read, and its type; neither opens one
+BUILDS = {
+    "runfile/read/xarray_dataset.py",
+    "runfile/read/reader.py",
+}  # a dataset of what was read, and its type; neither opens one
 OTHER_WAYS = ("h5open", "netCDF4", "xarray", "tables", "h5netcdf", "pandas")
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.runfile.reader import Run
-from leactl.runfile.run_index import list_runs
+from leactl.runfile.catalog.run_index import list_runs
+from leactl.runfile.read.reader import Run
 
 
 def practice_runs() -> list[Path]:

@@ -13,7 +13,7 @@ import nbformat
 import pytest
 
 import leactl
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl as command
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -17,8 +17,8 @@ from hypothesis.extra.numpy import arrays
 from leactl.errors import InputError, MissingChannel, SafetyTrip
 from leactl.quantities import UNITS, ChannelSpec
 from leactl.runfile.layout import ROOT_ATTRIBUTES, channel_attributes
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter, new_run_id
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.writer import RunWriter, new_run_id
 
 from .specimen import LOOP, PROTOCOL, STREAMS, info
 

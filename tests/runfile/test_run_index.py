@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile import catalog
-from leactl.runfile.run_index import BATCH, NAME, YOUNG_NS, digest_of, list_runs, read, update
-from leactl.runfile.selection import ordered
+from leactl.runfile.catalog import summaries
+from leactl.runfile.catalog.run_index import BATCH, NAME, YOUNG_NS, digest_of, list_runs, read, update
+from leactl.runfile.catalog.selection import ordered
 from leactl.runfile.summary import RECORDING, Summary
 from tests.cli.terminal import COMMAND, leactl
 from tests.cli.test_runs_list import record
@@ -61,15 +61,15 @@ def folder(made, tmp_path):
 def opened(monkeypatch):
     """Names of the files that are opened, in their order."""
     names = []
-    summary = catalog.summary
-    monkeypatch.setattr(catalog, "summary", lambda path: names.append(path.name) or summary(path))
+    summary = summaries.summary
+    monkeypatch.setattr(summaries, "summary", lambda path: names.append(path.name) or summary(path))
     return names
 
 
 def scanned(folder):
     """What a list without an index says."""
     paths = [folder / name for name in sorted(path.name for path in folder.iterdir() if path.suffix == ".h5")]
-    return [catalog.summary(path) for path in paths]
+    return [summaries.summary(path) for path in paths]
 
 
 AGAIN = ["foreign.h5", "gone.h5", "half.h5", "none.h5", "recorded.h5"]  # in which nothing is settled
@@ -283,7 +283,7 @@ def test_an_index_takes_the_place_of_no_other_file(folder, tmp_path):
 
 
 def test_a_list_of_many_files_names_the_index(folder, monkeypatch):
-    monkeypatch.setattr("leactl.runfile.run_index.MANY", 10)
+    monkeypatch.setattr("leactl.runfile.catalog.run_index.MANY", 10)
     remarks = []
     list_runs(folder, remark=remarks.append)
     assert remarks == [f"10 files opened; leactl runs index {folder} makes the next list quick"]
@@ -297,7 +297,7 @@ def test_a_stop_keeps_what_was_read(folder, opened, monkeypatch):
     def stop(line):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("leactl.runfile.run_index.TOLD_EVERY", BATCH)
+    monkeypatch.setattr("leactl.runfile.catalog.run_index.TOLD_EVERY", BATCH)
     with pytest.raises(KeyboardInterrupt):
         update(folder, tell=stop)
     assert len(opened) == len(read(folder / NAME, folder)) == BATCH
@@ -350,8 +350,8 @@ def test_a_list_with_an_index_imports_no_hdf5(tmp_path):
     aged(next(tmp_path.glob("*.h5")))
     update(tmp_path)
     script = (
-        "import sys; from pathlib import Path; from leactl.runfile.run_index import list_runs;"
-        "from leactl.runfile.selection import selection_of; from leactl.report.run_list import run_list;"
+        "import sys; from pathlib import Path; from leactl.runfile.catalog.run_index import list_runs;"
+        "from leactl.runfile.catalog.selection import selection_of; from leactl.report.run_list import run_list;"
         "runs = list_runs(Path(sys.argv[1])); selection_of(runs, where=['hold_s == 1']); run_list(runs, runs, ());"
         "print(len(runs), [name for name in ('h5py', 'numpy', 'scipy') if name in sys.modules])"
     )
@@ -364,13 +364,13 @@ values = st.none() | st.integers() | st.floats(allow_nan=False, allow_infinity=F
 
 @given(st.text(), st.integers(0), st.dictionaries(st.text(), values | st.lists(values)), st.floats(0, 1e300))
 def test_a_summary_comes_back_as_it_was_or_is_left_out(tmp_path_factory, text, number, parameters, seconds):
-    from leactl.runfile.run_index import Catalogue, FileStamp, Indexed, save
+    from leactl.runfile.catalog.run_index import Catalogue, FileStamp, IndexedRun, save
 
     folder = Path("runs")
     run = Summary(folder, "a.h5", 5, text, text, seed=number, duration=seconds, parameters=parameters)
     rows = {
-        "a.h5": Indexed(FileStamp(5, 1, 2, 3), run),
-        "b.h5": Indexed(FileStamp(5, 1, 2, 3), run._replace(file="b.h5")),
+        "a.h5": IndexedRun(FileStamp(5, 1, 2, 3), run),
+        "b.h5": IndexedRun(FileStamp(5, 1, 2, 3), run._replace(file="b.h5")),
     }
     path = tmp_path_factory.getbasetemp() / "index.sqlite"
     save(Catalogue(folder, rows), path)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.conversion import convert
-from leactl.runfile.integrity import altered, annotate, examine, recover, refuse_altered, verify
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.verify.conversion import convert
+from leactl.runfile.verify.integrity import altered, annotate, examine, recover, refuse_altered, verify
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 
 from .specimen import STREAMS, info, unseal
@@ -94,7 +94,7 @@ def test_a_file_of_other_makers_is_told_to_be_covered_by_nothing(complete: Path)
         unseal(file)
 
     assert verify(changed(complete, strip)) == []
-    assert "no checksums" in examine(complete).told
+    assert "no checksums" in examine(complete).summary
 
 
 def test_a_file_from_before_the_seal_says_what_is_not_covered(complete: Path):
@@ -102,14 +102,14 @@ def test_a_file_from_before_the_seal_says_what_is_not_covered(complete: Path):
         unseal(file)
 
     assert verify(changed(complete, strip)) == []
-    assert "names and attributes are not covered" in examine(complete).told
+    assert "names and attributes are not covered" in examine(complete).summary
 
 
 def test_notes_and_rewriting_keep_the_seal(complete: Path):
     annotate(complete, "first")
     annotate(complete, "second")
     convert(complete)
-    assert examine(complete).told == "complete; values, names and attributes are as they were closed"
+    assert examine(complete).summary == "complete; values, names and attributes are as they were closed"
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_recovered_run_is_sealed_anew(tmp_path: Path):
     writer = RunWriter(tmp_path, info(), STREAMS)
     writer.append_row("loop", 0.0, [1, 2, 3])
     writer.flush()
-    assert examine(recover(writer.path)).told.startswith("recovered; values, names and attributes")
+    assert examine(recover(writer.path)).summary.startswith("recovered; values, names and attributes")
 
 
 def test_folders_and_several_files_are_verified_with_how_each_ended(complete: Path, tmp_path: Path):
@@ -161,7 +161,7 @@ def test_any_single_change_of_the_tree_is_noticed(complete: Path, data):
                 name = data.draw(st.sampled_from(sorted(layout.attributes(node))))
                 old = node.attrs[name]
                 new = data.draw(st.one_of(st.floats(allow_nan=False), st.text(max_size=5).map(layout.storable)))
-                if layout.plain(old) == new:
+                if layout.to_python(old) == new:
                     return
                 node.attrs[name] = new
     assert verify(copy)

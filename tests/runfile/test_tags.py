@@ -7,9 +7,9 @@ import subprocess
 
 import pytest
 
-from leactl.runfile.integrity import examine
-from leactl.runfile.run_index import list_runs, update
-from leactl.runfile.tags import NAME
+from leactl.runfile.catalog.run_index import list_runs, update
+from leactl.runfile.catalog.tags import NAME
+from leactl.runfile.verify.integrity import examine
 from tests.cli.terminal import COMMAND, leactl
 from tests.cli.test_runs_list import record
 

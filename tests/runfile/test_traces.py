@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError, MissingChannel
 from leactl.quantities import ChannelSpec
-from leactl.runfile.reader import Run
-from leactl.runfile.traces import channel_names, part_of_run, trace
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import info
 
@@ -50,7 +50,7 @@ def test_a_part_is_a_step_or_a_time(complete: Path):
 
 def test_every_sample_is_there_where_few_are_asked_for(complete: Path):
     with Run.open(complete) as run:
-        torque = trace(run, "loop/a_torque", 0.49, 0.51, 100)
+        torque = channel_trace(run, "loop/a_torque", 0.49, 0.51, 100)
     assert torque.samples_per_bin == 1.0
     assert len(torque.time) == 21
     assert np.flatnonzero(np.isnan(torque.values)).tolist() == [10]
@@ -75,7 +75,7 @@ def test_thinning_keeps_every_peak_and_every_gap(tmp_path_factory, seed, peak, g
     ) as writer:
         writer.append("loop", time, values[:, np.newaxis])
     with Run.open(writer.path) as run:
-        thinned = trace(run, "loop/a", time[0], time[-1], bins)
+        thinned = channel_trace(run, "loop/a", time[0], time[-1], bins)
     finite = np.isfinite(values)
     assert np.nanmax(thinned.values) == values[finite].max()
     assert np.nanmin(thinned.values) == values[finite].min()

@@ -10,8 +10,8 @@ from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError
 from leactl.protocol import protocolfile
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.request import prepare
 
 KB = 0.49

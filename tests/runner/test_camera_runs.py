@@ -16,8 +16,8 @@ from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import MissingChannel
 from leactl.protocol import protocolfile
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.cli.terminal import COMMAND, leactl
 
 TRUE = {  # of the bench, by its motor file

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.errors import AcceptanceFailed, InputError
-from leactl.protocol.plan import ChannelLimit
+from leactl.protocol.plan import ChannelBounds
 from leactl.quantities import ChannelSpec
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.acceptance import judge
 from leactl.runner.channel_limits import ChannelLimits
 from tests.runner.conftest import SPIN
@@ -66,7 +66,7 @@ def test_a_channel_that_the_bench_does_not_measure_is_refused_before_the_run(spi
 
 
 def judged(statistic, windows, low=-math.inf, high=math.inf, unit="A"):
-    limit = ChannelLimit("q_axis_current", "test", "hold", statistic, low, high, unit)
+    limit = ChannelBounds("q_axis_current", "test", "hold", statistic, low, high, unit)
     limits = ChannelLimits([limit], STREAMS, "trial")
     notes = []
     for number, values in enumerate(windows):
@@ -101,7 +101,7 @@ def test_a_step_in_which_nothing_was_read_does_not_keep_it():
 
 
 def test_readings_outside_of_the_judged_part_do_not_count():
-    limit = ChannelLimit("q_axis_current", "test", "hold", "max", -math.inf, 3.0, "A")
+    limit = ChannelBounds("q_axis_current", "test", "hold", "max", -math.inf, 3.0, "A")
     limits = ChannelLimits([limit], STREAMS, "trial")
     limits.enter("hold", 1.0)
     limits.leave("hold", 2.0)

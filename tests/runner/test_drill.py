@@ -13,7 +13,7 @@ from leactl.driver.contract import Confirmation
 from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults import known_faults
 from leactl.errors import InputError, Stopped
-from leactl.runfile.integrity import verify
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill import real
 from leactl.runner.drill.emulated import EmulatedDrill
 from leactl.runner.drill.real import Person, RealDrill

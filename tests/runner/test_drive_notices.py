@@ -1,7 +1,7 @@
 """What a drive does by itself in a run: it is in the file, or ends the run at once."""
 
 from leactl.errors import DeviceFault, InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 
 def messages(outcome, level):

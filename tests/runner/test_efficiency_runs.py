@@ -9,7 +9,7 @@ import yaml
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.model.motor import load_motor
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 LEA = load_motor("lea")[0]
 SPEEDS, CURRENTS = (2.62, 26.18, 13.09), (18.0, 1.2, 12.0, 6.0)

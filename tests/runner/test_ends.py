@@ -12,8 +12,8 @@ from leactl_plugins.elmo_can.driver import ElmoCan
 
 from leactl.emulation.wires.buses import EmulatedI2cBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
-from leactl.runfile import writer
-from leactl.runfile.writer import RecordingFailed
+from leactl.runfile.write import writer
+from leactl.runfile.write.writer import RecordingFailed
 from tests.cli.terminal import leactl
 from tests.latches import latch_of, trip_of
 from tests.runner.conftest import SPIN

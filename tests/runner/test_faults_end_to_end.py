@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from leactl.bench import benchfile
 from leactl.emulation.faults import known_faults
 from leactl.errors import DeviceError, DeviceFault
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.latches import release
 from tests.runner.conftest import SPIN
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from leactl.model.motor import load_motor
-from leactl.runfile import writer
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
+from leactl.runfile.write import writer
 from leactl.runner import latch, recorder, state, watchdog_process
 from leactl.runner.boot_time import Moment
 from leactl.runner.latch import BYTES, Ready
@@ -225,7 +225,7 @@ def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
     def nowhere(_rows, _name, _folders):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(writer, "copied", nowhere)
+    monkeypatch.setattr(writer, "copy_to_first", nowhere)
     outcome, _bench = spin(at=[(0.3, lambda _bench: shutil.rmtree(tmp_path / "runs"))])
     assert outcome.status == "failed"
     assert "recording failed" in outcome.reason

@@ -10,7 +10,7 @@ import pytest
 
 from leactl.bench import benchfile
 from leactl.errors import DeviceFault, InputError, SafetyTrip
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
 

@@ -9,8 +9,8 @@ from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.driver.far_end import FdFrame
 from leactl.errors import DeviceError, InputError
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.emulated import EmulatedDrill
 
 

@@ -8,8 +8,8 @@ import yaml
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import InputError
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.emulated import EmulatedDrill
 
 

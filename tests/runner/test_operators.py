@@ -11,7 +11,7 @@ from contextlib import nullcontext
 import pytest
 
 from leactl.errors import Stopped
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner import operators
 from leactl.runner.operators import at_the_terminal
 from tests.runner.conftest import SPIN

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner import loop, operators, runs_underway
 from tests.runner.conftest import SPIN
 from tests.runner.test_operators import keyboard, typing  # noqa: F401 (a fixture)

@@ -10,8 +10,8 @@ from leactl_plugins.thermal_csv.emulator import BEFORE_S
 
 from leactl.bench import benchfile
 from leactl.driver.batch import ExportFolder
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.runner.conftest import SPIN
 
 STEPS = """

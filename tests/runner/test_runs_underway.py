@@ -12,7 +12,7 @@ import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner import runs_underway
 from leactl.runner.state import state_directory
 

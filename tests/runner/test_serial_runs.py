@@ -11,8 +11,8 @@ from leactl.bench import benchfile
 from leactl.emulation.faults import find_fault
 from leactl.emulation.faults.contract import Standing
 from leactl.errors import InputError
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.emulated import EmulatedDrill
 
 

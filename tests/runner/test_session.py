@@ -11,8 +11,8 @@ from leactl.bench import benchfile
 from leactl.driver.far_end import Frame
 from leactl.errors import DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
 from leactl.protocol import protocolfile
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from tests.latches import latch_of, release, trip_of
 from tests.runner.conftest import SPIN
 

@@ -16,7 +16,7 @@ from leactl.bench.benchfile import load
 from leactl.bench.wiring import MachineWiring
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.left_on import endings
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled

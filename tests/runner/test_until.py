@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from leactl.protocol import protocolfile
 from leactl.protocol.plan import Until
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.criterion import Judge
 from tests.runner.conftest import SPIN
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from leactl.report.live import draw
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.progress import Progress
 from tests.cli.terminal import COMMAND
 from tests.runner.conftest import SPIN

@@ -9,7 +9,7 @@ from leactl.analysis.analyze import analysis_of, by_experiment, options_of
 from leactl.analysis.anova.comparison import Comparison, compare_all
 from leactl.analysis.anova.values import experiment_of_answer
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.catalog import run_files
+from leactl.runfile.catalog.summaries import run_files
 
 
 @dataclass(frozen=True, eq=False)

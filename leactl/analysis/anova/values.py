@@ -26,7 +26,7 @@ from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.regular import open_regular
-from leactl.runfile.reader import Run, Step
+from leactl.runfile.read.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
 MOST_BYTES = 1 << 26  # of an answer; one of 50 runs has 200 kB

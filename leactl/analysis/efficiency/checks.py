@@ -10,7 +10,7 @@ from leactl.analysis.efficiency.operating_points import OTHER, Points
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 MOST_WRONG = 0.5  # of the points, whose signs contradict the roles: above this they are swapped
 FEWEST = 12  # points, for a drift to be told from what speed and torque do

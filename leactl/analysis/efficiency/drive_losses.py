@@ -9,7 +9,7 @@ from leactl.analysis.efficiency.operating_points import OTHER, Points
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 FEWEST = 2
 

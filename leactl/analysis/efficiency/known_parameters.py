@@ -10,7 +10,7 @@ from leactl.analysis.efficiency.balance import Calibration
 from leactl.analysis.efficiency.operating_points import OTHER, Points
 from leactl.analysis.run_model import model_of
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True)

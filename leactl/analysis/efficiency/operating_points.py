@@ -16,7 +16,7 @@ from leactl.analysis.quality.usable_readings import fresh, within_range
 from leactl.analysis.signals.levels import Hold, Mean, settled_mean
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import MissingChannel, NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 OTHER = {"test": "load", "load": "test"}
 HELD = 0.02  # of the setpoint: how far a mean may be off it

@@ -22,7 +22,7 @@ from leactl.analysis.signals.levels import Held, Levels, gather
 from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
 from leactl.analysis.statistics.trial_means import mean_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "breakaway_torque": "N*m",

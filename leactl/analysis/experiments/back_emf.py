@@ -23,7 +23,7 @@ from leactl.analysis.voltage_waves.pole_pairs import counted, whole
 from leactl.analysis.voltage_waves.turning_holds import Part, parts_of
 from leactl.analysis.voltage_waves.wave_means import Shares, constant_of, drift_of
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "back_emf_constant": "V*s/rad",

@@ -18,7 +18,7 @@ from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_pha
 from leactl.analysis.signals.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
 from leactl.analysis.statistics.regression import CONFIDENCE, Array, t_quantile
 from leactl.errors import InputError, MissingChannel
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
 

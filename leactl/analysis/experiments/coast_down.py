@@ -23,7 +23,7 @@ from leactl.analysis.statistics.linefit import expect_setup, place_of
 from leactl.analysis.statistics.regression import Array, least_squares
 from leactl.analysis.statistics.trial_means import Trial, mean_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 RESULTS = {
     "rotor_inertia": "kg*m^2",

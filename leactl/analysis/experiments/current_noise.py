@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from leactl.analysis.estimate import Result
 from leactl.analysis.responses.noise_records import Loop
 from leactl.analysis.responses.noise_response import noise_response
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "bandwidth": "Hz",

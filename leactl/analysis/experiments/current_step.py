@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from leactl.analysis.estimate import Result
 from leactl.analysis.responses.step_response import step_response
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "rise_time": "s",

@@ -18,7 +18,7 @@ from leactl.analysis.efficiency.operating_points import gather
 from leactl.analysis.estimate import NAN, Estimate, Grid, Result
 from leactl.analysis.statistics.linefit import expect_setup, place_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "driving_efficiency": "1",

@@ -21,7 +21,7 @@ from leactl.analysis.signals.levels import Held, Levels, gather
 from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "viscous_damping": "N*m*s/rad",

@@ -38,7 +38,7 @@ from leactl.analysis.quality.wrong_units import doubted
 from leactl.analysis.run_model import model_of
 from leactl.analysis.statistics.linefit import expect_setup, place_of
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "winding_ambient_resistance": "K/W",

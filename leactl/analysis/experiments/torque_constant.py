@@ -22,7 +22,7 @@ from leactl.analysis.signals.levels import Levels, gather, require_levels
 from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "torque_constant": "N*m/A",

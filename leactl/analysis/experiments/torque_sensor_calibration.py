@@ -21,7 +21,7 @@ from leactl.analysis.statistics.intervals import half_width, step_of
 from leactl.analysis.statistics.linefit import LineFit, cells_of, fit_lines, place_of, remarks
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "sensitivity": "1",

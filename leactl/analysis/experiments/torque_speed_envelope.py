@@ -33,7 +33,7 @@ from leactl.analysis.statistics.regression import (
     t_quantile,
 )
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 RESULTS = {
     "highest_torque": "N*m",

@@ -20,7 +20,7 @@ from leactl.analysis.statistics.intervals import half_width, rounding_limit, rou
 from leactl.analysis.statistics.linefit import expect_setup, place_of
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RESULTS = {
     "cold_resistance": "ohm",

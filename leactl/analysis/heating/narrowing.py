@@ -18,7 +18,7 @@ from leactl.analysis.heating.resistance import REFERENCE
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import Motor
 from leactl.model.motor_schema import Thermal, Tolerances
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 DEVIATIONS = 3.0  # standard errors of a fit that a tolerance spans
 FINEST = 0.001  # tolerance, and what tolerances are rounded up to

@@ -18,7 +18,7 @@ from leactl.analysis.quality.hanging import longest_row
 from leactl.analysis.quality.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.model.thermal_network import ACTIVE_SHARE
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from leactl.errors import InputError
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 
 def gain_std(runs: Sequence[Run], quantity: str, told: float | None) -> float:

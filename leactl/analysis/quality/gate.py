@@ -15,7 +15,7 @@ from leactl.analysis.quality.saturation import clipped
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
 from leactl.analysis.signals.levels import Held, span
-from leactl.runfile.reader import Array, Channel, Run
+from leactl.runfile.read.reader import Array, Channel, Run
 
 DEMANDS = {
     "q_axis_current": "q_axis_current_reference",

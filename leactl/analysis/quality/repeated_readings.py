@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.analysis.quality.saturation import noise_shows
 from leactl.analysis.signals.levels import Hold, span
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 NOISY = 0.4  # share of readings equal to the one before, above which the resolution, 1.5 times the noise, hides it
 IMPROBABLE = 1e-9  # that noise alone makes so long a row of equal readings

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.signals.levels import Hold, span
-from leactl.runfile.reader import Channel
+from leactl.runfile.read.reader import Channel
 
 Array = npt.NDArray[np.float64]
 

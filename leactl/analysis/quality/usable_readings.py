@@ -8,7 +8,7 @@ from leactl.analysis.quality.repeated_readings import without_repeats
 from leactl.analysis.quality.saturation import saturated
 from leactl.analysis.signals.levels import CURRENT_HELD, Held, Hold, span
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 
 def usable(run: Run, quantity: str, notes: list[str], held: Held = CURRENT_HELD, least: int = 2) -> Channel:

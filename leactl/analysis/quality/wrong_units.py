@@ -15,7 +15,7 @@ from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.run_model import model_of, positive
 from leactl.errors import InputError
 from leactl.quantities import UNITS as VOCABULARY
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 # how many times a result may be what the model has, and under which names that has it, the first that is there
 FIGURES: dict[str, tuple[float, tuple[str, ...]]] = {

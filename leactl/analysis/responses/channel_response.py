@@ -10,7 +10,7 @@ from leactl.analysis.responses.noise_records import EVEN
 from leactl.analysis.responses.noise_response import COHERENT, SHOWN
 from leactl.analysis.signals.levels import span
 from leactl.analysis.statistics.regression import Array, t_quantile
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
 PART = 8  # of a record, that the lags to either side reach over

@@ -15,7 +15,7 @@ from leactl.analysis.quality.saturation import saturated
 from leactl.analysis.signals.levels import Hold
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 FEWEST = 1600  # samples in a row, four windows of the estimator
 EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it

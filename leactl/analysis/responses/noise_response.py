@@ -18,7 +18,7 @@ from leactl.analysis.responses.noise_records import Loop, Record, records_of
 from leactl.analysis.statistics.linefit import expect_setup, place_of
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 LAGS = 400
 COHERENT = 0.6

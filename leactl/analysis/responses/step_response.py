@@ -16,7 +16,7 @@ from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time,
 from leactl.analysis.responses.step_trials import BAND, Trial, of_another_size, trials_of, uneven, wandering
 from leactl.analysis.statistics.jackknife import LevelValue, Reading, mean_of_levels, over_trials
 from leactl.analysis.statistics.linefit import expect_setup
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 SHOWN = 60  # points of a level in the plot
 FURTHER = 2.0  # settling times that the plot goes on for

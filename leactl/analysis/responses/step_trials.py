@@ -16,7 +16,7 @@ from leactl.analysis.quality.wrong_units import asked
 from leactl.analysis.signals.levels import Hold, span
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 BAND = 0.02  # of the step, about the steady value: settled for good inside
 FEWEST_SAMPLES = 20  # before the jump or in the steady part

@@ -12,7 +12,7 @@ from leactl.analysis.estimate import tally
 from leactl.analysis.statistics.regression import Array
 from leactl.analysis.statistics.trial_means import Trial
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run, Step
+from leactl.runfile.read.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
 COUNTS = 3.0  # of the encoder, that tell a motion from the shaft's twist

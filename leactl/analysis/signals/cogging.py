@@ -17,7 +17,7 @@ from leactl.analysis.run_model import rotor_inertia_of_model
 from leactl.analysis.statistics.regression import Array
 from leactl.analysis.statistics.trial_means import Trial, mean_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 Parts = npt.NDArray[np.complex128]
 

@@ -18,7 +18,7 @@ from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.run_model import model_of, positive
 from leactl.analysis.statistics.regression import Array, Fit, least_squares, one_column_each, t_quantile
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 NAME, UNIT = "corner_speed", "rad/s"
 FEWEST_LIMITED = 4  # holds beyond the corner: one more than its fit has unknowns

@@ -14,7 +14,7 @@ from leactl.analysis.signals.levels import Levels
 from leactl.analysis.statistics.linefit import LineFit, fit_lines
 from leactl.analysis.statistics.regression import Array, Fit
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.analysis.estimate import tally
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 

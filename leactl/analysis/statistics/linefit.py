@@ -30,7 +30,7 @@ from leactl.analysis.statistics.regression import (
     one_column_each,
 )
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 DRIFTS_BELOW = 1e-3  # probability under which residuals go with time by more than chance
 TIME_ALONE = 0.3  # of its spread, that the levels must leave of time to tell a drift from them

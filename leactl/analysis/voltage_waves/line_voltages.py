@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.voltage_waves.waves import Array, Complex, Record
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
 DEAD = 0.05  # of the largest pair's rms

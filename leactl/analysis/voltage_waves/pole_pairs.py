@@ -8,7 +8,7 @@ import numpy as np
 from leactl.analysis.signals.levels import span, standard_error
 from leactl.analysis.voltage_waves.waves import Angle, Array
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 FEWEST = 10  # samples of the shaft's angle or velocity
 APART = 0.01  # of the count: how far from a whole number a count may be beside its uncertainty

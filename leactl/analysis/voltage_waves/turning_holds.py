@@ -10,7 +10,7 @@ from leactl.analysis.voltage_waves.line_voltages import PAIRS, Pair, pairs_of, t
 from leactl.analysis.voltage_waves.pole_pairs import Shaft, shaft_of
 from leactl.analysis.voltage_waves.waves import FEWEST_WAVES, Angle, Array, Waves, follow, waves_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from leactl.emulation.plant.stepped.lanes import Array
 from leactl.emulation.plant.stepped.run import Program, Signals
 from leactl.emulation.plant.stepped.sensors import Sensors
 from leactl.quantities import ChannelSpec
-from leactl.runfile.writer import RunInfo, RunWriter
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
 LOOP = {

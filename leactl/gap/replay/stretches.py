@@ -21,9 +21,9 @@ from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_
 from leactl.gap.signals.scales import TOP, absolute_speeds
 from leactl.gap.signals.smoothing import smooth
 from leactl.quantities import ChannelSpec
-from leactl.runfile.integrity import refuse_altered
 from leactl.runfile.layout import BLOCK_ROWS
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
+from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

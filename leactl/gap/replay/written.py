@@ -18,10 +18,10 @@ from leactl.gap.signals.record import Clocked, Key, read_record
 from leactl.gap.signals.rig import fed_by_voltage
 from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
-from leactl.runfile.description import RunInfo, new_run_id
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.write.description import RunInfo, new_run_id
+from leactl.runfile.write.writer import RunWriter
 
 Array = npt.NDArray[np.float64]
 INPUTS = ("line_current", "ambient_temperature", "drive_enabled")

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.model.thermal_network import ACTIVE_SHARE
-from leactl.runfile.integrity import refuse_altered
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
+from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

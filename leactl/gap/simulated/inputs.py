@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.signals.noise import noise_of, quantum_of
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.read.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 OUTERMOST_FIRST = ("angle_reference", "velocity_reference", "torque_reference", "q_axis_current_reference")

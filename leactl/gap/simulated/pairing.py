@@ -7,7 +7,7 @@ from pathlib import Path
 from leactl.errors import InputError
 from leactl.gap.diagnosis import SimulatedRun
 from leactl.gap.simulated.inputs import Mismatch, mismatch
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # of a set-up, by which runs of a protocol differ
 Kind = tuple[object, ...]

@@ -8,7 +8,7 @@ from leactl.errors import InputError
 from leactl.gap.diagnose import Progress, diagnose, read_case
 from leactl.gap.diagnosis import Diagnosis
 from leactl.gap.simulated.against import diagnose_against, read_simulated_case
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 CARRIED = "model"  # source of a run file, as `leactl gap simulate` writes it
 

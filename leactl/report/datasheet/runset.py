@@ -13,9 +13,9 @@ from leactl.analysis.analyze import options_of as taken_by
 from leactl.analysis.anova.comparison import Comparison, compare_all
 from leactl.analysis.estimate import Result, listed
 from leactl.errors import InputError
-from leactl.runfile.catalog import run_files
-from leactl.runfile.integrity import altered
-from leactl.runfile.reader import Run
+from leactl.runfile.catalog.summaries import run_files
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import altered
 
 ABOUT = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
 MOST_NAMED = 3  # folders in the name of a set of runs

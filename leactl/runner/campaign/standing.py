@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from leactl.errors import InputError
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.campaign.journal import Journal
 
 SOURCE = "campaign"  # of the events by which a run tells what it is part of

@@ -21,8 +21,8 @@ from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults.drilling import Rehearsal, rehearsals
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, Tell, of_the_end
 from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted
@@ -67,7 +67,7 @@ class EmulatedDrill:
         self._roles = drives(devices)
         longest = max([item.drill.within_s for item in self._rehearsals], default=0.5)
         self._setup = setup_of(self._file, self._roles)
-        self._steps = by_hand.turning_and_pulling(
+        self._steps = by_hand.motion_steps(
             self._setup,
             self._roles.values(),
             min(MOST_VELOCITY_RAD_S, 0.25 * self._file.limits.velocity_rad_s),

@@ -16,7 +16,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.emulation.faults import known_faults
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
-from leactl.runfile.integrity import verify
+from leactl.runfile.verify.integrity import verify
 from leactl.runner import latch
 from leactl.runner.drill.emulated import STOPPED, drives, setup_of
 from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, of_the_end
@@ -121,7 +121,7 @@ class RealDrill:
         )
 
     def _moving(self, hold_s: float) -> list[str]:
-        return by_hand.turning_and_pulling(self._setup, self._roles, self._velocity, self._current, hold_s)
+        return by_hand.motion_steps(self._setup, self._roles, self._velocity, self._current, hold_s)
 
     def _stop(self) -> Finding:
         cycles: list[float] = []
@@ -146,7 +146,7 @@ class RealDrill:
 
     def _unplugged(self) -> Finding:
         what = f"Unplug {self._sensor} now: {PATIENCE_S:g} s are left."
-        outcome, _safe_at = self._run(by_hand.reading(PATIENCE_S), [], what)
+        outcome, _safe_at = self._run(by_hand.reading_steps(PATIENCE_S), [], what)
         return self._finding(UNPLUGGED, self._sensor, "an interlock or the device itself", None, outcome, CAUGHT, None)
 
     def _run(

@@ -13,7 +13,18 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Sought, Supply, Tare
+from leactl.protocol.plan import (
+    Action,
+    Constant,
+    Engage,
+    Plan,
+    Samples,
+    Segment,
+    SetpointProfile,
+    SetSupply,
+    Sought,
+    Tare,
+)
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import GuardSettings
@@ -29,7 +40,7 @@ class State:
     name: str
     duration: float
     modes: Mapping[str, Mode]
-    setpoints: Mapping[str, Profile]
+    setpoints: Mapping[str, SetpointProfile]
     leads: Mapping[str, float]  # A, through two leads of a role
     shortest: float  # s, after which it may end: its duration but where it ends by a criterion
 
@@ -56,7 +67,7 @@ class State:
 def states(plan: Plan) -> Iterator[State]:
     """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
     modes: dict[str, Mode] = {}
-    setpoints: dict[str, Profile] = {}
+    setpoints: dict[str, SetpointProfile] = {}
     leads: dict[str, float] = {}
     for action in plan.actions:
         name, duration = _name_and_duration(plan, action)
@@ -65,7 +76,7 @@ def states(plan: Plan) -> Iterator[State]:
             setpoints |= dict.fromkeys(action.modes, Constant(0.0))
         if isinstance(action, Segment):
             setpoints |= action.setpoints
-        if isinstance(action, Supply):
+        if isinstance(action, SetSupply):
             leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
         shortest = duration
         if isinstance(action, Segment) and action.until is not None:

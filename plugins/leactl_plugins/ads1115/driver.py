@@ -1,7 +1,7 @@
-"""ADS1115 in single-shot mode: every conversion is started, waited for by its ready bit, and read exactly once.
+"""ADS1115 in single-shot mode: every conversion is started, its ready bit is polled, and its result is read once.
 
-Single shot makes the age of each reading known and a repeated one impossible; in continuous mode the OS bit is no ready
-flag (TI SBAS444, section 9.6.3). Each input is a stream of its own, stamped at the middle of its conversion.
+Single shot makes the age of each reading known and excludes repeated readings; in continuous mode the OS bit is no
+ready flag (TI SBAS444, section 9.6.3). Each input is a stream of its own, stamped at the middle of its conversion.
 """
 
 import math
@@ -14,13 +14,13 @@ from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl.quantities import UNITS, ChannelSpec
-from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, Ads1115Settings, Input
+from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, AdcInput, Ads1115Settings
 
 CONVERSION, CONFIG = 0x00, 0x01
 START = 0x8000  # OS: start when written, idle when read
 SINGLE_SHOT = 0x0100
 COMPARATOR_OFF = 0x0003
-CONVERTED_BY = 0x7FE0  # pins, range, mode and rate; the bits of the comparator, which is off, are no matter
+CONVERTED_BY = 0x7FE0  # mask of pins, range, mode and rate; the comparator's bits are ignored, since it is off
 POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
 RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
 WAKE_UP_S = 25e-6
@@ -28,9 +28,9 @@ GIVE_UP_FACTOR = 4.0
 
 
 class _Converter:
-    """What one input needs while the loop runs, worked out once."""
+    """Constants of one input that the loop needs, computed once."""
 
-    def __init__(self, device: str, settings: Input, single: bool) -> None:
+    def __init__(self, device: str, settings: AdcInput, single: bool) -> None:
         self.settings = settings
         self.stream = device if single else f"{device}_{settings.name}"
         code = RANGES_V[settings.range_V]
@@ -81,33 +81,33 @@ class Ads1115(Driver):
         self._opened = False
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: it only measures."""
+        """Confirm at once: the device only measures."""
         return Confirmation(True, "measures only")
 
     def open(self) -> None:
-        """Meet the converter: configure it, and see its configuration come back.
+        """Configure the converter and read its configuration back.
 
         Raises
         ------
-        DeviceError : nothing acknowledges, or what answers keeps no configuration.
+        DeviceError : nothing acknowledges, or the configuration reads back differently.
         """
         self._port.open()
         self._opened = True
         self._port.write(self._address, CONFIG, POWER_DOWN)
-        held = self._port.read(self._address, CONFIG)
-        if held & ~START != POWER_DOWN:
-            place = f"{self.name}: address 0x{self._address:02X}"
-            raise DeviceError(f"{place} holds 0x{held:04X} after 0x{POWER_DOWN:04X} was written; not an ADS1115?")
+        config = self._port.read(self._address, CONFIG)
+        if config & ~START != POWER_DOWN:
+            device = f"{self.name}: address 0x{self._address:02X}"
+            raise DeviceError(f"{device} holds 0x{config:04X} after 0x{POWER_DOWN:04X} was written; not an ADS1115?")
 
     def close(self) -> None:
-        """Let the bus go."""
+        """Close the bus."""
         if self._opened:
             self._opened = False
             self._port.close()
 
     @classmethod
     def far_end(cls, settings: Ads1115Settings, role: str, physics: Physics) -> tuple[int, I2cEmulator]:
-        """A converter whose pins carry what the sensors at its inputs make of the bench's quantities."""
+        """A converter whose pins have the output voltages of sensors for the bench's quantities."""
         from leactl_plugins.ads1115.emulator import Ads1115Emulator
 
         sensors = {}
@@ -124,7 +124,7 @@ class Ads1115(Driver):
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """One stream an input."""
+        """One stream for each input."""
         specs = []
         for converter in self._converters:
             item = converter.settings
@@ -133,7 +133,7 @@ class Ads1115(Driver):
         return tuple(specs)
 
     def take(self) -> Sequence[Row]:
-        """Read the conversion that is due, start the next; never waits.
+        """Read a finished conversion and start the next one; never waits.
 
         Raises
         ------
@@ -147,26 +147,26 @@ class Ads1115(Driver):
         waited = self._clock.now() - started
         if waited < converter.conversion_s / RATE_TOLERANCE:
             return ()
-        held = self._port.read(self._address, CONFIG)
-        if not held & START:
+        config = self._port.read(self._address, CONFIG)
+        if not config & START:
             if waited > GIVE_UP_FACTOR * converter.conversion_s:
                 raise NoAnswer(f"{self.name}: a conversion has not ended after {waited:.4f} s")
             return ()
-        row = self._row(converter, held, self._port.read(self._address, CONVERSION), started)
+        row = self._row(converter, config, self._port.read(self._address, CONVERSION), started)
         self._turn = (self._turn + 1) % len(self._converters)
         self._start()
         return (row,)
 
     def notices(self) -> list[str]:
-        """One line where transfers went through only when they were repeated, at the 1st, 10th, 100th of them."""
+        """A line at the 1st, 10th, 100th transfer that succeeded only when repeated."""
         return self._port.notices()
 
     def tare(self, means: Mapping[str, float]) -> dict[str, float]:
-        """Take these mean readings, by stream, as zero from now on; the new offsets by channel name.
+        """Subtract these mean readings (by stream) from now on; returns the new offsets by channel name.
 
         Raises
         ------
-        DeviceError : a zero would move further from the calibrated one than `tare_limit_V`; none is moved then.
+        DeviceError : a zero would move further from the calibrated one than `tare_limit_V`; no zero is changed then.
         """
         tared = [converter for converter in self._converters if converter.stream in means]
         for converter in tared:

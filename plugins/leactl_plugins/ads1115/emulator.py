@@ -1,6 +1,6 @@
-"""The converter's far end of the wire: registers as in the data sheet (TI SBAS444), voltages from a bench.
+"""Emulator of an ADS1115: registers as in the data sheet (TI SBAS444), voltages from a bench.
 
-A conversion is worth what its input is in its middle: the mean over it, to first order.
+A conversion returns the input at its middle, which is the mean over it to first order.
 """
 
 import math
@@ -48,10 +48,10 @@ class Ads1115Emulator:
             self._begin(now)
 
     def keep(self, store: RegisterStore, now: float) -> None:
-        """Stand behind a plain store, for single shots: begin what the host wrote there, put the result there in time.
+        """Run single conversions on a register store: start one when the host writes its start, and store the result.
 
-        The host starts conversion after conversion with the same word. What is shown meanwhile and afterwards therefore
-        differs from that word in one bit, so that a start is whatever differs from what was shown.
+        The host starts each conversion with the same word. The stored configuration therefore differs from that word in
+        one bit, during and after a conversion, and any other stored word is a start.
         """
         if self._shown is None:
             self._shown = self.read(CONFIG, now)
@@ -69,7 +69,7 @@ class Ads1115Emulator:
             self._shown = held
 
     def tick(self, now: float) -> None:
-        """Look at the input where a conversion is half done."""
+        """Sample the input at the middle of a conversion."""
         if now >= self.due:
             self._sampled, self.due = self._convert(self._converting), math.inf
 

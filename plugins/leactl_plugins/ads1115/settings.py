@@ -14,7 +14,7 @@ TARE_SHARE = 0.05  # of the range: what a zero drifts by, and no load of note
 Volts = Annotated[float, Field(strict=True, ge=-6.144, le=6.144)]
 
 
-class Input(BaseModel):
+class AdcInput(BaseModel):
     """One input and the sensor behind it: value = sign x scale_per_V x (voltage - offset_V)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -35,7 +35,7 @@ class Input(BaseModel):
 
     @property
     def window_V(self) -> tuple[float, float]:  # noqa: N802
-        """Voltages between which a reading is one: the codes at the range's ends and the sensor's rails are outside."""
+        """Lowest and highest valid voltage: inside the range's end codes and the sensor's rails."""
         count = self.range_V / 32768
         low, high = -self.range_V + count, self.range_V - 2 * count
         return (low if self.low_V is None else max(low, self.low_V)), (
@@ -44,15 +44,15 @@ class Input(BaseModel):
 
     @property
     def most_tare_V(self) -> float:  # noqa: N802
-        """How far a tare may move the zero from `offset_V`."""
+        """Largest distance of a tared zero from `offset_V`."""
         return TARE_SHARE * self.range_V if self.tare_limit_V is None else self.tare_limit_V
 
     def value_of(self, volts: float) -> float:
-        """What the sensor says by this voltage."""
+        """Value of the sensor's quantity at a voltage."""
         return self.sign * self.scale_per_V * (volts - self.offset_V)
 
     @model_validator(mode="after")
-    def _zero_in_window(self) -> "Input":
+    def _zero_in_window(self) -> "AdcInput":
         low, high = self.window_V
         if not low < high:
             raise ValueError(f"low_V to high_V leave nothing of the range of +-{self.range_V:g} V")
@@ -84,7 +84,7 @@ class Ads1115Settings(DriverSettings):
     """Address and inputs; several inputs are converted in turn."""
 
     address: Literal[0x48, 0x49, 0x4A, 0x4B] = 0x48
-    inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=8)]
+    inputs: Annotated[tuple[AdcInput, ...], Field(min_length=1, max_length=8)]
 
     @property
     def bus_address(self) -> int:
@@ -92,16 +92,16 @@ class Ads1115Settings(DriverSettings):
         return self.address
 
     def shown(self) -> list[Shown]:
-        """What each input can tell from its rail."""
-        found = []
-        for place, item in enumerate(self.inputs):
+        """Measurable range of each input."""
+        ranges = []
+        for index, item in enumerate(self.inputs):
             low, high = sorted(item.value_of(volts) for volts in item.window_V)
-            found.append(Shown(("inputs", place), item.quantity, low, high))
-        return found
+            ranges.append(Shown(("inputs", index), item.quantity, low, high))
+        return ranges
 
     @field_validator("inputs")
     @classmethod
-    def _names_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:
+    def _names_differ(cls, value: tuple[AdcInput, ...]) -> tuple[AdcInput, ...]:
         names = [item.name for item in value]
         if len(set(names)) != len(names):
             raise ValueError(f"two inputs share a name among {', '.join(names)}")

@@ -1,4 +1,4 @@
-"""What a supply's answers mean: digits without a point, and an `OK` of its own after them; all else is refused."""
+"""Parse a supply's replies: digits without a decimal point, then `OK`; anything else is Unreadable."""
 
 import re
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from leactl.driver.conversation import Unreadable
 OK = b"OK"
 
 
-class Levels(NamedTuple):
+class LevelCounts(NamedTuple):
     """Voltage in steps of 0.1 V, current in steps of the model."""
 
     volts: int
@@ -16,48 +16,48 @@ class Levels(NamedTuple):
 
 
 class Display(NamedTuple):
-    """What stands at the terminals, and whether the current is what is regulated."""
+    """Measured output, and which of voltage and current is regulated."""
 
     voltage: float  # V
     current: float  # A
-    limited: bool  # constant current, else constant voltage
+    limited: bool  # True: constant current; False: constant voltage
 
 
 def done(answer: bytes) -> None:
-    """A command that was carried out.
+    """Check the reply to a command.
 
     Raises
     ------
-    Unreadable : anything beside `OK`.
+    Unreadable : anything but `OK`.
     """
     if answer != OK:
         raise Unreadable(f"{_shown(answer)} where OK was expected")
 
 
-def levels(answer: bytes) -> Levels:
-    """Both settings, or both limits.
+def levels(answer: bytes) -> LevelCounts:
+    """Parse two levels (settings or limits).
 
     Raises
     ------
     Unreadable : not six digits and `OK`.
     """
-    found = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
-    if found is None:
+    match = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
+    if match is None:
         raise Unreadable(f"{_shown(answer)} where six digits and OK were expected")
-    return Levels(int(found[1]), int(found[2]))
+    return LevelCounts(int(match[1]), int(match[2]))
 
 
 def display(answer: bytes) -> Display:
-    """What is measured.
+    """Parse the display.
 
     Raises
     ------
     Unreadable : not nine digits, of which the last is 0 or 1, and `OK`.
     """
-    found = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
-    if found is None:
+    match = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
+    if match is None:
         raise Unreadable(f"{_shown(answer)} where nine digits and OK were expected")
-    return Display(int(found[1]) / 100, int(found[2]) / 100, found[3] == b"1")
+    return Display(int(match[1]) / 100, int(match[2]) / 100, match[3] == b"1")
 
 
 def _shown(answer: bytes) -> str:

@@ -1,83 +1,83 @@
-"""What is said to a supply that tells what it measures and never whether its output is on.
+"""Commands of a supply that reports its measurements, but not whether its output is on.
 
-Each command is answered by `OK`, and every setting is read back. Whether the output is off is judged by voltage and
-current at the terminals; what is no answer to the latest question is kept apart by what only that question can bring.
+Each command is answered by `OK`, and every setting is read back. The output counts as off by voltage and current at the
+terminals. Replies to earlier commands are recognised because each query expects a reply that only it can produce.
 """
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Answer, Question, Script, Unreadable
-from leactl.driver.serial_supply import Progress, Reading
+from leactl.driver.conversation import Query, Reply, Script, Unreadable
+from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
-from leactl_plugins.bk1688b.answers import OK, Display, Levels
+from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts
 from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
-DISPLAY = Question("GETD", answers.display, last=OK)
+DISPLAY = Query("GETD", answers.display, last=OK)
 LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 RATED = 0.15  # share of its rating by which a model's own limits may differ
 BEYOND = 1.2  # times its limits: what a supply does not show
-ASTRAY, ASTRAY_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
-ASTRAY_V, ASTRAY_A = 0.1, 0.1  # and beside that
+REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
+REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
 
 
 class Bk1688bDialogue:
-    """What is said to the supply of these settings."""
+    """Dialogue with the supply of these settings."""
 
     off = f"\r{OFF}\r".encode("ascii")  # the first end closes what somebody has left half sent
 
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._step = settings, settings.rating.step_A
-        self._held = Levels(round(LEAST_V / STEP_V), 0)  # what was commanded
+        self._held = LevelCounts(round(LEAST_V / STEP_V), 0)  # what was commanded
         self._most = HIGHEST  # V and A; until it has told its own limits, it may be another model
         self._mark = 0
         self._looked = 0.0
         self._astray_since: float | None = None  # None: nothing has been put out since the last command
         self._panel = ""  # what was set there
 
-    def in_step(self) -> Script[Levels]:
-        """Ask for the settings: what comes before six digits was meant for an earlier question, and is dropped."""
-        held: Levels = yield from _asked(Question("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
+    def in_step(self) -> Script[LevelCounts]:
+        """Query the settings and drop all replies before six digits, which belong to earlier queries."""
+        held: LevelCounts = yield from _ask(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
-        """Switch off until nothing is measured at the terminals, however often that takes.
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
+        """Switch off repeatedly until no voltage and no current are measured at the terminals.
 
-        A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
-        earlier, whichever `OK` has been taken for whose, and an output that does not switch off is turned down.
+        Each try sets and reads back a voltage that the last nine tries did not use. Any reply before that value is
+        thereby known to be older, and an output that does not switch off is at least turned down.
         """
         while True:
             yield b"\r"
-            yield from _asked(Question(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _asked(Question(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
-            yield from _asked(Question("GETS", _at_the_end(2, _with(volts)), patient=True, last=OK))
-            shown: Display = yield from _asked(DISPLAY)
+            yield from _ask(Query(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query("GETS", _at_the_end(2, _levels_with(volts)), patient=True, last=OK))
+            shown: Display = yield from _ask(DISPLAY)
             if not self._on(shown):
-                return Confirmation(True, f"output off, {_told(shown)}")
-            progress.said = f"the output is still on, {_told(shown)}"
+                return Confirmation(True, f"output off, {_display_text(shown)}")
+            off_trouble.text = f"the output is still on, {_display_text(shown)}"
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
-        """Make off, see by its limits that it is the model expected, and set as little as there is.
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
+        """Switch off, check the model by its limits, and set the lowest levels.
 
         Raises
         ------
-        DeviceError : another model, a setting that does not stick, an output that cannot be switched off.
+        DeviceError : another model, a setting that reads back differently, or an output that cannot be switched off.
         """
-        rating, found = self._settings.rating, []
-        yield from self.output_off(progress)
-        progress.said = ""
+        rating, notices = self._settings.rating, []
+        yield from self.output_off(off_trouble)
+        off_trouble.text = ""
         try:
-            most: Levels = yield from _asked(Question("GMAX", answers.levels, last=OK))
+            most: LevelCounts = yield from _ask(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:
-            found.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
+            notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
         else:
             volts, amperes = most.volts * STEP_V, most.amperes * self._step
@@ -88,11 +88,11 @@ class Bk1688bDialogue:
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"
                 )
             self._most = volts, amperes
-        yield from self._put(Levels(round(LEAST_V / STEP_V), 0))
-        return found
+        yield from self._put(LevelCounts(round(LEAST_V / STEP_V), 0))
+        return notices
 
     def leave(self) -> Script[Sequence[str]]:
-        """Nothing: it has no protections that could be set, and its levels were not kept."""
+        """Do nothing: the supply has no protections to restore."""
         yield from ()
         return ()
 
@@ -103,33 +103,33 @@ class Bk1688bDialogue:
         ------
         DeviceError : they come back as others.
         """
-        yield from self._put(Levels(round(voltage / STEP_V), round(current / self._step)))
+        yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 
-    def _put(self, wanted: Levels) -> Script[None]:
+    def _put(self, wanted: LevelCounts) -> Script[None]:
         self._held, self._astray_since = wanted, None
-        yield from _asked(_command(f"CURR{wanted.amperes:03d}"))
-        yield from _asked(_command(f"VOLT{wanted.volts:03d}"))
-        held: Levels = yield from _asked(Question("GETS", answers.levels, last=OK))
+        yield from _ask(_command(f"CURR{wanted.amperes:03d}"))
+        yield from _ask(_command(f"VOLT{wanted.volts:03d}"))
+        held: LevelCounts = yield from _ask(Query("GETS", answers.levels, last=OK))
         if held != wanted:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and see by what is measured that it is.
+        """Switch the output and check it by the measured voltage and current.
 
         Raises
         ------
-        DeviceFault : it is not.
+        DeviceFault : the output is not in the demanded state.
         """
         self._astray_since = None
-        yield from _asked(_command(ON if on else OFF))
+        yield from _ask(_command(ON if on else OFF))
         for _ in range(LOOKS):
-            shown: Display = yield from _asked(DISPLAY)
+            shown: Display = yield from _ask(DISPLAY)
             if self._on(shown) is on:
                 return
-        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
+        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_display_text(shown)}")
 
-    def measured(self) -> Script[Reading]:
-        """Voltage, current and what is regulated; once in a while what is set.
+    def measured(self) -> Script[SupplyReading]:
+        """Measure voltage, current and regulation mode; every `SETTINGS_S`, also read the settings.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class Bk1688bDialogue:
         volts, amperes = self._most
         if shown.voltage > BEYOND * volts or shown.current > BEYOND * amperes:
             raise Unreadable(
-                f"GETD was answered by {_told(shown)} where no more than {volts:g} V and {amperes:g} A can be"
+                f"GETD was answered by {_display_text(shown)} where no more than {volts:g} V and {amperes:g} A can be"
             )
         on = self._on(shown)
         mode = ("constant current" if shown.limited else "constant voltage") if on else ""
@@ -155,57 +155,57 @@ class Bk1688bDialogue:
                 else ""
             )
         fault = self._panel or (self._astray(shown, answer) if on else "")
-        return Reading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
+        return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
-    def _astray(self, shown: Display, answer: Answer) -> str:
-        """What is put out beyond what is set, or below where that is said to be regulated, for longer than it settles.
+    def _astray(self, shown: Display, answer: Reply) -> str:
+        """A fault if the output is off its set level for longer than `REGULATION_S`; else empty.
 
-        A current that is set in another model's steps shows here where the model itself does not tell its limits.
+        This also detects a supply of another model, whose current has other steps, if it does not report its limits.
         """
         volts, amperes = self._held.volts * STEP_V, self._held.amperes * self._step
-        room_v, room_a = ASTRAY * volts + ASTRAY_V, ASTRAY * amperes + ASTRAY_A
+        room_v, room_a = REGULATION_SHARE * volts + REGULATION_V, REGULATION_SHARE * amperes + REGULATION_A
         regulated = shown.current - amperes >= -room_a if shown.limited else shown.voltage - volts >= -room_v
         within = regulated and shown.voltage - volts <= room_v and shown.current - amperes <= room_a
         if within or self._astray_since is None:
             self._astray_since = answer.seen
-        if answer.seen - self._astray_since < ASTRAY_S:
+        if answer.seen - self._astray_since < REGULATION_S:
             return ""
-        return f"out of regulation, {_told(shown)}; {self._spelt(self._held)} are set"
+        return f"out of regulation, {_display_text(shown)}; {self._spelt(self._held)} are set"
 
     def _on(self, shown: Display) -> bool:
         return shown.voltage > self._settings.off_voltage_V or shown.current > self._settings.off_current_A
 
-    def _spelt(self, held: Levels) -> str:
+    def _spelt(self, held: LevelCounts) -> str:
         return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
 
 
 def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """The last lines of an answer: the end of an earlier one, without its own `OK`, may stand before them."""
+    """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
     return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
-def _with(volts: int) -> Callable[[bytes], Levels]:
-    """Settings with this voltage and no others."""
+def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:
+    """Parser of settings that refuses any other voltage."""
 
-    def read(answer: bytes) -> Levels:
-        found = answers.levels(answer)
-        if found.volts != volts:
-            raise Unreadable(f"{found.volts} where {volts} was expected")
-        return found
+    def read(answer: bytes) -> LevelCounts:
+        levels_set = answers.levels(answer)
+        if levels_set.volts != volts:
+            raise Unreadable(f"{levels_set.volts} where {volts} was expected")
+        return levels_set
 
     return read
 
 
-def _command(text: str) -> Question:
-    return Question(text, answers.done, last=OK)
+def _command(text: str) -> Query:
+    return Query(text, answers.done, last=OK)
 
 
-def _told(shown: Display) -> str:
+def _display_text(shown: Display) -> str:
     return f"{shown.voltage:.2f} V and {shown.current:.2f} A"
 
 
-def _asked(question: Question) -> Script[Any]:
-    """The value of an answer."""
+def _ask(question: Query) -> Script[Any]:
+    """Script that sends a query and returns the value of its reply."""
     answer = yield question
     assert answer is not None
     return answer.value

@@ -1,4 +1,4 @@
-"""A BK Precision 1685B, 1687B or 1688B: off when met and when left, by what is measured at its terminals."""
+"""BK Precision 1685B, 1687B or 1688B: switched off at `open` and `close`, confirmed by the measured output."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -39,24 +39,24 @@ class Bk1688b(Driver):
         self._line = SupplyLine(name, role, settings.feeds, port, dialogue, settings.answer_s, settings.period_s)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Switch off and see that nothing is put out, from any state, over a fresh connection; never raises."""
+        """Switch off and confirm by measurement, from any state, over a new connection if needed; never raises."""
         return self._line.make_safe(deadline_s)
 
     def stop_now(self) -> None:
-        """Send what switches the output off, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that switches the output off, without waiting; over a new connection if needed."""
         self._line.stop_now()
 
     def open(self) -> None:
-        """Meet the supply: make it off, see by its limits which model it is.
+        """Connect to the supply: switch it off and check the model by its limits.
 
         Raises
         ------
-        DeviceError : it is absent, another model, refuses a setting, or cannot be made off.
+        DeviceError : it is absent, another model, refuses a setting, or cannot be switched off.
         """
         self._line.open(OPEN_S)
 
     def close(self) -> None:
-        """Let the line go."""
+        """Close the line."""
         self._line.close()
 
     @classmethod
@@ -75,16 +75,16 @@ class Bk1688b(Driver):
 
     @property
     def supplying(self) -> bool:
-        """True from when voltage or current was measured after switching on until neither is."""
+        """Whether the output is on, by the last measurement of voltage and current."""
         return self._line.supplying
 
     def supply(self, voltage: float, current: float) -> None:
-        """Put out no more than this voltage [V] and this current [A] while switched on; switches nothing.
+        """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
 
         Raises
         ------
-        InputError : a value is not finite, above `most`, between the instrument's steps, or so low that nobody could
-            tell whether the output is on; nothing is passed on.
+        InputError : a value is not finite, above `most`, between the instrument's steps, or so low that an output that
+            is on could not be distinguished from one that is off; nothing is sent.
         """
         rating = self.settings.rating
         for value, step, unit in ((voltage, STEP_V, "V"), (current, rating.step_A, "A")):
@@ -99,7 +99,7 @@ class Bk1688b(Driver):
         self._line.switch_on()
 
     def switch_off(self) -> None:
-        """Begin to switch the output off: at once, and then until it is confirmed.
+        """Send the command to switch off at once, and repeat it in `take` until it is confirmed.
 
         Raises
         ------
@@ -115,14 +115,14 @@ class Bk1688b(Driver):
         return (self._line.stream,)
 
     def take(self) -> Sequence[Row]:
-        """Go on with the conversation; what has been measured since the last call; never waits.
+        """Continue the conversation without waiting; returns the rows measured since the last call.
 
         Raises
         ------
-        DeviceError : the line is gone, the instrument has not answered three times in a row, or refuses a command.
+        DeviceError : the line is gone, the instrument did not answer three times in sequence, or refuses a command.
         """
         return self._line.take()
 
     def notices(self) -> Sequence[str]:
-        """Answers that were lost, changes between constant voltage and constant current."""
+        """Notices: lost rounds, and changes between constant voltage and constant current."""
         return self._line.notices()

@@ -1,6 +1,6 @@
-"""The supply's far end of the wire: commands that end in a carriage return, `OK` after all that it understands.
+"""Emulator of the supply: commands end in a carriage return, and each valid one is answered by `OK`.
 
-What it does not understand, or what is out of its range, it does not answer.
+Unknown commands and values out of range get no answer.
 """
 
 import math
@@ -35,16 +35,16 @@ class Bk1688bEmulator:
     # -- what a bench may have go wrong ------------------------------------------------------------------------------
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Switch on no more off, as with a welded relay; its display tells so, whether it `admits` anything or not."""
+        """Make the output stay on, as with a welded relay; the display shows it, whatever `admits` is."""
         self._stuck = True
 
     def lose_regulation(self, share: float) -> None:
-        """Give this share of the voltage and current it is set to."""
+        """Put out only this share of the set voltage and current."""
         self._share = share
         self._regulate()
 
     def mend(self) -> None:
-        """Be whole again."""
+        """Return to normal operation."""
         self._stuck, self._share = False, 1.0
         self._regulate()
 
@@ -52,11 +52,11 @@ class Bk1688bEmulator:
 
     @property
     def due(self) -> float:
-        """When an answer is ready or the output is looked at again."""
+        """Time of the next answer or the next regulation [s]."""
         return min(self._output[0][0] if self._output else math.inf, self._regulates)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes as they arrive; a carriage return ends a command."""
+        """Receive bytes; a carriage return ends a command."""
         for byte in data:
             if byte == 0x0D:
                 command, self._input = self._input.decode("ascii", "replace"), b""
@@ -69,7 +69,7 @@ class Bk1688bEmulator:
                 self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
 
     def tick(self, now: float) -> bytes:
-        """Regulate where that is due; the answer that is ready."""
+        """Regulate the output if that is due; returns an answer that is ready."""
         if now >= self._regulates:
             self._regulates = now + REGULATE_S
             self._regulate()
@@ -78,11 +78,11 @@ class Bk1688bEmulator:
         return b""
 
     def _obey(self, command: str) -> str | None:
-        """The answer, with its ends; None where there is none."""
-        found = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
-        if found is None:
+        """The answer to a command, with its line ends; None if there is none."""
+        match = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
+        if match is None:
             return None
-        word, digits = found[1], found[2]
+        word, digits = match[1], match[2]
         queries = {"GETS": self._settings, "GETD": self._display, "GMAX": self._limits, "GETM": self._memory}
         if word in queries and not digits:
             return f"{queries[word]()}\rOK\r"
@@ -91,7 +91,7 @@ class Bk1688bEmulator:
         return "OK\r" if self._change(word, digits) else None
 
     def _change(self, word: str, digits: str) -> bool:
-        """Carry out a command with an argument; whether it was one."""
+        """Carry out a command with an argument; False if it is invalid."""
         if word == "SOUT" and digits in ("0", "1"):
             self.on = digits == "0" or (self._stuck and self.on)
         elif word == "VOLT" and len(digits) == 3 and LEAST_V <= (volts := int(digits) * STEP_V) <= self.rating.voltage:
@@ -99,8 +99,10 @@ class Bk1688bEmulator:
         elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
             self.set_amperes = amperes
         elif word == "PROM" and len(digits) == 6 * PRESETS:
-            kept = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
-            self.presets = [(int(one[:3]) * STEP_V, self._amperes(one[3:])) for one in kept]
+            presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
+            self.presets = [
+                (int(preset_digits[:3]) * STEP_V, self._amperes(preset_digits[3:])) for preset_digits in presets_digits
+            ]
         elif word == "RUNM" and digits in ("0", "1", "2"):
             self.set_volts, self.set_amperes = self.presets[int(digits)]
         else:

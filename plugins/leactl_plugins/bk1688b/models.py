@@ -1,13 +1,13 @@
-"""The three models and what each can be set to."""
+"""The three models with their ratings and steps."""
 
 from typing import Final, NamedTuple
 
-LEAST_V: Final = 1.0  # below which none can be set
+LEAST_V: Final = 1.0  # lowest voltage that can be set
 STEP_V: Final = 0.1
 
 
 class Rating(NamedTuple):
-    """What one model is good for."""
+    """Highest voltage and current of one model, and its step of current."""
 
     voltage: float  # V
     current: float  # A

@@ -1,4 +1,4 @@
-"""Settings of one supply: which model it is, what it feeds, and what it may never put out."""
+"""Settings of one supply: its model, its load, and the limits of its output."""
 
 from typing import Annotated, Literal
 
@@ -35,5 +35,5 @@ class Bk1688bSettings(DriverSettings):
 
     @property
     def rating(self) -> Rating:
-        """What the model is good for."""
+        """Rating of the model."""
         return RATINGS[self.model]

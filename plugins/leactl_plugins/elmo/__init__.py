@@ -1,1 +1,1 @@
-"""What Elmo's drives have in common, whatever wire they are on: scales, positions, names of faults and errors."""
+"""Common parts of the drivers of Elmo drives: scales, positions, names of faults and errors."""

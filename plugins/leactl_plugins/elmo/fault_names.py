@@ -1,7 +1,7 @@
-"""Names of what an Elmo drive complains of: faults of the motor by code and by bit, and refusals of its interpreter.
+"""Names of an Elmo drive's faults (by code and by bit of MF) and of its interpreter's refusals.
 
-After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Bits of
-MF name the same faults as the codes of emergency messages do, so each has one name here.
+After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Bits of MF
+and codes of emergency messages mean the same faults, so that each fault has one name here.
 """
 
 # error codes of emergency messages (CiA 301, CiA 402 and the maker's own)
@@ -136,7 +136,7 @@ REFUSALS = {
 
 
 def motor_fault(bits: int) -> str:
-    """Why a drive has shut its motor down, one line for a value of MF: the number in hex, and the name of every bit."""
+    """Text for a value of MF: the number in hex, and the names of all set bits."""
     codes = [code for bit, code in _FAULT_BITS.items() if bits & bit]
     stage = bits & _POWER_STAGE
     names = [CODES[code] for code in codes]
@@ -146,11 +146,11 @@ def motor_fault(bits: int) -> str:
 
 
 def bits_of(code: int) -> int:
-    """The value of MF for a fault that an emergency message has this code for; "cannot start" where MF has none."""
-    every = _POWER_STAGE_FAULTS | _FAULT_BITS
-    return next((bits for bits, one in every.items() if one == code), 0x20000000)
+    """Value of MF for the code of an emergency message; that of "cannot start motor" if MF has no bit for it."""
+    codes_by_bits = _POWER_STAGE_FAULTS | _FAULT_BITS
+    return next((bits for bits, fault_code in codes_by_bits.items() if fault_code == code), 0x20000000)
 
 
 def refusal(number: int) -> str:
-    """One phrase for a number of EC: the number, and its name."""
+    """Text for a number of EC: the number and its name."""
     return f"error {number} ({REFUSALS.get(number, 'unnamed')})"

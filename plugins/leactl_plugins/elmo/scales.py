@@ -1,11 +1,11 @@
-"""What the numbers of an Elmo drive mean: its amperes on the q axis, and its counts where they go round."""
+"""Scales of an Elmo drive: its current as q-axis current, and its encoder counts unwrapped."""
 
 import math
 from enum import StrEnum
 
 
 class CurrentConvention(StrEnum):
-    """What the drive means by its current; each is a fixed factor to the power-invariant q axis."""
+    """Definition of the drive's current; each has a fixed factor to the power-invariant q-axis current."""
 
     AMPLITUDE = "amplitude"
     POWER_INVARIANT = "power_invariant"
@@ -18,7 +18,7 @@ class CurrentConvention(StrEnum):
 
 
 class CountedPosition:
-    """Counts of the encoder, going on where the drive's own go round."""
+    """Encoder counts, unwrapped where the drive's own counts wrap."""
 
     def __init__(self, low: int, high: int) -> None:
         self._low, self._span = low, high - low
@@ -28,11 +28,11 @@ class CountedPosition:
         self.half = (high - low) // 2
 
     def nearest(self, counts: int) -> int:
-        """The position closest to the last one that the drive shows as these counts."""
+        """Unwrapped position, closest to the last one, for counts of the drive."""
         if self.counts == self._unmet:
             return counts
         return self.counts + (counts - self.counts + self.half) % self._span - self.half
 
     def shown(self, counts: int) -> int:
-        """A position as the drive holds it."""
+        """Wrapped counts of the drive for an unwrapped position."""
         return (counts - self._low) % self._span + self._low

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 
-class State(StrEnum):
+class DriveState(StrEnum):
     """States of the machine (CiA 402, 6.2)."""
 
     NOT_READY = "not ready to switch on"
@@ -16,7 +16,7 @@ class State(StrEnum):
     FAULT = "fault"
 
 
-FAULTS = (State.FAULT, State.FAULT_REACTION)
+FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 DISABLE_VOLTAGE = 0x0000
 QUICK_STOP = 0x0002
@@ -25,24 +25,29 @@ SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 
-_MASK_4F = {0x00: State.NOT_READY, 0x40: State.DISABLED, 0x0F: State.FAULT_REACTION, 0x08: State.FAULT}
-_MASK_6F = {0x21: State.READY, 0x23: State.SWITCHED_ON, 0x27: State.ENABLED, 0x07: State.QUICK_STOP}
+_MASK_4F = {
+    0x00: DriveState.NOT_READY,
+    0x40: DriveState.DISABLED,
+    0x0F: DriveState.FAULT_REACTION,
+    0x08: DriveState.FAULT,
+}
+_MASK_6F = {0x21: DriveState.READY, 0x23: DriveState.SWITCHED_ON, 0x27: DriveState.ENABLED, 0x07: DriveState.QUICK_STOP}
 _UP = {
-    State.DISABLED: SHUTDOWN,
-    State.READY: SWITCH_ON,
-    State.SWITCHED_ON: ENABLE_OPERATION,
-    State.ENABLED: ENABLE_OPERATION,
+    DriveState.DISABLED: SHUTDOWN,
+    DriveState.READY: SWITCH_ON,
+    DriveState.SWITCHED_ON: ENABLE_OPERATION,
+    DriveState.ENABLED: ENABLE_OPERATION,
 }
 
 
-def state_of(statusword: int) -> State:
-    """State that a statusword tells."""
+def state_of(statusword: int) -> DriveState:
+    """State that a statusword encodes."""
     state = _MASK_6F.get(statusword & 0x6F)
     if state is not None:
         return state
-    return _MASK_4F.get(statusword & 0x4F, State.NOT_READY)
+    return _MASK_4F.get(statusword & 0x4F, DriveState.NOT_READY)
 
 
-def towards_enabled(state: State) -> int:
-    """Controlword that takes one transition towards operation enabled; no fault is ever reset by it."""
+def towards_enabled(state: DriveState) -> int:
+    """Controlword for the next transition towards operation enabled; it never resets a fault."""
     return _UP.get(state, DISABLE_VOLTAGE)

@@ -1,4 +1,4 @@
-"""What a drive is asked and told by SDO before it may run: identity, fault, scales, dead-man, PDOs."""
+"""Set up a drive by SDO before it may run: identity, faults, scales, monitoring of the host, PDOs."""
 
 import math
 
@@ -34,27 +34,27 @@ def interpolation_time(period: float) -> tuple[int, int]:
 
 
 def event_tpdo(settings: ElmoSettings) -> int | None:
-    """Number, from 0, of the TPDO that tells a change of state as it happens; None where all four are taken."""
+    """Number, from 0, of the TPDO that reports changes of state at once; None if all four TPDOs are in use."""
     free = [number for number, used in ((3, settings.drive_clock), (2, settings.q_axis_voltage)) if used is None]
     return free[0] if free else None
 
 
 class Commissioning:
-    """The set-up of one drive; every method raises `DeviceError` where the drive is silent or refuses."""
+    """The set-up of one drive; every method raises `DeviceError` if the drive does not answer or refuses."""
 
     def __init__(self, name: str, settings: ElmoSettings, sdo: Sdo, clock: Clock) -> None:
         self._name, self._settings, self._sdo, self._clock = name, settings, sdo, clock
 
     def check_identity(self) -> None:
-        """Refuse a device of another maker."""
+        """Raise DeviceError if the vendor is another one than in the settings."""
         expected = self._settings.vendor_id
-        found = self._sdo.read(0x1018, 1, "u32")
-        if expected is not None and found != expected:
+        vendor = self._sdo.read(0x1018, 1, "u32")
+        if expected is not None and vendor != expected:
             node = self._settings.node
-            raise DeviceError(f"{self._name}: vendor 0x{found:08X} at node {node}, 0x{expected:08X} was expected")
+            raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
 
     def identity(self) -> Identity:
-        """Return name, serial number and software version; what the drive does not tell is left out."""
+        """Return name, serial number and software version; a field that the drive lacks is empty."""
         name, hardware, software = (self._text(index) for index in (0x1008, 0x1009, 0x100A))
         model = f"{name}, hardware {hardware}" if name and hardware else name
         serial = self._number(0x1018, 4)
@@ -70,11 +70,11 @@ class Commissioning:
             return ""
 
     def _number(self, index: int, sub: int, kind: str = "u32") -> int:
-        """An object that a drive may lack; 0 where it says that it does. Raises NoAnswer where it says nothing."""
+        """Value of an optional object; 0 if the drive lacks it. Raises NoAnswer if the drive does not answer."""
         return self._held(index, sub, kind) or 0
 
     def _held(self, index: int, sub: int, kind: str) -> int | None:
-        """What the drive holds; None where it says that it has no such object."""
+        """Value of an optional object; None if the drive lacks it."""
         try:
             return self._sdo.read(index, sub, kind)
         except NoAnswer:
@@ -83,15 +83,15 @@ class Commissioning:
             return None
 
     def disable_voltage(self) -> None:
-        """Take the drive out of operation: whoever had it last may have left it in it."""
+        """Take the drive out of operation, in which an earlier program may have left it."""
         self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)
 
     def leave_fault(self) -> bool:
-        """Reset a fault the drive is in where the settings allow it; True where there was one.
+        """Reset a present fault if the settings allow it; True if there was one.
 
         Raises
         ------
-        DeviceFault : in fault, and the settings say not to reset it, or it stays.
+        DeviceFault : the drive is in fault and the settings forbid a reset, or the fault stays.
         """
         word = self._sdo.read(0x6041, 0, "u16")
         if cia402.state_of(word) not in FAULTS:
@@ -107,7 +107,7 @@ class Commissioning:
 
         Raises
         ------
-        DeviceFault : the drive is still in fault afterwards, its cause is still there.
+        DeviceFault : the drive is still in fault after the reset.
         """
         for word in (0x0000, cia402.FAULT_RESET, 0x0000):
             self._sdo.write(0x6040, 0, "u16", word)
@@ -118,7 +118,7 @@ class Commissioning:
             self._clock.sleep_until(self._clock.now() + 0.01)
 
     def read_scales(self) -> tuple[float, int]:
-        """Read q-axis current of one per mille (A, signed as the bench turns) and the most per mille that may flow."""
+        """Read the q-axis current of one per mille [A], with the sign of the settings, and the highest per mille."""
         rated_current_ma = self._sdo.read(0x6075, 0, "u32")
         rated_torque = self._sdo.read(0x6076, 0, "u32")
         if rated_current_ma == 0:
@@ -138,9 +138,9 @@ class Commissioning:
         return self._settings.sign * q_per_mille, min(0x7FFF, *most.values())
 
     def check_scales(self) -> None:
-        """Refuse a drive whose positions are no counts of the encoder in the sense that the bench file says.
+        """Raise if the drive's positions are not encoder counts with the sign and counts per turn of the bench file.
 
-        A drive may lack any of these objects, which leaves its counts as they are (CiA 402, 6.2.12 and 6.5).
+        A drive may lack any of these objects, which means no scaling (CiA 402, 6.2.12 and 6.5).
 
         Raises
         ------
@@ -171,30 +171,30 @@ class Commissioning:
                 )
 
     def clear_offsets(self) -> None:
-        """Take back what another master has left to be added to every demand (CiA 402: 0x60B0, 0x60B1, 0x60B2).
+        """Set offsets that another master left, and that are added to every demand, to 0 (0x60B0, 0x60B1, 0x60B2).
 
         Raises
         ------
-        DeviceError : an offset stays.
+        DeviceError : an offset reads back as another value.
         """
         for index, kind in ((0x60B0, "i32"), (0x60B1, "i32"), (0x60B2, "i16")):
             if self._held(index, 0, kind):  # a firmware without it adds nothing
                 self._sdo.write_verified(index, 0, kind, 0)
 
     def position_range(self) -> tuple[int, int]:
-        """Counts at which the drive's position goes round, lowest and the one after the highest (CiA 402, 0x607B)."""
+        """Range of the drive's position [counts]: lowest, and highest plus one (CiA 402, 0x607B)."""
         low, high = (self._number(0x607B, sub, "i32") for sub in (1, 2))
         return (low, high) if low < high else OF_32_BITS
 
     def expect_setpoints_every(self, period: float) -> tuple[int, int] | None:
-        """Tell the drive the time between two setpoints [s], over which it interpolates; what it held before.
+        """Set the time between two setpoints [s], over which the drive interpolates; returns the value before.
 
-        A time that the object cannot hold exactly is rounded up: no drive waits for a setpoint that comes early.
-        None where the drive has no such object (CiA 402, 0x60C2).
+        A time that the object cannot represent is rounded up, because an early setpoint does no harm. Returns None if
+        the drive lacks the object (CiA 402, 0x60C2).
 
         Raises
         ------
-        DeviceError : the drive holds another time afterwards.
+        DeviceError : the time reads back as another value.
         """
         units, exponent = self._held(0x60C2, 1, "u8"), self._held(0x60C2, 2, "i8")
         if units is None or exponent is None:
@@ -203,24 +203,24 @@ class Commissioning:
         return units, exponent
 
     def set_interpolation(self, units: int, exponent: int) -> None:
-        """Set the interpolation time to so many times ten to the exponent [s]."""
+        """Set the interpolation time to `units` times ten to the `exponent` [s]."""
         self._sdo.write_verified(0x60C2, 2, "i8", exponent)
         self._sdo.write_verified(0x60C2, 1, "u8", units)
 
     def disarm_dead_man(self) -> None:
-        """End the monitoring of the host: a drive that is out of operation has nothing to stop."""
+        """End the monitoring of the host, which a drive out of operation does not need."""
         self._sdo.write(0x1016, 1, "u32", 0)
 
     def supported_modes(self) -> int:
-        """Bits of the modes that the drive knows (0x6502, bit 0 is mode 1); all where it does not tell."""
+        """Bits of the supported modes (0x6502, bit 0 is mode 1); all bits if the drive lacks the object."""
         return self._number(0x6502, 0) or ALL_MODES
 
     def arm_dead_man(self) -> None:
-        """Have the drive itself stop when the host falls silent, from its first heartbeat on (301IG, chapter 14).
+        """Make the drive stop by itself when the host's heartbeat stays away (301IG, chapter 14).
 
         Raises
         ------
-        DeviceError : the drive refuses, or holds something else afterwards; with what was written and what was read.
+        DeviceError : the drive refuses, or a value reads back differently; with both values.
         """
         settings = self._settings
         consumer = settings.host_node << 16 | settings.consumer_heartbeat_ms
@@ -237,11 +237,11 @@ class Commissioning:
                 )
 
     def start_heartbeat(self) -> None:
-        """Have the drive send its own sign of life."""
+        """Make the drive send its own heartbeat."""
         self._sdo.write(0x1017, 0, "u16", self._settings.producer_heartbeat_ms)
 
     def map_pdos(self) -> None:
-        """Put what every cycle exchanges into PDOs that act at the SYNC; the node has to be pre-operational."""
+        """Map the exchange of a cycle to PDOs that act at the SYNC; the node has to be pre-operational."""
         node = self._settings.node
         self._map(0x1400, 0x1600, 0x200 + node, (0x60400010, 0x60710010, 0x60600008))
         self._map(0x1401, 0x1601, 0x300 + node, (0x607A0020, 0x60FF0020))
@@ -271,7 +271,7 @@ class Commissioning:
         kind: int = 1,
         inhibit: int | None = None,
     ) -> None:
-        """Remap one PDO in the order CiA 301 asks for: invalid, type, inhibit time, empty, entries, count, valid."""
+        """Remap one PDO in the order of CiA 301: invalid, type, inhibit time, empty, entries, count, valid."""
         self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
         self._sdo.write(communication, 2, "u8", kind)
         if inhibit is not None:

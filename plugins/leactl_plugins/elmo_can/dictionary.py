@@ -23,8 +23,8 @@ class Abort(Exception):
         self.code = code
 
 
-class Entry(NamedTuple):
-    """One object: integer type, whether the host may write it, whether a PDO may hold it, default and range."""
+class ObjectEntry(NamedTuple):
+    """One object: integer type, whether it is writable, whether it can be mapped to a PDO, default and range."""
 
     kind: str
     writable: bool = False
@@ -34,64 +34,64 @@ class Entry(NamedTuple):
     high: int | None = None
 
 
-def gold(node: int) -> dict[tuple[int, int], Entry]:
-    """Objects of a Gold drive; mapping counts and defaults that the EDS leaves out are supplied."""
+def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
+    """Objects of a Gold drive by index and subindex; mapping counts and defaults that the EDS lacks are added."""
     objects = {
-        (0x1000, 0): Entry("u32", default=0x00020192),
-        (0x1001, 0): Entry("u8"),
-        (0x1003, 0): Entry("u8", writable=True, high=0),
-        (0x100B, 0): Entry("u8", default=node),
-        (0x1016, 1): Entry("u32", writable=True),
-        (0x1016, 2): Entry("u32", writable=True),
-        (0x1017, 0): Entry("u16", writable=True),
-        (0x1018, 1): Entry("u32", default=0x9A),
-        (0x1018, 2): Entry("u32", default=0x00030923),
-        (0x1018, 3): Entry("u32", default=0x000103F6),
-        (0x1018, 4): Entry("u32", default=node),
-        (0x6007, 0): Entry("i16", writable=True, default=1, low=0, high=3),
-        (0x603F, 0): Entry("u16"),
-        (0x6040, 0): Entry("u16", writable=True, mappable=True),
-        (0x6041, 0): Entry("u16", mappable=True),
-        (0x6060, 0): Entry("i8", writable=True, mappable=True, low=-128, high=10),
-        (0x6061, 0): Entry("i8", mappable=True),
-        (0x6064, 0): Entry("i32", mappable=True),
-        (0x606C, 0): Entry("i32", mappable=True),
-        (0x6071, 0): Entry("i16", writable=True, mappable=True),
-        (0x6072, 0): Entry("u16", writable=True, default=50000),
-        (0x6073, 0): Entry("u16", writable=True, default=50000),
-        (0x6075, 0): Entry("u32", writable=True),
-        (0x6076, 0): Entry("u32", writable=True),
-        (0x6077, 0): Entry("i16", mappable=True),
-        (0x6078, 0): Entry("i16", mappable=True),
-        (0x6079, 0): Entry("u32"),
-        (0x607A, 0): Entry("i32", writable=True, mappable=True),
-        (0x607B, 1): Entry("i32", writable=True, default=-1_000_000_000),
-        (0x607B, 2): Entry("i32", writable=True, default=1_000_000_000),
-        (0x607E, 0): Entry("u8", writable=True),
-        (0x6087, 0): Entry("u32", writable=True, mappable=True, default=10_000_000),
-        (0x608F, 1): Entry("u32", writable=True, default=1),
-        (0x608F, 2): Entry("u32", writable=True, default=1),
-        (0x6091, 1): Entry("u32", writable=True, default=1),
-        (0x6091, 2): Entry("u32", writable=True, default=1),
-        (0x6092, 1): Entry("u32", writable=True, default=1),
-        (0x6092, 2): Entry("u32", writable=True, default=1),
-        (0x60B0, 0): Entry("i32", writable=True, mappable=True),
-        (0x60B1, 0): Entry("i32", writable=True, mappable=True),
-        (0x60B2, 0): Entry("i16", writable=True, mappable=True),
-        (0x60C2, 1): Entry("u8", writable=True, default=1, low=1),
-        (0x60C2, 2): Entry("i8", writable=True, default=-3, low=-6, high=-2),
-        (0x60FF, 0): Entry("i32", writable=True, mappable=True),
-        (0x6502, 0): Entry("u32", default=0x3ED),
-        (0x22A2, 0): Entry("u16", mappable=True, default=35),
+        (0x1000, 0): ObjectEntry("u32", default=0x00020192),
+        (0x1001, 0): ObjectEntry("u8"),
+        (0x1003, 0): ObjectEntry("u8", writable=True, high=0),
+        (0x100B, 0): ObjectEntry("u8", default=node),
+        (0x1016, 1): ObjectEntry("u32", writable=True),
+        (0x1016, 2): ObjectEntry("u32", writable=True),
+        (0x1017, 0): ObjectEntry("u16", writable=True),
+        (0x1018, 1): ObjectEntry("u32", default=0x9A),
+        (0x1018, 2): ObjectEntry("u32", default=0x00030923),
+        (0x1018, 3): ObjectEntry("u32", default=0x000103F6),
+        (0x1018, 4): ObjectEntry("u32", default=node),
+        (0x6007, 0): ObjectEntry("i16", writable=True, default=1, low=0, high=3),
+        (0x603F, 0): ObjectEntry("u16"),
+        (0x6040, 0): ObjectEntry("u16", writable=True, mappable=True),
+        (0x6041, 0): ObjectEntry("u16", mappable=True),
+        (0x6060, 0): ObjectEntry("i8", writable=True, mappable=True, low=-128, high=10),
+        (0x6061, 0): ObjectEntry("i8", mappable=True),
+        (0x6064, 0): ObjectEntry("i32", mappable=True),
+        (0x606C, 0): ObjectEntry("i32", mappable=True),
+        (0x6071, 0): ObjectEntry("i16", writable=True, mappable=True),
+        (0x6072, 0): ObjectEntry("u16", writable=True, default=50000),
+        (0x6073, 0): ObjectEntry("u16", writable=True, default=50000),
+        (0x6075, 0): ObjectEntry("u32", writable=True),
+        (0x6076, 0): ObjectEntry("u32", writable=True),
+        (0x6077, 0): ObjectEntry("i16", mappable=True),
+        (0x6078, 0): ObjectEntry("i16", mappable=True),
+        (0x6079, 0): ObjectEntry("u32"),
+        (0x607A, 0): ObjectEntry("i32", writable=True, mappable=True),
+        (0x607B, 1): ObjectEntry("i32", writable=True, default=-1_000_000_000),
+        (0x607B, 2): ObjectEntry("i32", writable=True, default=1_000_000_000),
+        (0x607E, 0): ObjectEntry("u8", writable=True),
+        (0x6087, 0): ObjectEntry("u32", writable=True, mappable=True, default=10_000_000),
+        (0x608F, 1): ObjectEntry("u32", writable=True, default=1),
+        (0x608F, 2): ObjectEntry("u32", writable=True, default=1),
+        (0x6091, 1): ObjectEntry("u32", writable=True, default=1),
+        (0x6091, 2): ObjectEntry("u32", writable=True, default=1),
+        (0x6092, 1): ObjectEntry("u32", writable=True, default=1),
+        (0x6092, 2): ObjectEntry("u32", writable=True, default=1),
+        (0x60B0, 0): ObjectEntry("i32", writable=True, mappable=True),
+        (0x60B1, 0): ObjectEntry("i32", writable=True, mappable=True),
+        (0x60B2, 0): ObjectEntry("i16", writable=True, mappable=True),
+        (0x60C2, 1): ObjectEntry("u8", writable=True, default=1, low=1),
+        (0x60C2, 2): ObjectEntry("i8", writable=True, default=-3, low=-6, high=-2),
+        (0x60FF, 0): ObjectEntry("i32", writable=True, mappable=True),
+        (0x6502, 0): ObjectEntry("u32", default=0x3ED),
+        (0x22A2, 0): ObjectEntry("u16", mappable=True, default=35),
     }
     defaults = {0x1400: 0x60400010, 0x1800: 0x60410010}
     for number in range(4):
         for communication, mapping, base in ((0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)):
             entry = defaults.get(communication + number, 0)
-            objects[communication + number, 1] = Entry("u32", writable=True, default=base + 0x100 * number + node)
-            objects[communication + number, 2] = Entry("u8", writable=True, default=255)
-            objects[communication + number, 3] = Entry("u16", writable=True)
-            objects[mapping + number, 0] = Entry("u8", writable=True, default=1 if entry else 0, high=8)
+            objects[communication + number, 1] = ObjectEntry("u32", writable=True, default=base + 0x100 * number + node)
+            objects[communication + number, 2] = ObjectEntry("u8", writable=True, default=255)
+            objects[communication + number, 3] = ObjectEntry("u16", writable=True)
+            objects[mapping + number, 0] = ObjectEntry("u8", writable=True, default=1 if entry else 0, high=8)
             for slot in range(1, 9):
-                objects[mapping + number, slot] = Entry("u32", writable=True, default=entry if slot == 1 else 0)
+                objects[mapping + number, slot] = ObjectEntry("u32", writable=True, default=entry if slot == 1 else 0)
     return objects

@@ -19,7 +19,7 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
-from leactl_plugins.elmo_can.cia402 import FAULTS, State
+from leactl_plugins.elmo_can.cia402 import FAULTS, DriveState
 from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
@@ -40,7 +40,7 @@ REFERENCES = {
 }
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
 STATUS, MOTION, VOLTAGE = range(3)  # the TPDOs that answer every SYNC
-OFF, ENABLED = Mode.OFF, State.ENABLED
+OFF, ENABLED = Mode.OFF, DriveState.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
 ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
@@ -56,14 +56,14 @@ _motion = struct.Struct("<ii")
 
 
 class _Lateness:
-    """How much later than at best the drive's answers come, by the clock that it stamps some of them with."""
+    """Delay of the drive's answers beyond the shortest one, by the drive's own clock."""
 
     def __init__(self) -> None:
         self._clock, self._at = 0, NAN  # microseconds of the drive, going on where its 32 bits go round; s of the host
         self._least, self._late = math.inf, 0
 
     def see(self, clock: int, now: float) -> float:
-        """How late an answer is that came now [s], once two in a row are too late; else 0."""
+        """Delay of an answer that arrived now [s], if it and the one before exceed `LATE_S`; else 0."""
         passed = (clock - self._clock + 0x80000000 & 0xFFFFFFFF) - 0x80000000 if self._at == self._at else clock
         elapsed = now - self._at if self._at == self._at else 0.0
         self._clock, self._at = self._clock + passed, now
@@ -75,7 +75,7 @@ class _Lateness:
 
 
 class _SignsOfLife:
-    """When the drive was heard, and what it was sent at a pace slower than the cycle's."""
+    """Times [s] of the drive's last heartbeat and of the frames that are sent more slowly than the cycle."""
 
     def __init__(self) -> None:
         self.lateness = _Lateness()
@@ -86,7 +86,7 @@ class _SignsOfLife:
 
 
 class _Standing:
-    """What a drive has shown of itself apart from its samples."""
+    """State of a drive apart from its samples."""
 
     def __init__(self) -> None:
         self.started = False  # its node was told to start
@@ -123,7 +123,7 @@ class ElmoCan(Driver):
         self._opened = False
         self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
         self._current_per_mille = NAN
-        self.state = State.NOT_READY
+        self.state = DriveState.NOT_READY
         self.statusword = 0
         self._shown_mode = 0
         self._turn_to(Mode.OFF)
@@ -137,32 +137,32 @@ class ElmoCan(Driver):
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Take the drive out of operation, from any state, over a fresh connection if need be; never raises."""
+        """Take the drive out of operation, from any state, over a new connection if needed; never raises."""
         self._turn_to(Mode.OFF)
         until = self._clock.now() + deadline_s
-        trouble = "no time was left"
+        reason = "no time was left"
         while self._clock.now() < until:
             try:
                 word = self._disable_voltage(until)
             except DeviceError as error:
-                trouble = str(error)
+                reason = str(error)
                 try:
                     self._port.reopen()
                     self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
                 except DeviceError as worse:
-                    trouble = str(worse)
+                    reason = str(worse)
                     self._clock.sleep_until(min(until, self._clock.now() + 0.01))
                 continue
             state = cia402.state_of(word)
-            if state not in (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION):
+            if state not in (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION):
                 self._show(word, self._shown_mode)
                 self._standing.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
-            trouble = f"still {state}, statusword 0x{word:04X}"
-        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+            reason = f"still {state}, statusword 0x{word:04X}"
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
 
     def _disable_voltage(self, until: float) -> int:
-        """Disable the voltage and read the statusword; no wait goes on after `until`."""
+        """Disable the voltage and read the statusword; no wait lasts longer than `until` [s on the clock]."""
         self._sdo.wait_no_longer_than(until)
         try:
             self._connect()
@@ -174,9 +174,9 @@ class ElmoCan(Driver):
             self._sdo.wait_no_longer_than(math.inf)
 
     def stop_now(self) -> None:
-        """Send what disables the voltage, and wait for nothing; over a fresh connection if need be.
+        """Send the command that disables the voltage, without waiting; over a new connection if needed.
 
-        By PDO for a drive that is mapped and operational, by SDO for one that somebody else has set up.
+        It is sent by PDO, for a drive that is mapped and operational, and by SDO, for one set up by another program.
         """
         self._turn_to(Mode.OFF)
         for _ in range(2):
@@ -193,12 +193,12 @@ class ElmoCan(Driver):
                 return
 
     def open(self) -> None:
-        """Identify the drive, take it out of operation, read its scales, arm its dead-man, map its PDOs, start it.
+        """Identify the drive, disable it, read its scales, arm its monitoring of the host, map its PDOs, start it.
 
         Raises
         ------
         DeviceError : the drive is absent, another one, refuses a setting, or its dead-man cannot be armed;
-            `DeviceFault` where it is in fault.
+            `DeviceFault` if it is in fault.
         """
         self._standing = _Standing()
         self._connect()
@@ -238,7 +238,7 @@ class ElmoCan(Driver):
         return self._standing.identity
 
     def close(self) -> None:
-        """Stop listening and let the bus go; a drive that is safe is left as it was met, its dead-man disarmed."""
+        """Stop listening and close the bus; a safe drive gets its interpolation time back and its monitoring ends."""
         if self._opened:
             if self._standing.safe and self._standing.started:
                 with suppress(DeviceError):  # it is safe, which is what counts
@@ -259,7 +259,7 @@ class ElmoCan(Driver):
 
     @classmethod
     def far_end(cls, settings: ElmoSettings, role: str, physics: Physics) -> CanEmulator:
-        """A drive at this node, rated as the settings' emulation says, that turns the bench's machine."""
+        """A drive at this node, with the emulated rating of the settings, that turns the bench's motor."""
         from leactl_plugins.elmo_can.emulator import ElmoEmulator
 
         voltage, clock = settings.q_axis_voltage, settings.drive_clock
@@ -277,18 +277,18 @@ class ElmoCan(Driver):
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: readings as received, and the references that the drive followed until it took them."""
+        """Channels of `values`: readings, and the references that were in force until the drive sampled them."""
         voltage = (ChannelSpec("vq", "q_axis_voltage", self.role, self.name, f"{self.role} q axis voltage"),)
         return drive_channels(self.role, self.name) + (voltage if self.settings.q_axis_voltage else ())
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage, asked for by SDO at its own pace (0x6079 cannot be mapped)."""
+        """The bus voltage, read by SDO at its own rate (0x6079 cannot be mapped)."""
         channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
         return (StreamSpec(f"{self.name}_supply", (channel,)),)
 
     def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is."""
+        """Begin to enter operation in this mode with zero demand; in angle mode the present angle is held."""
         if mode not in MODES or mode is Mode.OFF:
             raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
         if not self._standing.modes >> MODES[mode] - 1 & 1:
@@ -301,7 +301,7 @@ class ElmoCan(Driver):
         self._enable_by = self._clock.now() + ENABLE_TIME_S
 
     def pace(self, period: float) -> None:
-        """Tell the drive how often setpoints will come [s]; its own time is given back when it is closed."""
+        """Set the time between setpoints [s]; the drive's own value is restored at `close`."""
         before = self._setup().expect_setpoints_every(period)
         self._standing.interpolation = self._standing.interpolation or before
 
@@ -334,7 +334,7 @@ class ElmoCan(Driver):
         self._value = round(demand)
 
     def begin_cycle(self) -> None:
-        """Send this cycle's demand; it acts at the SYNC that follows."""
+        """Send this cycle's demand; it acts at the next SYNC."""
         answers = self._answers
         if answers.watched:
             self._port.take_waiting()
@@ -353,7 +353,12 @@ class ElmoCan(Driver):
             self._send_demand(self._towards_enabled())
 
     def _towards_enabled(self) -> int:
-        """The next controlword on the way into operation; monitoring begins with a heartbeat and ends with a lapse."""
+        """The next controlword towards operation.
+
+        Raises
+        ------
+        DeviceError : no heartbeat was sent recently, so that the drive does not monitor the host.
+        """
         consumer_time = self.settings.host_silence_s
         if self._clock.now() - self._life.fed > consumer_time:
             raise DeviceError(
@@ -365,7 +370,7 @@ class ElmoCan(Driver):
         return word
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect what the drive sampled at the SYNC; NaN where it did not come.
+        """Collect the drive's samples of the last SYNC; NaN for those that did not arrive.
 
         Raises
         ------
@@ -388,7 +393,7 @@ class ElmoCan(Driver):
             self._judge(now)
 
     def _leave_empty(self, now: float) -> None:
-        """Leave what is not known to answer this cycle's SYNC out of the row."""
+        """Set values to NaN that are not known to answer this cycle's SYNC."""
         values = self.values
         status, motion, voltage = self._answers.end(now)
         if not status:
@@ -415,9 +420,9 @@ class ElmoCan(Driver):
         life.due = min(life.fed + period, life.asked + settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
-        """Return a line each time the drive began to limit its demand by itself, for irregular answers and a full bus.
+        """Lines for each start of a limited demand, for irregular answers and for a full bus.
 
-        A drive tells by statusword bit 11 that it limits its demand.
+        The drive reports a limited demand by bit 11 of the statusword.
         """
         standing, irregular = self._standing, self._answers.irregular
         now = self._clock.now()
@@ -429,12 +434,12 @@ class ElmoCan(Driver):
         return notices
 
     def take(self) -> list[Row]:
-        """Bus voltages that have come in since the last call."""
+        """Bus voltages since the last call."""
         standing = self._standing
         if not standing.rows:
             return standing.rows
-        found, standing.rows = standing.rows, []
-        return found
+        rows, standing.rows = standing.rows, []
+        return rows
 
     def reset_fault(self) -> None:
         """Reset a latched fault by the 0 -> 1 edge of bit 7 (CiA 402, transition 15: holding 0x80 never resets).
@@ -477,7 +482,7 @@ class ElmoCan(Driver):
         self._port.send(NMT_ID, bytes((command, self._node)))
 
     def _answers_to_come(self) -> Answers:
-        """Answers to SYNCs from now on: status, motion and, where the drive tells it, voltage."""
+        """Counter of the answers to SYNCs: status, motion and, if mapped, voltage."""
         return Answers(2 if self.settings.q_axis_voltage is None else 3)
 
     def _turn_to(self, mode: Mode) -> None:
@@ -490,7 +495,7 @@ class ElmoCan(Driver):
         self._show(self.statusword, self._shown_mode)
 
     def _show(self, statusword: int, mode_number: int) -> None:
-        """Take what the drive shows of itself; it is engaged where it has operation enabled in the mode asked for."""
+        """Store the drive's state; it is engaged if operation is enabled in the demanded mode."""
         self.statusword, self.state, self._shown_mode = statusword, cia402.state_of(statusword), mode_number
         self.engaged = self._mode is not OFF and self.state is ENABLED and mode_number == self._mode_number
 
@@ -550,14 +555,16 @@ class ElmoCan(Driver):
                 self._emergency = f"its answers are {late:.3f} s late by its own clock; {LATE_S:g} s are allowed"
 
     def _on_change(self, data: bytearray, _timestamp: float) -> None:
-        """Hear of a state that the drive has changed to between two SYNCs: a held controlword would enable it again."""
+        """Notice a change of state between two SYNCs, after which a held controlword would enable the drive again."""
         state = cia402.state_of(int.from_bytes(data, "little"))
-        left = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
-        if left and state not in FAULTS and not self._emergency:  # a fault keeps, and its emergency message tells more
+        has_left_operation = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
+        if (
+            has_left_operation and state not in FAULTS and not self._emergency
+        ):  # a fault keeps, and its emergency message tells more
             self._emergency = f"left operation by itself, {state}, statusword 0x{int.from_bytes(data, 'little'):04X}"
 
     def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:
-        """Hear a heartbeat that should be the host's own, which no CAN bus brings back to it."""
+        """Report a heartbeat with the host's node from another device; a CAN bus does not return own frames."""
         if self._standing.echoes:
             return
         node = self.settings.host_node
@@ -567,7 +574,7 @@ class ElmoCan(Driver):
         )
 
     def _on_echo(self, _data: bytearray, _timestamp: float) -> None:
-        """Hear one's own request, on what stands for a bus (udp_multicast): one's own heartbeats come back as well."""
+        """Notice an own request, which udp_multicast returns; own heartbeats will then come back too."""
         self._standing.echoes = True
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
@@ -579,7 +586,7 @@ class ElmoCan(Driver):
             self._sdo.on_frame(data, timestamp)
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
-        """Only "operational" is a sign of life; frames sent before the node's start may still come in after it."""
+        """Only "operational" counts as alive; frames from before the node's start may still arrive after it."""
         state, standing = (data[0] & 0x7F if data else -1), self._standing
         if state == OPERATIONAL:
             standing.operational = standing.started
@@ -606,7 +613,7 @@ class ElmoCan(Driver):
             self._emergency = emergency.describe(data)
 
     def _judge(self, now: float) -> None:
-        """Say what keeps the drive out of operation, where it should be in it."""
+        """Raise the reason why the drive is not in operation although it should be."""
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
         if now > self._life.heard_until:

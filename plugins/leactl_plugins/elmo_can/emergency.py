@@ -1,4 +1,4 @@
-"""What an emergency message says (CiA 301 object 0x80 + node; code names after Elmo's published error lists)."""
+"""Decode emergency messages (CiA 301 object 0x80 + node; names after Elmo's published error lists)."""
 
 import struct
 
@@ -15,5 +15,5 @@ def code_of(data: bytes | bytearray) -> int:
 def describe(data: bytes | bytearray) -> str:
     """One line for an emergency frame: code, its name, error register and the maker's own code."""
     code = code_of(data)
-    register, own = data[2], data[3]
-    return f"emergency 0x{code:04X} ({CODES.get(code, 'unnamed')}), register 0x{register:02X}, drive code {own}"
+    register, drive_code = data[2], data[3]
+    return f"emergency 0x{code:04X} ({CODES.get(code, 'unnamed')}), register 0x{register:02X}, drive code {drive_code}"

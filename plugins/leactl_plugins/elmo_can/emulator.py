@@ -1,6 +1,6 @@
-"""The drive's far end of the wire: SDO server, PDOs on SYNC, NMT, heartbeats, emergencies, CiA 402 machine.
+"""Emulator of an Elmo Gold drive: SDO server, PDOs on SYNC, NMT, heartbeats, emergencies, CiA 402 state machine.
 
-Frames in, frames out; no transport, no threads. It shares with the driver only the standard's numbers.
+Frames in, frames out; no transport, no threads. It shares only the numbers of the standards with the driver.
 """
 
 import math
@@ -20,7 +20,7 @@ from leactl_plugins.elmo_can.dictionary import (
     SIZES,
     TEXTS,
     Abort,
-    Entry,
+    ObjectEntry,
     gold,
 )
 
@@ -38,7 +38,7 @@ _CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
 
 
 class _Pdo(NamedTuple):
-    """A PDO as it is mapped now."""
+    """A PDO with its present mapping."""
 
     identifier: int
     kind: int
@@ -47,7 +47,7 @@ class _Pdo(NamedTuple):
 
 
 class ElmoEmulator:
-    """One Gold drive at a node, turning a machine."""
+    """One Gold drive at a node, which turns a motor."""
 
     def __init__(
         self,
@@ -64,13 +64,13 @@ class ElmoEmulator:
         self._machine = machine
         self._q_per_mille = rated_current_ma * 1e-6 * q_axis_per_ampere
         self._counts_per_rad = counts_per_turn / (2 * math.pi)
-        self._entries: dict[tuple[int, int], Entry] = gold(node)
+        self._entries: dict[tuple[int, int], ObjectEntry] = gold(node)
         self._voltage = voltage_object
         if voltage_object is not None:
-            self._entries[voltage_object[0], voltage_object[1]] = Entry(voltage_object[2], mappable=True)
+            self._entries[voltage_object[0], voltage_object[1]] = ObjectEntry(voltage_object[2], mappable=True)
         self._clock, self._syncs = clock_object, 0
         if clock_object is not None:
-            self._entries[clock_object] = Entry("u32", mappable=True)
+            self._entries[clock_object] = ObjectEntry("u32", mappable=True)
         self._values = {key: entry.default for key, entry in self._entries.items()}
         self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
         self.nmt = PRE_OPERATIONAL
@@ -90,7 +90,7 @@ class ElmoEmulator:
 
     @property
     def due(self) -> float:
-        """Time of the next heartbeat, of the host's heartbeat running out, or now with an emergency to tell."""
+        """Time [s] of the next heartbeat or of the host's timeout; -inf if frames are waiting."""
         if self.frozen:
             return math.inf
         if not self._booted or self._emergencies or self._changed:
@@ -98,7 +98,7 @@ class ElmoEmulator:
         return min(self._next_heartbeat, self._host_deadline)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take one frame from the bus and answer it."""
+        """Receive one frame from the bus; returns the answers."""
         if self.frozen:
             return []
         if not self._booted:
@@ -121,7 +121,7 @@ class ElmoEmulator:
         return []
 
     def tick(self, now: float) -> list[Frame]:
-        """Boot-up, heartbeats, and the reaction to a host that has fallen silent."""
+        """Boot-up, heartbeats, and the reaction to a missing heartbeat of the host."""
         frames = [] if self._booted else [Frame(0x700 + self.node, b"\x00")]
         self._booted = True
         if now >= self._host_deadline:
@@ -138,15 +138,15 @@ class ElmoEmulator:
         return frame.identifier == 0x700 + self.node
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        """Stop answering and keep the last demand (`frozen` True), or return to normal."""
         self.frozen = frozen
 
-    def fault(self, code: int, own: int = 0, register: int = 0x01) -> None:
+    def fault(self, code: int, drive_code: int = 0, register: int = 0x01) -> None:
         """Enter fault with an emergency message, as after a short circuit or an over-voltage."""
         self._go("fault")
         self._values[0x603F, 0] = code
         self._values[0x1001, 0] = register
-        data = struct.pack("<HBB4x", code, register, own)
+        data = struct.pack("<HBB4x", code, register, drive_code)
         self._emergencies.append(Frame(0x080 + self.node, data))
 
     # -- network -----------------------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class ElmoEmulator:
         return []
 
     def _hear(self, node: int, now: float) -> None:
-        """Monitoring starts at the first heartbeat received (301IG, chapter 14)."""
+        """Restart the timeout of the host; monitoring starts at its first heartbeat (301IG, chapter 14)."""
         for sub in (1, 2):
             value = self._values[0x1016, sub]
             if value >> 16 & 0x7F == node and value & 0xFFFF:
@@ -213,7 +213,7 @@ class ElmoEmulator:
 
     @property
     def serial_number(self) -> str:
-        """What 0x1018:4 tells."""
+        """Value of 0x1018:4 as text."""
         return str(self._values[0x1018, 4])
 
     @serial_number.setter
@@ -221,7 +221,7 @@ class ElmoEmulator:
         if text.isdecimal() and int(text) <= 0xFFFFFFFF:  # the object holds no other
             self._values[0x1018, 4] = int(text)
 
-    def _entry(self, index: int, sub: int) -> Entry:
+    def _entry(self, index: int, sub: int) -> ObjectEntry:
         entry = self._entries.get((index, sub))
         if entry is None:
             known = any(key[0] == index for key in self._entries)
@@ -260,8 +260,8 @@ class ElmoEmulator:
     def _check_special(self, index: int, sub: int, value: int) -> None:
         if 0x1400 <= index <= 0x1403 or 0x1800 <= index <= 0x1803:
             base = 0x200 if index < 0x1800 else 0x180
-            own = base + 0x100 * (index & 3) + self.node
-            if sub == 1 and value & _FOREIGN_COB_MASK != own:
+            identifier = base + 0x100 * (index & 3) + self.node
+            if sub == 1 and value & _FOREIGN_COB_MASK != identifier:
                 raise Abort(ABORT_RANGE)
         elif 0x1600 <= index <= 0x1603 or 0x1A00 <= index <= 0x1A03:
             communication = index - 0x200
@@ -366,7 +366,7 @@ class ElmoEmulator:
         return self._values[0x6060, 0]
 
     def _tell_changes(self) -> list[Frame]:
-        """TPDOs that are sent where an object has changed instead of at a SYNC (types 254 and 255)."""
+        """TPDOs that are sent on a change instead of at a SYNC (types 254 and 255)."""
         changed, self._changed = self._changed, False
         if not changed or self.nmt != OPERATIONAL:
             return []
@@ -378,7 +378,7 @@ class ElmoEmulator:
         ]
 
     def _control(self, previous: int, word: int) -> None:
-        """One transition of the machine (402IG, controlword decode); an illegal word changes nothing."""
+        """One transition of the state machine (402IG, controlword decode); an illegal word changes nothing."""
         state = self.state
         if state == "fault":
             if word & 0x80 and not previous & 0x80:

@@ -44,7 +44,7 @@ class _PumpedQueue(queue.Queue[bytes]):
         return super().get(block=False)
 
     def clear(self) -> None:
-        """Drop what nobody waits for: `canopen` would put a plain queue in its place, whose wait pumps nothing."""
+        """Drop waiting answers; `canopen` would instead replace the queue by a plain one, whose wait pumps nothing."""
         while not self.empty():
             super().get(block=False)
 
@@ -72,11 +72,11 @@ class Sdo:
         self._segments = False  # of a text, whose frames carry no index
 
     def wait_no_longer_than(self, until: float) -> None:
-        """End every wait for an answer at this moment of the port's clock at the latest; infinity lifts that."""
+        """End every wait for an answer at this time of the port's clock [s]; infinity removes the limit."""
         self._answers.until = until
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
-        """Take an answer of the node; one about an object that is not asked for now is late, or nobody's."""
+        """Receive an answer of the node; an answer about another object than the requested one is dropped."""
         if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 

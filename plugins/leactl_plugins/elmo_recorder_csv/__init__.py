@@ -1,1 +1,1 @@
-"""Recordings of Elmo drives by the text files that the maker's tool saves."""
+"""Driver for recordings of Elmo drives, read from the text files that the maker's tool saves."""

@@ -1,7 +1,7 @@
-"""Recordings that an Elmo drive makes inside itself, read from the text that the maker's tool saves.
+"""Recordings of an Elmo drive's internal recorder, read from the text files that the maker's tool saves.
 
-The drive samples faster than its bus can tell; what it recorded joins the run afterwards, tied by a signal that both
-have, since the recorder's clock begins with the recording and tells no time of day.
+The drive samples faster than its bus can transfer. A recording is attached to the run afterwards; the clocks are
+aligned by a common signal, since the recorder's clock begins with the recording and has no time of day.
 """
 
 import math
@@ -11,17 +11,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import Array, ExportFolder, Record, RecordClock
+from leactl.driver.batch import Array, ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.ordering import in_order
-from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Table, one_unit, read_table, unit_of
+from leactl.driver.tables.number_format import Numbers, read_numbers
+from leactl.driver.tables.row_order import order_rows
+from leactl.driver.tables.text_table import Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.units import CONVERSIONS, SECONDS, converter
-from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
 UNEVEN = 0.01  # of the interval: a recorder samples by a timer
@@ -48,15 +48,15 @@ class ElmoRecorderCsv(Driver):
         self.exports = ExportFolder(settings.exports_folder)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: files move nothing."""
+        """Confirm at once: files move nothing."""
         return Confirmation(True, "reads files only")
 
     def open(self) -> None:
-        """See which files are there already: those that come later are of the run."""
+        """Remember the present files, so that later ones are known to belong to the run."""
         self.exports.look()
 
     def close(self) -> None:
-        """Nothing to do: no file stays open."""
+        """Do nothing: no file stays open."""
 
     @classmethod
     def far_end(cls, settings: ElmoRecorderCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
@@ -74,18 +74,18 @@ class ElmoRecorderCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the recorder's clock is tied to that of a run."""
+        """How the recorder's clock is aligned with that of a run."""
         return self.settings.clock
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:
-        """One channel a signal; its location tells it from the same quantity over the bus."""
+        """One channel for each signal; its location distinguishes it from the same quantity over the bus."""
         return tuple(
             ChannelSpec(name, signal.quantity, self.role, self.name, signal.column, "recorder", dtype="f8")
             for name, signal in self.settings.signals.items()
         )
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
         """Read one recording.
 
         Raises
@@ -98,31 +98,37 @@ class ElmoRecorderCsv(Driver):
         timed = [settings.time_column] if settings.time_column else []
         headings = [*timed, *(signal.column for signal in settings.signals.values())]
         table = read_table(paths[0], settings, headings, every_row=not timed)
-        wanted = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
-        stamp = table.heading(settings.time_column) if settings.time_column else ""
+        headings_by_signal = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
+        time_heading = table.heading(settings.time_column) if settings.time_column else ""
         columns = {
-            heading: table.column(heading) for heading in dict.fromkeys([*filter(None, [stamp]), *wanted.values()])
+            heading: table.column(heading)
+            for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
-        found, convention = read_numbers(columns, settings, table.place, {})
-        time, told_time = self._time(table, found.get(stamp), stamp)
+        numbers, convention = read_numbers(columns, settings, table.place, {})
+        time, told_time = self._time(table, numbers.get(time_heading), time_heading)
         values = np.stack(
-            [self._converted(table, wanted[name], signal, found) for name, signal in settings.signals.items()], axis=1
+            [
+                self._converted(table, headings_by_signal[name], signal, numbers)
+                for name, signal in settings.signals.items()
+            ],
+            axis=1,
         )
 
         def where(row: int) -> str:
-            return table.place(stamp or next(iter(wanted.values())), row)
+            return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
-        rows = in_order(time, values, where)
-        empty = [name for name, kept in zip(wanted, rows.values.T, strict=True) if np.isnan(kept).all()]
+        rows = order_rows(time, values, where)
+        empty = [name for name, kept in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0
         read_as = [
-            f"{wanted[name]} as {self._unit(table, wanted[name], signal)}" for name, signal in settings.signals.items()
+            f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
+            for name, signal in settings.signals.items()
         ]
-        told = (*table.told, str(convention), *read_as, told_time, *rows.told)
-        return Record(
-            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, told, tuple(paths)
+        remarks = (*table.remarks, str(convention), *read_as, told_time, *rows.remarks)
+        return FileRecord(
+            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, remarks, tuple(paths)
         )
 
     def _time(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
@@ -130,7 +136,7 @@ class ElmoRecorderCsv(Driver):
         if stamps is None:
             interval = settings.interval_s or math.nan
             return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
-        named = one_unit(heading, stamps.units, f"{table.path}: {heading!r}")
+        named = common_unit(heading, stamps.units, f"{table.path}: {heading!r}")
         units = settings.time_units or (named if named in SECONDS_NAMED else None)
         if units is None:
             raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")
@@ -142,7 +148,7 @@ class ElmoRecorderCsv(Driver):
             return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
         return time, f"stamps in {units}"
 
-    def _unit(self, table: Table, heading: str, signal: Signal) -> str:
+    def _unit(self, table: Table, heading: str, signal: RecordedSignal) -> str:
         named = unit_of(heading)
         if signal.units is not None:
             if (
@@ -159,8 +165,10 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
         return named
 
-    def _converted(self, table: Table, heading: str, signal: Signal, found: dict[str, Numbers]) -> Array:
-        numbers, units, settings = found[heading], self._unit(table, heading, signal), self.settings
+    def _converted(
+        self, table: Table, heading: str, signal: RecordedSignal, numbers_by_heading: dict[str, Numbers]
+    ) -> Array:
+        numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
         if numbers.outside:
             raise InputError(f"{table.path}: {heading!r} holds {next(iter(numbers.outside))!r}; a number was expected")
         in_cells = [text for text in numbers.units if text]

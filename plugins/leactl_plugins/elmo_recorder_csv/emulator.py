@@ -1,12 +1,12 @@
-"""The drive's recorder: so many samples at a fixed interval, saved as text once the buffer is full."""
+"""Emulator of the drive's recorder: it samples at a fixed interval and saves a text file when its buffer is full."""
 
 import math
 from pathlib import Path
 
 from leactl.driver.far_end import Machine
-from leactl.driver.text_writing import Dialect, new_export
+from leactl.driver.tables.writing import TableDialect, new_export
 from leactl.errors import InputError
-from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
 INTERVAL_S = 1e-3
@@ -16,7 +16,7 @@ UNITS = {"q_axis_current": "A", "velocity": "cnt/sec", "angle": "cnt", "bus_volt
 
 
 class RecorderEmulator:
-    """A recorder that fills its buffer once, and the tool that saves it."""
+    """A recorder that fills its buffer once, with the tool that saves it."""
 
     def __init__(self, folder: Path, name: str, settings: ElmoRecorderCsvSettings, machine: Machine) -> None:
         if unknown := [s.quantity for s in settings.signals.values() if s.quantity not in READS]:
@@ -24,7 +24,7 @@ class RecorderEmulator:
         self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
         self._interval = settings.interval_s or INTERVAL_S
         self._samples = BUFFER // len(settings.signals)
-        self._dialect = Dialect(
+        self._dialect = TableDialect(
             encoding=settings.encoding or "utf-8",
             delimiter=settings.delimiter or ",",
             decimal=settings.decimal or ".",
@@ -37,11 +37,11 @@ class RecorderEmulator:
 
     @property
     def due(self) -> float:
-        """When the next sample is taken."""
+        """Time of the next sample [s]."""
         return math.inf if self._saved else self._starts + len(self._rows) * self._interval
 
     def tick(self, now: float) -> None:
-        """Take a sample; save when the buffer is full."""
+        """Take a sample; save the buffer if it is full."""
         if self._saved or now < self.due - 1e-9:
             return
         if not self._rows:
@@ -52,7 +52,7 @@ class RecorderEmulator:
         if len(self._rows) == self._samples:
             self._save()
 
-    def _as_recorded(self, signal: Signal, value: float) -> float:
+    def _as_recorded(self, signal: RecordedSignal, value: float) -> float:
         settings = self._settings
         if signal.quantity == "bus_voltage":
             return value

@@ -1,11 +1,11 @@
-"""Settings of one drive's recordings: which column is which signal, in which units, sampled how."""
+"""Settings of one drive's recordings: columns of the signals, their units, and the sampling."""
 
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraints, model_validator
 
 from leactl.driver.batch import RecordSettings
-from leactl.driver.text_form import TextForm
+from leactl.driver.tables.number_format import TableFormat
 from leactl.units import converter
 from leactl_plugins.elmo.scales import CurrentConvention
 
@@ -18,7 +18,7 @@ COUNTS = {
 CURRENTS = ("q_axis_current", "q_axis_current_reference", "d_axis_current")
 
 
-class Signal(BaseModel):
+class RecordedSignal(BaseModel):
     """One recorded signal."""
 
     model_config = STRICT
@@ -51,10 +51,10 @@ class Signal(BaseModel):
         return units in self.counted or converter(units, self.quantity) is not None
 
 
-class ElmoRecorderCsvSettings(TextForm, RecordSettings):
+class ElmoRecorderCsvSettings(TableFormat, RecordSettings):
     """The recordings of one drive."""
 
-    signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Signal], Field(min_length=1)]
+    signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], RecordedSignal], Field(min_length=1)]
     time_column: Heading | None = None
     time_units: Literal["s", "ms", "us"] | None = None  # where the heading names none
     # of files without stamps

@@ -1,6 +1,6 @@
-"""Elmo servo drives over RS-232: one exchange of commands and readings a cycle, stopped by a program in the drive.
+"""Elmo servo drives over RS-232: one exchange of commands and readings per cycle; a program in the drive monitors it.
 
-The README of this plug-in lists the sources, and what only a real drive can show.
+The README of this plug-in lists the sources, and what has to be verified on a real drive.
 """
 
 import math
@@ -13,7 +13,6 @@ from leactl.driver.answers import Irregular
 from leactl.driver.clock import Clock
 from leactl.driver.contract import (
     Confirmation,
-    Driver,
     Identity,
     Mode,
     OwnRecording,
@@ -22,13 +21,14 @@ from leactl.driver.contract import (
     drive_channels,
 )
 from leactl.driver.conversation import Unreadable
+from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
+from leactl_plugins.elmo_serial.commissioning import COUNTS_OF_32_BITS, READINGS, DriveLimits, SerialCommissioning
 from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Interpreter, Replies
-from leactl_plugins.elmo_serial.meeting import COUNTS_OF_32_BITS, READINGS, DriveLimits, Meeting
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status, left_operation
@@ -51,7 +51,7 @@ NAN = math.nan
 
 
 class _Record:
-    """What is passed on to the run beside its rows."""
+    """Notices, rows and counts of one opened drive for the run."""
 
     def __init__(self) -> None:
         self.irregular, self.told = Irregular(), Irregular()
@@ -62,14 +62,21 @@ class _Record:
         self.outliers = Outliers(NOISE)
 
 
-class ElmoSerial(Driver):
-    """One Elmo drive, asked for its readings every cycle; its own program stops it where the host falls silent."""
+class ElmoSerial(EngagingDrive):
+    """One Elmo drive, asked for its readings every cycle; its own program stops it if the host falls silent.
+
+    After `open`, the first `engage` switches the drive on without a sign of life until its program has switched it off
+    again, with zero demand: a drive whose program does not do so is never let into operation.
+    """
 
     Settings = ElmoSerialSettings
     transport = "serial"
     baudrate = 115200
     summary = "Elmo Gold and SimplIQ servo drives over RS-232 (two-letter commands)"
     example: ClassVar[Mapping[str, Any]] = {"counts_per_turn": 40000}
+    modes = FOLLOWED
+    connection = "over this line"
+    enable_time_s = ENABLE_TIME_S
 
     def __init__(self, name: str, role: str, settings: ElmoSerialSettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -96,37 +103,37 @@ class ElmoSerial(Driver):
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Switch the motor off and see that it is, from any state, over a fresh connection if need be; never raises."""
+        """Switch the motor off and confirm it, from any state, over a new connection if needed; never raises."""
         self._follow(Mode.OFF)
         self._safe = False
         until = self._clock.now() + deadline_s
-        trouble = ""
-        while (left := until - self._clock.now()) > 0.0:
+        reason = ""
+        while (seconds_left := until - self._clock.now()) > 0.0:
             try:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                replies = self._told_off(min(left, SAFE_TRY_S))
+                replies = self._told_off(min(seconds_left, SAFE_TRY_S))
             except DeviceError as error:
-                if not (trouble and isinstance(error, NoAnswer)):  # the last try has little time
-                    trouble = str(error)
+                if not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                    reason = str(error)
                 self._start_afresh(until)
                 continue
             status = Status(replies.whole("SR"))
             if not status.motor_on and replies.whole("MO") == 0:
                 self._status, self._safe = status, True
                 break
-            trouble = f"still on: {status}"
+            reason = f"still on: {status}"
         if not self._opened:
             self._port.close()
         return (
             Confirmation(True, str(self._status))
             if self._safe
-            else Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
+            else Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
         )
 
     def _told_off(self, within_s: float) -> Replies:
-        """Switch off and ask whether it is, the echo off for the next try where this one drowns in it."""
+        """Switch off and query the state; the echo is switched off too, in case it drowns the answers."""
         self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), first=MOTOR_OFF)
         replies = self._interpreter.collect(self._clock.now() + within_s)
         if replies is None:
@@ -143,7 +150,7 @@ class ElmoSerial(Driver):
         self._clock.sleep_until(min(until, self._clock.now() + AFRESH_S))  # a line may be there and take nothing
 
     def stop_now(self) -> None:
-        """Send what switches the motor off, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that switches the motor off, without waiting; over a new connection if needed."""
         self._follow(Mode.OFF)
         for _ in range(2):
             try:
@@ -159,26 +166,26 @@ class ElmoSerial(Driver):
                 return
 
     def open(self) -> None:
-        """Meet the drive, switch it off, see that a program runs in it, read its limits, tell it how long to wait.
+        """Connect to the drive, switch it off, check its program, read its limits, set its timeout of the host.
 
         Raises
         ------
-        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` in a fault.
+        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` if in fault.
         """
         self._port.open()
         self._opened = True
         self._port.discard()
         self._record, self._safe, self._proved = _Record(), False, False
         self._follow(Mode.OFF)
-        meeting = Meeting(self.name, self.settings, self._interpreter, self._clock)
+        setup = SerialCommissioning(self.name, self.settings, self._interpreter, self._clock)
         try:
-            self._echoed = meeting.echo_off()
-            self._identity = meeting.identity()
-            self._status = meeting.check_status()
-            self._limits = meeting.limits()
-            self._position = meeting.position()
-            meeting.arm_dead_man()
-            self._exchange_s = meeting.exchange_s()
+            self._echoed = setup.echo_off()
+            self._identity = setup.identity()
+            self._status = setup.check_status()
+            self._limits = setup.limits()
+            self._position = setup.position()
+            setup.arm_dead_man()
+            self._exchange_s = setup.exchange_s()
             self._patience_s = min(self.settings.answer_timeout_s, max(3.0 * self._exchange_s, LEAST_PATIENCE_S))
         except DeviceError as error:
             text = str(error)
@@ -193,7 +200,7 @@ class ElmoSerial(Driver):
         )
 
     def close(self) -> None:
-        """Let the line go; a drive that is safe gets its echo back."""
+        """Close the line; the echo of a safe drive is restored."""
         if self._opened:
             self._opened = False
             if self._safe and self._echoed:
@@ -204,7 +211,7 @@ class ElmoSerial(Driver):
 
     @classmethod
     def far_end(cls, settings: ElmoSerialSettings, role: str, physics: Physics) -> SerialEmulator:
-        """A drive that turns the bench's machine."""
+        """A drive that turns the bench's motor."""
         from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator
 
         return ElmoSerialEmulator(
@@ -218,15 +225,15 @@ class ElmoSerial(Driver):
         )
 
     def identity(self) -> Identity:
-        """Version (VR) and serial number (SN[4]) as told when it was opened."""
+        """Version (VR) and serial number (SN[4]) as read when it was opened."""
         return self._identity
 
     def recorded(self) -> OwnRecording:
-        """Upload what the drive's own recorder holds; only while it is open and off.
+        """Upload the recording of the drive's own recorder; only while the drive is open and off.
 
         Raises
         ------
-        DeviceError : it holds nothing, or the upload is not whole.
+        DeviceError : there is no recording, or the upload is incomplete.
         """
         from leactl_plugins.elmo_serial import recorder
 
@@ -242,23 +249,23 @@ class ElmoSerial(Driver):
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        """Channels of `values`: the readings, and the references that were in force until they were queried."""
         return drive_channels(self.role, self.name)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage, asked for at its own pace."""
+        """The bus voltage, queried at its own rate."""
         if self.settings.bus_voltage_command is None:
             return ()
         channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
         return (StreamSpec(f"{self.name}_supply", (channel,)),)
 
     def pace(self, period: float) -> None:
-        """See that an exchange fits into a cycle of this length [s].
+        """Check that an exchange fits into a cycle of this length [s].
 
         Raises
         ------
-        DeviceError : it does not; with the rate that does.
+        DeviceError : it does not; with the highest possible rate.
         """
         if self._exchange_s > CYCLE_SHARE * period:
             most = math.floor(CYCLE_SHARE / self._exchange_s)
@@ -270,37 +277,17 @@ class ElmoSerial(Driver):
 
     @property
     def engaged(self) -> bool:
-        """True where the drive has shown itself on, in the unit mode asked for and with its program running."""
+        """Whether the drive reports to be on, in the demanded unit mode, with its program running."""
         status = self._status
         shown = status.motor_on and status.guarded and status.unit_mode == self._unit_mode
         return self._proved and self._asked_on and shown
-
-    def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
-
-        The first time after `open` the drive is switched on without a sign of life until its program has switched it
-        off again, with zero demand: one that does not is never let into operation.
-
-        Raises
-        ------
-        InputError : the drive has no such mode.
-        """
-        if mode not in FOLLOWED:
-            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow over this line")
-        self._follow(mode)
-        self._safe = False
-        self._enable_by = self._clock.now() + ENABLE_TIME_S
-
-    def release(self) -> None:
-        """Begin to leave operation; no current flows once the drive has left it."""
-        self._follow(Mode.OFF)
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
 
         Raises
         ------
-        InputError : not finite, outside what the drive can hold, or above what it lets through.
+        InputError : not finite, outside the drive's number range, or above its limits.
         """
         if self._reference == CURRENT:
             most = self._limits.peak * abs(self._q_per_ampere)
@@ -319,10 +306,9 @@ class ElmoSerial(Driver):
         self._value = value
 
     def begin_cycle(self) -> None:
-        """Send this cycle's exchange, unless the one before is under way still: the readings first, then the demand.
+        """Send this cycle's exchange (queries of the readings, then the demand), unless the last one is still pending.
 
-        The drive's program is fed by exchanges alone: none that no supervised cycle came before is counted in the
-        variable that it watches.
+        Only an exchange after a supervised cycle changes the variable that the drive's program monitors.
 
         Raises
         ------
@@ -349,13 +335,13 @@ class ElmoSerial(Driver):
         self._supervised = False
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the readings; NaN where they did not come within the cycle.
+        """Collect the readings; NaN if they did not arrive within the cycle.
 
         Raises
         ------
-        DeviceFault : the drive has a fault, left operation by itself, or holds another demand than it was sent.
-        NoAnswer : it has fallen silent, or did not enter operation in time.
-        DeviceError : it refuses what it was sent.
+        DeviceFault : the drive has a fault, left operation by itself, or reads back another demand than was sent.
+        NoAnswer : it no longer answers, or did not enter operation in time.
+        DeviceError : it refuses a command.
         """
         values = self.values
         values[0], values[1], values[2] = self._followed
@@ -371,16 +357,16 @@ class ElmoSerial(Driver):
         self._judge(now)
 
     def feed(self) -> None:
-        """Let the next exchange count as a sign of life."""
+        """Let the next exchange count as the host's heartbeat."""
         self._supervised = True
 
     def take(self) -> list[Row]:
-        """Bus voltages that have come in since the last call."""
+        """Bus voltages since the last call."""
         rows, self._record.rows = self._record.rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """How far a row's readings lie apart, irregular answers, and each onset of a limited current."""
+        """Notices: time between the readings of a row, irregular answers, and each start of a limited current."""
         record, now = self._record, self._clock.now()
         if record.irregular != record.told and (now >= record.quiet_until or self._mode is Mode.OFF):
             record.quiet_until, record.told = now + QUIET_S, replace(record.irregular)
@@ -391,7 +377,7 @@ class ElmoSerial(Driver):
     # -- what goes out -----------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode, with no demand; what the drive has shown so far is of the mode before."""
+        """Turn to a mode with zero demand; earlier reports of the drive belong to the mode before."""
         self._mode, self._value = mode, 0.0
         reference, self._unit_mode = FOLLOWED.get(mode, (ANGLE, 0))
         self._reference: int = reference
@@ -402,7 +388,7 @@ class ElmoSerial(Driver):
         self._checked: tuple[str, float] | None = None  # what the exchange under way sets, and the drive has to hold
 
     def _demands(self, now: float) -> list[str]:
-        """What this cycle sets besides asking for the readings."""
+        """Commands of this cycle besides the queries of the readings."""
         self._checked = None
         why = ["MF"] if self._asks_why else []
         if self._mode is Mode.OFF:
@@ -437,7 +423,7 @@ class ElmoSerial(Driver):
     # -- what comes in -----------------------------------------------------------------------------------------------
 
     def _take_in(self, replies: Replies, now: float) -> None:
-        """Take a whole exchange: into the row where it is this cycle's own."""
+        """Evaluate a complete exchange; its readings go into the row if it belongs to this cycle."""
         status = Status(replies.whole("SR"))
         self._heard = now
         try:
@@ -470,7 +456,7 @@ class ElmoSerial(Driver):
         self._look_back(now)
 
     def _look_back(self, now: float) -> None:
-        """Tell of a reading that stood off the one before and the one that has come now."""
+        """Add a notice for a reading that differs from both its neighbours."""
         record = self._record
         outlier = record.outliers.see(self.values[3:6])
         if outlier is not None and now >= record.quiet_of_outliers_until:
@@ -478,7 +464,7 @@ class ElmoSerial(Driver):
             record.notices.append(f"{outlier}; {record.outliers.count} readings so far")
 
     def _check_demand(self, replies: Replies) -> None:
-        """Hold what the drive tells of its demand against what it was sent: RS-232 has no check of its own."""
+        """Compare the demand that the drive reads back with the one sent, since RS-232 has no checksum."""
         if self._checked is None:
             return
         word, sent = self._checked
@@ -489,7 +475,7 @@ class ElmoSerial(Driver):
             self._moving = int(sent)
 
     def _see(self, status: Status, now: float) -> None:
-        """Take what the drive shows of itself."""
+        """Evaluate the status of the drive."""
         record, before = self._record, self.engaged
         self._status = status
         if status.limited and not record.limited and now >= record.quiet_of_limits_until:
@@ -515,11 +501,11 @@ class ElmoSerial(Driver):
             self._asks_why = True
 
     def _try_dead_man(self, status: Status) -> None:
-        """Have the drive on and the host silent: its program has to switch it off, before any demand is sent.
+        """Test the drive's program before any demand: it has to switch the drive off while the host is silent.
 
         Raises
         ------
-        DeviceError : it is on still, when it should not be.
+        DeviceError : the drive is still on after the timeout.
         """
         if status.motor_on:
             self._was_on = True
@@ -534,11 +520,11 @@ class ElmoSerial(Driver):
             self._proved, self._asked_on, self._was_on = True, False, False
 
     def _see_garbled(self, error: Unreadable) -> None:
-        """Leave a row empty for an exchange that was garbled.
+        """Leave the row of a garbled exchange empty.
 
         Raises
         ------
-        DeviceError : it is the third in a row.
+        DeviceError : it is the third in sequence.
         """
         self._garbled += 1
         self._lose()
@@ -546,7 +532,7 @@ class ElmoSerial(Driver):
             raise DeviceError(f"{self.name}: {error}; {self._garbled} exchanges in a row were garbled")
 
     def _lose(self) -> None:
-        """Go on after an exchange of which it is not known whether the drive has taken it."""
+        """Continue after an exchange that the drive may or may not have executed."""
         self._record.irregular.lost += 1
         self._moving = None
         if self._asked_on and not self._was_on:
@@ -557,7 +543,7 @@ class ElmoSerial(Driver):
         self._interpreter.surplus = 0
 
     def _judge(self, now: float) -> None:
-        """Say what keeps the drive out of operation, where it should be in it."""
+        """Raise the reason why the drive is not in operation although it should be."""
         silence = now - self._heard
         if silence > self.settings.host_silence_s + self.settings.answer_timeout_s:
             raise NoAnswer(f"{self.name}: no answer for {silence:.3f} s")

@@ -1,7 +1,7 @@
-"""The drive's far end of the line: its interpreter, its motor, and the program that watches the host.
+"""Emulator of an Elmo drive on a serial line: its interpreter, its motor, and the program that monitors the host.
 
-Bytes in, bytes out; it shares with the driver only the bits of SR and MF. What is echoed is echoed at once, byte by
-byte, between answers that are not sent yet (SimplIQ Software Manual, 3.2).
+Bytes in, bytes out; it shares only the bits of SR and MF with the driver. The echo is sent at once, byte by byte,
+between answers that are not sent yet (SimplIQ Software Manual, 3.2).
 """
 
 import math
@@ -37,8 +37,8 @@ _form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOT
 _number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
 
 
-class Error(Exception):
-    """A command that is not carried out, by its number."""
+class InterpreterError(Exception):
+    """A refused command, with the error number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -46,7 +46,7 @@ class Error(Exception):
 
 
 class ElmoSerialEmulator:
-    """One drive at the end of a line, turning a machine."""
+    """One drive at the end of a line, which turns a motor."""
 
     def __init__(
         self,
@@ -101,14 +101,14 @@ class ElmoSerialEmulator:
 
     @property
     def due(self) -> float:
-        """When an echo or an answer is ready, or the program looks at the host's counter."""
+        """Time [s] of the next echo, answer, sample, or check of the host's counter."""
         if self.frozen:
             return math.inf
         tick = self._next_tick if self.on and self.program_running else math.inf
         return min(self._output[0][0] if self._output else math.inf, tick, self._next_sample)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes as they arrive: each is echoed at once; a semicolon or a carriage return ends a command."""
+        """Receive bytes; each is echoed at once, and a semicolon or a carriage return ends a command."""
         if self.frozen:
             return
         for byte in data:
@@ -123,7 +123,7 @@ class ElmoSerialEmulator:
                 self._output.append((self._busy, answer))
 
     def tick(self, now: float) -> bytes:
-        """Let the program look where that is due; the bytes that are ready."""
+        """Run the program if it is due; returns bytes that are ready."""
         if self.on and self.program_running and now >= self._next_tick:
             self._next_tick += TICK_S
             self._watch()
@@ -136,7 +136,7 @@ class ElmoSerialEmulator:
     # -- inside the drive --------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        """Switch off where the host's counter stands still for longer than it may, as the program does."""
+        """Switch off if the host's counter has not changed for the allowed time, as the drive's program does."""
         counter, allowed = (self.values[variable] for variable in self._watched)
         if counter != self._seen:
             self._seen, self._quiet_ticks = counter, 0
@@ -146,11 +146,11 @@ class ElmoSerialEmulator:
             self._switch(False)
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, its program too, or come back to life."""
+        """Stop answering and keep the last demand, program included (`frozen` True), or return to normal."""
         self.frozen = frozen
 
     def fault(self, code: int) -> None:
-        """Shut the motor down and latch in MF what an emergency message would give this code for."""
+        """Shut the motor down and latch the bit of MF for the code of an emergency message."""
         self._switch(False)
         self.fault_bits = bits_of(code)
 
@@ -167,7 +167,7 @@ class ElmoSerialEmulator:
             self._machine.command("off", 0.0)
 
     def _move(self) -> None:
-        """Have the machine follow what the unit mode says; no torque beyond the continuous limit lasts."""
+        """Let the motor follow the demand of the unit mode, limited to the continuous current."""
         mode = FOLLOWS.get(int(self.values["UM"]), "off")
         if mode == "current":
             self._machine.command("current", self._allowed() * self._q_axis_per_ampere)
@@ -177,7 +177,7 @@ class ElmoSerialEmulator:
             self._machine.command(mode if mode == "velocity" else "off", 0.0)
 
     def _allowed(self) -> float:
-        """What of the current asked for flows [A]: the peak's few seconds are not emulated, it is held down at once."""
+        """The demanded current within the limits [A]; the peak current of a few seconds is not emulated."""
         most = min(self.values["PL[1]"], self.values["CL[1]"])
         return max(-most, min(most, self.values["TC"]))
 
@@ -203,12 +203,12 @@ class ElmoSerialEmulator:
     # -- the recorder ------------------------------------------------------------------------------------------------
 
     def _record(self, value: float, now: float) -> None:
-        """Begin to record at once (RR=2), or give up; a trigger is not emulated."""
+        """Start recording at once (RR=2) or stop (RR=0); a trigger is not emulated."""
         if value not in (0, 2):
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         self._recording = {bit: [] for bit in range(CELLS) if int(self.values["RC"]) >> bit & 1} if value else {}
         if value and not self._recording:
-            raise Error(BAD_START)
+            raise InterpreterError(BAD_START)
         self._samples_left = int(self.values["RL"]) if value else 0
         self._next_sample = now if value else math.inf
 
@@ -225,11 +225,11 @@ class ElmoSerialEmulator:
             self._next_sample = math.inf
 
     def _upload(self, value: float) -> str:
-        """The answer to BH: the lowest bit of RC that is asked for; short items for what is measured as a voltage."""
+        """The answer to BH: the recording of the lowest bit of RC in `value`; items have 4 or 8 digits by signal."""
         asked = int(value) & int(self.values["RC"])
         bit = (asked & -asked).bit_length() - 1
         if self._samples_left or bit not in self._recording:
-            raise Error(NO_DATA)
+            raise InterpreterError(NO_DATA)
         long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
         factor = CURRENT_FACTOR if self.values[f"RV[{bit + 1}]"] == 10 else 1.0
         items, layout = self._recording[bit], ">i" if long else ">h"
@@ -239,32 +239,32 @@ class ElmoSerialEmulator:
     # -- the interpreter ---------------------------------------------------------------------------------------------
 
     def _obey(self, command: str, now: float) -> bytes:
-        """The answer to one command, its end included."""
+        """The answer to one command, with its end."""
         try:
             answer = self._carry_out(command, now)
-        except Error as error:
+        except InterpreterError as error:
             self._last_error = error.number
             return bytes((error.number,)) + b"?;"
         return answer.encode("ascii") + b";"
 
     def _carry_out(self, command: str, now: float) -> str:
-        found = _form.fullmatch(command)
-        if found is None:
-            raise Error(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
-        name = found[1] if found[2] is None else f"{found[1]}[{int(found[2])}]"
-        if found[3] is None:
+        match = _form.fullmatch(command)
+        if match is None:
+            raise InterpreterError(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
+        name = match[1] if match[2] is None else f"{match[1]}[{int(match[2])}]"
+        if match[3] is None:
             return self._execute(name) if name in ("BG", "ST") else self._told(name)
-        if not found[4]:
-            raise Error(EMPTY)
-        if not _number.fullmatch(found[4]):
-            raise Error(BAD_NUMBER)
+        if not match[4]:
+            raise InterpreterError(EMPTY)
+        if not _number.fullmatch(match[4]):
+            raise InterpreterError(BAD_NUMBER)
         if name == "BH":
-            return self._upload(float(found[4]))
-        self._set(name, float(found[4]), now)
+            return self._upload(float(match[4]))
+        self._set(name, float(match[4]), now)
         return ""
 
     def _told(self, name: str) -> str:
-        """The value of a command that asks."""
+        """The value of a query."""
         current, velocity, _ = self._machine.read()
         if name == "IQ":
             return f"{current / self._q_axis_per_ampere:.4f}" if self.on else "0"
@@ -287,10 +287,10 @@ class ElmoSerialEmulator:
             return VERSION if name == "VR" else self.serial_number
         if name in self.values:
             return f"{self.values[name]:.10g}"
-        raise Error(self._unknown(name))
+        raise InterpreterError(self._unknown(name))
 
     def _unknown(self, name: str) -> int:
-        """Why there is no such variable."""
+        """Error number for an unknown variable."""
         word = name[:2]
         vectors = {known[:2] for known in self.values if "[" in known} | {"AN", "SN"}
         if word in vectors:
@@ -303,20 +303,20 @@ class ElmoSerialEmulator:
             return
         if name not in self.values:
             read_only = ("IQ", "ID", "VX", "PX", "SR", "MF", "MS", "EC", "VR", "SN[4]", self._voltage_command)
-            raise Error(READ_ONLY if name in read_only else self._unknown(name))
+            raise InterpreterError(READ_ONLY if name in read_only else self._unknown(name))
         if name == "UM":
             if self.on:
-                raise Error(MUST_BE_OFF)
+                raise InterpreterError(MUST_BE_OFF)
             if value not in UNIT_MODES:
-                raise Error(BAD_UNIT_MODE)
+                raise InterpreterError(BAD_UNIT_MODE)
         if name in MOTION:
             if self.values["UM"] not in MOTION[name]:
-                raise Error(NOT_IN_THIS_MODE)
+                raise InterpreterError(NOT_IN_THIS_MODE)
             if name == "TC" and not self.on:
-                raise Error(MUST_BE_ON)
+                raise InterpreterError(MUST_BE_ON)
         low, high = self._range_of(name)
         if not low <= value <= high:
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         self.values[name] = value if name in ("TC", "PL[1]", "CL[1]") else round(value)
         if name == "TC":
             self._move()
@@ -330,14 +330,14 @@ class ElmoSerialEmulator:
 
     def _set_motor(self, value: float, now: float) -> None:
         if value not in (0, 1):
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         if bool(value) != self.on:
             self._switch(bool(value), now)
 
     def _execute(self, name: str) -> str:
-        """Begin a motion, or stop one."""
+        """Start (BG) or stop (ST) a motion."""
         if not self.on:
-            raise Error(MUST_BE_ON)
+            raise InterpreterError(MUST_BE_ON)
         mode = self.values["UM"]
         if mode == 2:
             self._begun_motion = ("velocity", self.values["JV"] / self._counts_per_rad if name == "BG" else 0.0)
@@ -349,6 +349,6 @@ class ElmoSerialEmulator:
                 angle += ahead / self._counts_per_rad
             self._begun_motion = ("angle", angle)
         else:
-            raise Error(NOT_IN_THIS_MODE)
+            raise InterpreterError(NOT_IN_THIS_MODE)
         self._move()
         return ""

@@ -1,9 +1,9 @@
-"""Commands to an Elmo's interpreter, many at a time, and what it answers: which answer belongs to which exchange.
+"""Exchanges with an Elmo's interpreter: several commands at a time, and the assignment of answers to exchanges.
 
-Each command ends with a semicolon and is answered in its turn by its value and a semicolon, by a semicolon alone where
-it sets something, or by a binary error number, `?` and a semicolon (SimplIQ Software Manual, 3.1). No answer says what
-it answers. An exchange therefore begins by setting a variable to a number that no exchange near it has, and ends by
-asking for it: what stands before that number in the expected shape is its own, and nothing else is.
+Each command ends with a semicolon. The answers come in order: a value and a semicolon for a query, a semicolon alone
+for an assignment, or a binary error number, `?` and a semicolon (SimplIQ Software Manual, 3.1). An answer does not name
+its command. An exchange therefore begins by setting a variable to a tag that no exchange near it has, and ends by
+querying it: only answers in the expected form before that tag belong to the exchange.
 """
 
 import math
@@ -17,7 +17,7 @@ from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.elmo.fault_names import refusal
 
 END, REFUSED = b";", b"?"
-SPOILS = b"!;"  # ends a command that was cut short, as one that nobody can carry out: MO=1 might stand there
+SPOILS = b"!;"  # makes an incomplete earlier command invalid, which might otherwise be MO=1
 EXECUTED = frozenset(("BG", "ST"))  # commands that carry no value and are answered by none
 UPLOAD = "BH="  # which is answered by a value although it looks like an assignment
 TAGS = 900
@@ -32,7 +32,7 @@ _whole = re.compile(rb"-?[0-9]{1,10}", re.ASCII)
 
 
 class CommandRefused(DeviceError):
-    """The drive has understood a command and does not carry it out."""
+    """The drive understood a command and refused it."""
 
     def __init__(self, command: str, number: int) -> None:
         super().__init__(f"{command} is refused: {refusal(number)}")
@@ -40,22 +40,22 @@ class CommandRefused(DeviceError):
 
 
 class Replies:
-    """What the commands of one exchange were answered, by command."""
+    """Answers of one exchange, by command."""
 
     def __init__(self, values: dict[str, bytes], refused: dict[str, int]) -> None:
         self._values, self.refused = values, refused
 
     def __contains__(self, command: str) -> bool:
-        """Whether it was asked, and not refused."""
+        """Whether a command is in the exchange and was not refused."""
         return command in self._values
 
     def check(self) -> None:
-        """Go on where every command was carried out.
+        """Raise if a command was refused.
 
         Raises
         ------
-        CommandRefused : the first that was not.
-        Unreadable : the first was garbled on its way.
+        CommandRefused : the first refused command.
+        Unreadable : the error number says that the command was garbled on the line.
         """
         for command, number in self.refused.items():
             if number in MISHEARD:
@@ -63,23 +63,23 @@ class Replies:
             raise CommandRefused(command, number)
 
     def text(self, command: str) -> str:
-        """An answer in printable letters.
+        """An answer as printable text.
 
         Raises
         ------
-        CommandRefused : it was not given.
+        CommandRefused : the command was refused.
         """
         if command in self.refused:
             raise CommandRefused(command, self.refused[command])
         return self._values[command].decode("ascii", "backslashreplace").strip()
 
     def number(self, command: str) -> float:
-        """An answer that is a number.
+        """An answer as a number.
 
         Raises
         ------
-        Unreadable : it is none.
-        CommandRefused : it was not given.
+        Unreadable : the answer has another form.
+        CommandRefused : the command was refused.
         """
         value = float(self._read(command, _number, "a number"))
         if not math.isfinite(value):
@@ -87,12 +87,12 @@ class Replies:
         return value
 
     def whole(self, command: str) -> int:
-        """An answer that is a whole number of 32 bits.
+        """An answer as an integer of 32 bits.
 
         Raises
         ------
-        Unreadable : it is none.
-        CommandRefused : it was not given.
+        Unreadable : the answer has another form.
+        CommandRefused : the command was refused.
         """
         value = int(self._read(command, _whole, "a whole number"))
         if not -0x80000000 <= value <= 0xFFFFFFFF:
@@ -109,7 +109,7 @@ class Replies:
 
 
 class _Pending(NamedTuple):
-    """An exchange that is not answered yet."""
+    """An exchange without a complete answer."""
 
     commands: Sequence[str]
     tag: bytes
@@ -117,7 +117,7 @@ class _Pending(NamedTuple):
 
 
 class Interpreter:
-    """The host's side of one line; at most one exchange is under way, which spares the drive's receive buffer."""
+    """Host side of one line; at most one exchange is pending, so that the drive's receive buffer does not overflow."""
 
     def __init__(self, port: SerialPort, tag_variable: str) -> None:
         port.line_end = END
@@ -131,13 +131,13 @@ class Interpreter:
 
     @property
     def pending_since(self) -> float | None:
-        """When the exchange under way was sent; None where none is."""
+        """Time [s] at which the pending exchange was sent; None if there is none."""
         return self._pending.sent if self._pending else None
 
     def begin(self, commands: Sequence[str], counted_in: str = "", first: bytes = b"") -> None:
-        """Send an exchange; one that is under way is given up.
+        """Send an exchange; a pending one is abandoned.
 
-        `counted_in` is a variable to set to the exchange's number, in place of the one that means nothing else.
+        `counted_in` is the variable that receives the exchange's tag, in place of the tag variable.
 
         Raises
         ------
@@ -152,13 +152,13 @@ class Interpreter:
         self._pending = _Pending(commands, tag.encode("ascii"), self._clock.now())
 
     def give_up(self) -> None:
-        """Expect no more answers to the exchange under way."""
+        """Abandon the pending exchange."""
         self._pending, self.garbled = None, False
         self.surplus += len(self._segments)
         self._segments.clear()
 
     def collect(self, until: float) -> Replies | None:
-        """The answers to the exchange under way, as soon as they are whole; None at this moment.
+        """The answers to the pending exchange once they are complete; None if `until` [s] passes first.
 
         Raises
         ------
@@ -177,18 +177,18 @@ class Interpreter:
                 self.give_up()
                 return None
             if self._segments[-1] == pending.tag:
-                found = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
-                if found is not None:
+                replies = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
+                if replies is not None:
                     self.surplus += len(self._segments) - len(pending.commands) - 2
                     self._segments.clear()
                     self.asked, self.answered = pending.sent, self._clock.now()
                     self._pending, self.garbled = None, False
-                    return found
+                    return replies
                 self.garbled = True  # unless a reading happens to be that number
         return None
 
     def drop_unasked(self) -> None:
-        """Count what has come while no exchange was under way, and forget it.
+        """Drop and count the answers that arrived while no exchange was pending.
 
         Raises
         ------
@@ -198,11 +198,11 @@ class Interpreter:
             self.surplus += 1
 
     def ask(self, *commands: str, within_s: float, tries: int = 3) -> Replies:
-        """Make an exchange and wait for it; it is made anew where it is lost or garbled.
+        """Make an exchange and wait for its answers; it is repeated if it is lost or garbled.
 
         Raises
         ------
-        CommandRefused : a command that sets something was refused; one that asks tells so when its answer is read.
+        CommandRefused : an assignment was refused; a refused query raises when its answer is read.
         NoAnswer : none of the tries was answered.
         DeviceError : the line is gone.
         """
@@ -223,10 +223,9 @@ class Interpreter:
         raise trouble
 
     def _add(self, segment: bytes) -> None:
-        """Put a segment to the others.
+        """Add a segment of the input.
 
-        The error number may be a semicolon itself. The manual prints the `?` after the semicolon; drives send it
-        before.
+        The error number may be a semicolon itself. In the manual, `?` comes after the semicolon; drives send it before.
         """
         if segment.startswith(REFUSED) and self._segments:
             last = self._segments[-1]
@@ -246,7 +245,7 @@ def _longest(command: str) -> float:
 
 
 def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | None:
-    """The answers to an exchange; None where these segments have not its shape."""
+    """The answers of an exchange; None if the segments do not have its form."""
     if len(segments) != len(commands) + 2 or segments[0]:
         return None
     values: dict[str, bytes] = {}

@@ -1,6 +1,6 @@
-"""Readings that stand off both their neighbours: RS-232 has no checksum, and a garbled digit is a number still.
+"""Detect readings that differ from both neighbours: RS-232 has no checksum, and a garbled digit still gives a number.
 
-The row is written by then; a notice tells of it. A true change of one row's length would be told as well.
+The row is already written by then, so that a notice reports it. A true change for a single row is reported as well.
 """
 
 import math
@@ -11,7 +11,7 @@ AHEAD = 5.0  # times what lies between the neighbours, by which a reading has to
 
 
 class Outlier(NamedTuple):
-    """One reading, and what its neighbours have."""
+    """A reading with its two neighbours."""
 
     what: str
     value: float
@@ -26,7 +26,7 @@ class Outlier(NamedTuple):
 
 
 class Outliers:
-    """Looks back on each reading once the next has come; quantities by name, with what their noise stays within."""
+    """Checks each reading when the next one arrives; `noise` has name and noise bound of each quantity."""
 
     def __init__(self, noise: Sequence[tuple[str, float]]) -> None:
         self._noise = tuple(noise)
@@ -34,11 +34,11 @@ class Outliers:
         self.count = 0
 
     def see(self, values: Sequence[float]) -> Outlier | None:
-        """Take the readings of a row, and tell the first of the row before that is off."""
-        found = None
+        """Add the readings of a row; returns the first outlier of the row before, or None."""
+        outlier = None
         for (what, noise), before, value, after in zip(self._noise, self._before, self._latest, values, strict=True):
             if abs(value - 0.5 * (before + after)) > AHEAD * abs(after - before) + noise:  # NaN compares false
                 self.count += 1
-                found = found or Outlier(what, value, before, after)
+                outlier = outlier or Outlier(what, value, before, after)
         self._before, self._latest = self._latest, tuple(values)
-        return found
+        return outlier

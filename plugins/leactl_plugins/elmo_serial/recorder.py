@@ -1,4 +1,4 @@
-"""The drive's own recorder: every signal at one instant, uploaded as hexadecimal digits once it is full.
+"""Upload the drive's own recorder, which samples all signals at the same instants; data are hexadecimal digits.
 
 SimplIQ Software Manual, 7.4: RR says whether valid data are there, each bit of RC is a signal that RV names by number,
 RG is the gap between samples in units of WS[29], and BH=n uploads the signal of one bit of RC.
@@ -41,18 +41,18 @@ UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
 
 
 class Upload(NamedTuple):
-    """One signal as it was uploaded."""
+    """One uploaded signal."""
 
     values: NDArray[np.float64]  # (n,), in the signal's units
     gap: int  # between two items, in sampling times of the recorder
 
 
 def parsed(text: str) -> Upload:
-    """Read the answer to BH.
+    """Parse the answer to BH.
 
     Raises
     ------
-    Unreadable : no hexadecimal digits, or another number of them than its head says.
+    Unreadable : no hexadecimal digits, or their number contradicts the head.
     """
     if len(text) < HEAD or not re.fullmatch(r"[0-9A-Fa-f]+", text, re.ASCII):
         raise Unreadable(
@@ -71,17 +71,17 @@ def parsed(text: str) -> Upload:
 
 
 def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
-    """Upload every signal that the recorder holds.
+    """Upload all signals of the recorder.
 
     Raises
     ------
-    DeviceError : it holds none, is busy, or answers what cannot be read.
+    DeviceError : it has no recording, is busy, or its answer cannot be parsed.
     """
     replies = interpreter.ask("RR", "RC", "RG", "WS[29]", within_s=answer_s)
     state, cells, gap, sampling_us = (replies.whole(name) for name in ("RR", "RC", "RG", "WS[29]"))
     if state != 0:
-        found = "holds nothing" if state < 0 else "waits for its trigger, or records"
-        raise DeviceError(f"its recorder {found} (RR is {state}); 0 was expected, which is a whole recording")
+        state_text = "holds nothing" if state < 0 else "waits for its trigger, or records"
+        raise DeviceError(f"its recorder {state_text} (RR is {state}); 0 was expected, which is a whole recording")
     if not SHORTEST_US <= sampling_us <= LONGEST_US:
         raise DeviceError(f"its recorder samples every {sampling_us} us (WS[29]); that is no time of a drive's")
     columns: dict[str, Upload] = {}

@@ -31,25 +31,25 @@ class ElmoSerialSettings(DriverSettings):
 
     @property
     def host_silence_s(self) -> float:
-        """For how long the program in the drive goes on without the host."""
+        """Time for which the drive's program lets it run without the host [s]."""
         return 1e-3 * self.dead_man_ms
 
     @property
     def life_variable(self) -> str:
-        """What the program in the drive watches."""
+        """Variable that the drive's program monitors."""
         return f"UI[{self.first_variable}]"
 
     @property
     def silence_variable(self) -> str:
-        """For how many milliseconds it may stand still."""
+        """Variable with the allowed time without a change [ms]."""
         return f"UI[{self.first_variable + 1}]"
 
     @property
     def tag_variable(self) -> str:
-        """What an exchange is known by that is no sign of life."""
+        """Variable for the tag of an exchange that is no heartbeat."""
         return f"UI[{self.first_variable + 2}]"
 
     @property
     def silence_ms(self) -> int:
-        """What the silence variable is set to: the program looks once a tick, and a tick may be late by another."""
+        """Value of the silence variable [ms]: two ticks less, one for the check per tick and one for a late tick."""
         return self.dead_man_ms - 2 * PROGRAM_TICK_MS

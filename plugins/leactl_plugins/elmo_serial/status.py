@@ -11,7 +11,7 @@ UNIT_MODES = {1: "torque", 2: "speed", 3: "stepper", 4: "dual loop", 5: "positio
 
 
 class Status(NamedTuple):
-    """What a drive shows of itself."""
+    """Value of the status register SR."""
 
     register: int
 
@@ -22,22 +22,22 @@ class Status(NamedTuple):
 
     @property
     def faulty(self) -> bool:
-        """Whether the motor was shut down by a fault since it was switched on last; MF says by which."""
+        """Whether a fault has shut the motor down since it was last switched on; MF has the fault."""
         return bool(self.register & FAULT_LATCHED)
 
     @property
     def guarded(self) -> bool:
-        """Whether a program runs in the drive."""
+        """Whether a program runs in the drive, which guards it against a silent host."""
         return bool(self.register & PROGRAM_RUNNING)
 
     @property
     def limited(self) -> bool:
-        """Whether the drive holds its current down to the continuous limit."""
+        """Whether the drive limits its current to the continuous limit."""
         return bool(self.register & CURRENT_LIMITED)
 
     @property
     def unit_mode(self) -> int:
-        """UM."""
+        """Unit mode (UM)."""
         return self.register >> UNIT_MODE_SHIFT & UNIT_MODE_BITS
 
     def __str__(self) -> str:
@@ -47,7 +47,7 @@ class Status(NamedTuple):
 
 
 def left_operation(status: Status, bits: int) -> str:
-    """Why a drive is out of operation, by SR and MF."""
+    """Reason why a drive is out of operation, by SR and MF."""
     if status.faulty or bits:
         return motor_fault(bits)
     if not status.motor_on:

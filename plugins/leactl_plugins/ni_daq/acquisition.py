@@ -1,4 +1,4 @@
-"""What the driver asks of an acquisition, whoever carries it out, and the errors of NI-DAQmx by name."""
+"""Interface of an acquisition, real or emulated, and the names of NI-DAQmx's errors."""
 
 from typing import Protocol
 
@@ -42,7 +42,7 @@ class DaqmxError(DeviceError):
 
 
 class Acquisition(Protocol):
-    """One configured task of a device; every method raises `DaqmxError` where NI-DAQmx would answer an error."""
+    """One configured task of a device; every method raises `DaqmxError` for an error of NI-DAQmx."""
 
     product: str
     serial_number: str  # as on its label; empty where it tells none
@@ -51,17 +51,17 @@ class Acquisition(Protocol):
     warnings: list[str]  # what the device said beside
 
     def start(self) -> None:
-        """Begin to sample."""
+        """Start sampling."""
 
     def read(self) -> NDArray[np.float64]:
-        """What has come since the last call, (inputs, samples) in V; never waits."""
+        """Samples since the last call, (inputs, samples), V; never waits."""
 
     def close(self) -> None:
-        """Stop, and let the device go; never raises."""
+        """Stop sampling and release the device; never raises."""
 
 
 class Library(Protocol):
-    """Where acquisitions come from."""
+    """Factory of acquisitions."""
 
     def acquire(self, settings: NiDaqSettings, samples: int | None) -> Acquisition:
-        """Reserve the device and configure it for so many samples of each input, or for as many as there will be."""
+        """Reserve the device and configure it for `samples` samples of each input, or without end if None."""

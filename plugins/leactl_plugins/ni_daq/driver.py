@@ -1,4 +1,4 @@
-"""NI converter at a motor's leads: samples by the device's own clock, taken in blocks beside the loop.
+"""NI converter at a motor's leads: it samples by its own clock, and the driver takes the samples in blocks.
 
 The stamps are those of the sample clock as the device coerced it; each input's own sample comes later by its turn at
 the multiplexer, which the channel says. What the device lost is there as NaN, one for each sample, and told.
@@ -55,11 +55,11 @@ class NiDaq(Driver):
         self._identity = Identity()
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: it only measures."""
+        """Confirm at once: the device only measures."""
         return SAFE
 
     def open(self) -> None:
-        """Reserve the device, configure clock and inputs, and see what it made of them.
+        """Reserve the device, configure clock and inputs, and check the resulting rate.
 
         Raises
         ------
@@ -99,11 +99,11 @@ class NiDaq(Driver):
         return self._task
 
     def identity(self) -> Identity:
-        """Product type and serial number as NI-DAQmx has them; it tells no firmware."""
+        """Product type and serial number from NI-DAQmx, which reports no firmware."""
         return self._identity
 
     def close(self) -> None:
-        """Let the device go."""
+        """Release the device."""
         task, self._task, self._running = self._task, None, False
         if task is not None:
             task.close()
@@ -117,7 +117,7 @@ class NiDaq(Driver):
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """One stream of all inputs; once the device is open, each with its turn at the multiplexer."""
+        """One stream of all inputs; once the device is open, each channel has its skew by the multiplexer."""
         settings, task = self.settings, self._task
         turn = 1.0 / task.convert_Hz if task is not None and len(settings.inputs) > 1 else 0.0
         channels = tuple(
@@ -127,15 +127,15 @@ class NiDaq(Driver):
                 item.role,
                 self.name,
                 f"{item.role} {item.quantity.replace('_', ' ')}",
-                skew_s=place * turn,
+                skew_s=index * turn,
                 scale_std=1e-6 * settings.scale_std_ppm,
             )
-            for place, item in enumerate(settings.inputs)
+            for index, item in enumerate(settings.inputs)
         )
         return (StreamSpec(self.name, channels, settings.rate_Hz, ends=settings.samples is not None),)
 
     def take(self) -> Sequence[Block]:
-        """The samples of the last 20 ms; starts the clock at the first call; never waits.
+        """Samples of the last 20 ms; the first call starts the sample clock; never waits.
 
         Raises
         ------
@@ -159,14 +159,14 @@ class NiDaq(Driver):
         return blocks
 
     def notices(self) -> Sequence[str]:
-        """Clock as coerced, warnings of NI-DAQmx, samples that were lost or outside their range, drift of the clock."""
-        for place, count in enumerate(self._beyond):
+        """Notices: resulting rate, warnings of NI-DAQmx, samples lost or out of range, drift of the sample clock."""
+        for index, count in enumerate(self._beyond):
             if count:
-                item = self.settings.inputs[place]
+                item = self.settings.inputs[index]
                 self._notices.append(f"input {item.name}: {count} samples beyond +-{item.range_V:g} V are NaN")
-                self._beyond[place] = 0
-        found, self._notices = self._notices, []
-        return found
+                self._beyond[index] = 0
+        notices, self._notices = self._notices, []
+        return notices
 
     def _begin(self, task: Acquisition) -> None:
         self._start = self._clock.now()  # from before: a stamp may be late by the call, and never ahead of its sample
@@ -195,7 +195,7 @@ class NiDaq(Driver):
         return [self._block(times, self._scaled(volts))]
 
     def _keep_behind(self, now: float, samples: int, task: Acquisition) -> None:
-        """Shift the stamps where the device's clock has run ahead of the bench's: no sample is from the future."""
+        """Shift the stamps back if the device's clock has run ahead of the bench's, so that none is in the future."""
         inputs = len(self.settings.inputs)
         newest = self._start + (self._count + samples - 1) / task.rate_Hz + (inputs - 1) / task.convert_Hz
         first = self._start + self._count / task.rate_Hz
@@ -207,16 +207,16 @@ class NiDaq(Driver):
                 self._notices.append(f"the sample clock has gained {1e3 * self._slip:.3g} ms on the bench's so far")
 
     def _scaled(self, volts: "NDArray[np.float64]") -> "NDArray[np.float64]":
-        """Rows of values; NaN for what lies beyond the range that the input was configured for."""
+        """Convert samples (inputs, samples) [V] to values (samples, inputs); NaN beyond the range of an input."""
         import numpy as np
 
         values = np.empty(volts.T.shape)
-        for place, item in enumerate(self.settings.inputs):
-            beyond = ~(np.abs(volts[place]) < item.range_V * (1.0 - 2.0**-15))
+        for index, item in enumerate(self.settings.inputs):
+            beyond = ~(np.abs(volts[index]) < item.range_V * (1.0 - 2.0**-15))
             if beyond.any():
-                self._beyond[place] += int(beyond.sum())
-                volts[place, beyond] = np.nan
-            values[:, place] = item.sign * item.scale_per_V * volts[place]
+                self._beyond[index] += int(beyond.sum())
+                volts[index, beyond] = np.nan
+            values[:, index] = item.sign * item.scale_per_V * volts[index]
         return values
 
     def _block(self, times: "NDArray[np.float64]", values: "NDArray[np.float64]") -> Block:
@@ -224,7 +224,7 @@ class NiDaq(Driver):
         return Block(self.name, times, values)
 
     def _resume(self, error: DaqmxError) -> list[Block]:
-        """Start again after an overrun; the samples between are lost, and each is there as NaN."""
+        """Restart after an overrun; each lost sample becomes a NaN."""
         import numpy as np
 
         assert self._task is not None
@@ -249,7 +249,7 @@ class NiDaq(Driver):
         self._notices.append(text)
 
     def _named(self, error: DeviceError) -> DeviceError:
-        """The error with this device's name, once."""
+        """The error with this device's name at its beginning."""
         if str(error).startswith(f"{self.name}:"):
             return error
         return DeviceError(f"{self.name}: {error}")

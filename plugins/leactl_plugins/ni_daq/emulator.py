@@ -28,7 +28,7 @@ IN_USE, OVERWRITTEN, GONE = -50103, -200279, -201003
 
 
 class EmulatedDaq:
-    """The device and the library in front of it."""
+    """The emulated device and library."""
 
     def __init__(self, settings: NiDaqSettings, physics: Physics) -> None:
         self._device = settings.device
@@ -58,23 +58,23 @@ class EmulatedDaq:
         return self.task
 
     def unplug(self) -> None:
-        """Be gone from now on."""
+        """Remove the device."""
         self.gone = True
 
     @property
     def due(self) -> float:
-        """When the leads are to be looked at again."""
+        """Time of the next sampling of the leads [s]."""
         return self.task.due if self.task is not None and not self.gone else math.inf
 
     def tick(self, now: float) -> None:
-        """Sample up to now."""
+        """Sample until `now` [s]."""
         self.now = now
         if self.task is not None and now >= self.due:
             self.task.sample(now)
 
 
 class EmulatedTask:
-    """One acquisition of it."""
+    """One acquisition of the emulated device."""
 
     def __init__(self, daq: EmulatedDaq, settings: NiDaqSettings, samples: int | None) -> None:
         self.product, self.serial_number, self.warnings = PRODUCT, daq.serial_number, list[str]()
@@ -88,13 +88,13 @@ class EmulatedTask:
         self.due = math.inf
 
     def start(self) -> None:
-        """Begin to sample."""
+        """Start sampling."""
         self._check()
         self._began = self._daq.now
         self.due = self._began + LOOK_S
 
     def sample(self, now: float) -> None:
-        """Convert what has come due by now, the last input of a sample included."""
+        """Convert all samples that are due, a sample being due with its last input."""
         last = (len(self._inputs) - 1) / self.convert_Hz
         until = math.floor((now - last - self._began) * self.rate_Hz + 1e-6) + 1
         if self._samples is not None:
@@ -107,17 +107,17 @@ class EmulatedTask:
     def _convert(self, until: int) -> None:
         times = self._began + np.arange(self._taken, until) / self.rate_Hz
         block = np.empty((len(self._inputs), len(times)))
-        for place, item in enumerate(self._inputs):
-            leads = self._daq.terminals[item.role].voltages(times + place / self.convert_Hz, item.pair)
+        for index, item in enumerate(self._inputs):
+            leads = self._daq.terminals[item.role].voltages(times + index / self.convert_Hz, item.pair)
             step = min(end for end in RANGES_V if end >= item.range_V) / CODES
             volts = self._daq.scale * item.sign * leads / item.scale_per_V
-            block[place] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
+            block[index] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
         self._taken = until
         self._unread += len(times)
         self._blocks.append(block)
 
     def read(self) -> NDArray[np.float64]:
-        """What has come since the last call."""
+        """Samples since the last call."""
         self._check()
         if self._samples is None and self._unread > self._room:
             raise DaqmxError(OVERWRITTEN)
@@ -125,7 +125,7 @@ class EmulatedTask:
         return np.hstack(blocks) if blocks else np.empty((len(self._inputs), 0))
 
     def close(self) -> None:
-        """Let the device go."""
+        """Release the device."""
         if self._daq.task is self:
             self._daq.task = None
 

@@ -1,4 +1,4 @@
-"""NI-DAQmx through NI's own package `nidaqmx`; nothing of it is imported before a device is asked for."""
+"""NI-DAQmx through NI's package `nidaqmx`, which is imported when a device is acquired."""
 
 import warnings
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE"}
 
 
 class NidaqmxLibrary:
-    """The package and the driver below it."""
+    """NI's package as a factory of acquisitions."""
 
     def __init__(self) -> None:
         try:
@@ -79,12 +79,12 @@ class NidaqmxTask:
         )
 
     def start(self) -> None:
-        """Begin to sample."""
+        """Start sampling."""
         with told():
             self._task.start()
 
     def read(self) -> NDArray[np.float64]:
-        """What has come since the last call, (inputs, samples) in V."""
+        """Samples since the last call, (inputs, samples), V."""
         with told():
             there = self._stream.avail_samp_per_chan
             values = np.empty((self._inputs, there))
@@ -93,13 +93,13 @@ class NidaqmxTask:
         return values
 
     def close(self) -> None:
-        """Stop, and let the device go."""
+        """Stop sampling and release the device."""
         with suppress(DeviceError), told():
             self._task.close()
 
 
 def _serial_number(nidaqmx: Any, device: Any) -> str:
-    """As labels have it, in hexadecimal; empty where the device has none or does not tell."""
+    """Serial number in hexadecimal, as on labels; empty if the device reports none."""
     try:
         number = int(device.serial_num)
     except nidaqmx.errors.DaqError:
@@ -109,7 +109,7 @@ def _serial_number(nidaqmx: Any, device: Any) -> str:
 
 @contextmanager
 def told() -> Iterator[None]:
-    """Raise what NI-DAQmx says as an error of a device."""
+    """Convert NI-DAQmx's errors in the block to DaqmxError."""
     from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqNotFoundError, DaqNotSupportedError
 
     try:

@@ -10,8 +10,8 @@ from leactl.driver.far_end import PAIRS
 MOST_SAMPLES = 200_000_000  # of a finite acquisition, which its buffer holds
 
 
-class Input(BaseModel):
-    """One input and what hangs at it: value = sign x scale_per_V x voltage."""
+class DaqInput(BaseModel):
+    """One input and its sensor: value = sign x scale_per_V x voltage."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -26,7 +26,7 @@ class Input(BaseModel):
 
     @property
     def pair(self) -> int:
-        """Place of the quantity among the three pairs of leads."""
+        """Index of the quantity among the three pairs of leads."""
         return PAIRS.index(self.quantity)
 
 
@@ -41,29 +41,29 @@ class NiDaqSettings(DriverSettings):
     duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = None
     # standard uncertainty of the device's scale
     scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = 0.0
-    inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=6)]
+    inputs: Annotated[tuple[DaqInput, ...], Field(min_length=1, max_length=6)]
 
     @property
     def samples(self) -> int | None:
-        """Of each input in a finite acquisition; None where it goes on."""
+        """Samples of each input in a finite acquisition; None if it has no end."""
         return None if self.duration_s is None else max(1, round(self.duration_s * self.rate_Hz))
 
     def shown(self) -> list[Shown]:
-        """What each input can tell."""
+        """Measurable range of each input."""
         places = enumerate(self.inputs)
-        ends = [(place, item, item.range_V * item.scale_per_V) for place, item in places]
-        return [Shown(("inputs", place), item.quantity, -end, end) for place, item, end in ends]
+        ends = [(index, item, item.range_V * item.scale_per_V) for index, item in places]
+        return [Shown(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
 
     @field_validator("inputs")
     @classmethod
-    def _all_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:
-        for what, found in (
+    def _all_differ(cls, value: tuple[DaqInput, ...]) -> tuple[DaqInput, ...]:
+        for label, values in (
             ("name", [item.name for item in value]),
             ("channel", [item.channel for item in value]),
             ("quantity and role", [f"{item.quantity} of {item.role}" for item in value]),
         ):
-            if len(set(found)) != len(found):
-                raise ValueError(f"two inputs share a {what} among {', '.join(found)}")
+            if len(set(values)) != len(values):
+                raise ValueError(f"two inputs share a {label} among {', '.join(values)}")
         return value
 
     @model_validator(mode="after")

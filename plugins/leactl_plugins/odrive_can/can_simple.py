@@ -8,7 +8,7 @@ from enum import IntEnum
 
 
 class Command(IntEnum):
-    """Lower five bits of an identifier; the node is above them. A question is a frame without data."""
+    """Lower five bits of a CAN identifier; the node is in the bits above. A query is a frame without data."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -26,7 +26,7 @@ class Command(IntEnum):
 
 
 class AxisState(IntEnum):
-    """What an axis does; between idle and closed loop a drive shows states of its own calibration."""
+    """State of an axis; between idle and closed loop, a drive may report states of its calibration."""
 
     UNDEFINED = 0
     IDLE = 1
@@ -34,7 +34,7 @@ class AxisState(IntEnum):
 
 
 class ControlMode(IntEnum):
-    """What the input is."""
+    """Quantity of the input."""
 
     TORQUE = 1
     VELOCITY = 2
@@ -42,7 +42,7 @@ class ControlMode(IntEnum):
 
 
 class InputMode(IntEnum):
-    """What is done with the input before it is followed."""
+    """Filter of the input before the drive follows it."""
 
     PASSTHROUGH = 1
     TORQUE_RAMP = 6

@@ -1,6 +1,6 @@
-"""ODrive motor controllers over CAN: CAN Simple of firmware 0.6, one question a cycle for each reading.
+"""ODrive motor controllers over CAN: CAN Simple of firmware 0.6, one query per cycle for each reading.
 
-The README of this plug-in lists the sources, and what only a real drive can show.
+The README of this plug-in lists the sources, and what has to be verified on a real drive.
 """
 
 import math
@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.contract import Confirmation, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -53,13 +54,15 @@ QUIET_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
 
-class OdriveCan(Driver):
-    """One axis, asked for its readings every cycle; its input is renewed as often, which feeds its watchdog."""
+class OdriveCan(EngagingDrive):
+    """One axis; its readings are queried and its input is sent every cycle, which also feeds its watchdog."""
 
     Settings = OdriveSettings
     transport = "can"
     summary = "ODrive S1, Pro or Micro over CAN (CAN Simple, firmware 0.6)"
     example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED}
+    modes = FOLLOWED
+    enable_time_s = ENABLE_TIME_S
 
     def __init__(self, name: str, role: str, settings: OdriveSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -90,7 +93,7 @@ class OdriveCan(Driver):
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Make the axis idle, from any state, over a fresh connection if need be; never raises."""
+        """Set the axis idle, from any state, over a new connection if needed; never raises."""
         self._follow(Mode.OFF)
         until = self._clock.now() + deadline_s
         trouble = "no time was left"
@@ -115,7 +118,7 @@ class OdriveCan(Driver):
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
 
     def stop_now(self) -> None:
-        """Send what makes the axis idle, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that sets the axis idle, without waiting; over a new connection if needed."""
         self._follow(Mode.OFF)
         for _ in range(2):
             try:
@@ -130,7 +133,7 @@ class OdriveCan(Driver):
                 return
 
     def open(self) -> None:
-        """Meet the drive, make it idle, check its firmware, read its scales, and arm its watchdog's time.
+        """Connect to the drive, set it idle, check its firmware, read its scales, and set its watchdog's timeout.
 
         Raises
         ------
@@ -154,7 +157,7 @@ class OdriveCan(Driver):
         self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
 
     def close(self) -> None:
-        """Stop listening and let the bus go; a drive that is safe gets its own parameters back."""
+        """Stop listening and close the bus; the changed parameters of a safe drive are restored."""
         if self._connected:
             if self._safe:
                 with suppress(DeviceError):  # it is safe, which is what counts
@@ -167,7 +170,7 @@ class OdriveCan(Driver):
 
     @classmethod
     def far_end(cls, settings: OdriveSettings, role: str, physics: Physics) -> CanEmulator:
-        """A drive at this node that turns the bench's machine."""
+        """A drive at this node that turns the bench's motor."""
         from leactl_plugins.odrive_can.emulator import OdriveEmulator
 
         return OdriveEmulator(
@@ -179,19 +182,19 @@ class OdriveCan(Driver):
         )
 
     def identity(self) -> Identity:
-        """Hardware and firmware as told when it was opened; a serial number has no message of this protocol."""
+        """Hardware and firmware as read when it was opened; the protocol has no message for a serial number."""
         return self._identity
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        """Channels of `values`: the readings, and the references that were in force until they were queried."""
         return drive_channels(self.role, self.name)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage and current, asked for at their own pace."""
+        """The bus voltage and current, queried at their own rate."""
         channels = (
             ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage"),
             ChannelSpec("ibus", "bus_current", self.role, self.name, "DC link current"),
@@ -200,25 +203,8 @@ class OdriveCan(Driver):
 
     @property
     def engaged(self) -> bool:
-        """True where the axis has told that it is in closed loop, in the mode asked for and with its watchdog armed."""
+        """Whether the axis reports closed loop, in the demanded mode and with its watchdog armed."""
         return self._asked_closed_loop and self.axis_state == AxisState.CLOSED_LOOP_CONTROL and self._is_ready()
-
-    def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
-
-        Raises
-        ------
-        InputError : the drive has no such mode.
-        """
-        if mode not in FOLLOWED:
-            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
-        self._follow(mode)
-        self._safe = False
-        self._enable_by = self._clock.now() + ENABLE_TIME_S
-
-    def release(self) -> None:
-        """Begin to leave operation; no current flows once the drive has left it."""
-        self._follow(Mode.OFF)
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
@@ -238,7 +224,7 @@ class OdriveCan(Driver):
         self._value = value
 
     def begin_cycle(self) -> None:
-        """Send this cycle's demand, and ask for the readings.
+        """Send this cycle's demand, and query the readings.
 
         The drive's watchdog is fed by demands alone: none is sent that no supervised cycle came before.
         """
@@ -259,7 +245,7 @@ class OdriveCan(Driver):
         self._send(Command.GET_IQ)
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the readings; NaN where one did not come.
+        """Collect the readings; NaN for one that did not arrive.
 
         Raises
         ------
@@ -285,7 +271,7 @@ class OdriveCan(Driver):
         self._judge(now, engaged)
 
     def feed(self) -> None:
-        """Let the next demand be sent, which feeds the drive's watchdog; ask for the bus voltage at its pace."""
+        """Allow the next demand, which feeds the drive's watchdog; query the bus voltage if that is due."""
         self._supervised = True
         now = self._clock.now()
         if now >= self._bus_voltage_due:
@@ -294,23 +280,23 @@ class OdriveCan(Driver):
             self._answers.watched = True  # an answer that came twice would put the later ones off
 
     def take(self) -> list[Row]:
-        """Bus voltages that have come in since the last call."""
+        """Bus voltages since the last call."""
         rows, self._rows = self._rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """A line for irregular answers and a full bus."""
-        told, now = [], self._clock.now()
+        """Notices: irregular answers, and a full bus."""
+        lines, now = [], self._clock.now()
         irregular = self._answers.irregular
         if irregular != self._told and (now >= self._quiet_until or self._mode is Mode.OFF):
             self._quiet_until, self._told = now + QUIET_S, replace(irregular)
-            told.append(str(irregular))
-        return told + self._port.notices()
+            lines.append(str(irregular))
+        return lines + self._port.notices()
 
     # -- on the way into operation -----------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode, with no demand; what the drive has shown so far is of the mode before."""
+        """Turn to a mode with zero demand; earlier reports of the drive belong to the mode before."""
         self._mode, self._value = mode, 0.0
         self._reference, self._control_mode, self._input_mode = FOLLOWED.get(mode, (ANGLE, 0, 0))
         self._enable_by, self._ask_at = math.inf, -math.inf
@@ -319,7 +305,7 @@ class OdriveCan(Driver):
             self._parameters.shown.pop(path, None)
 
     def _is_ready(self) -> bool:
-        """Whether the drive has told that it has the mode asked for and an armed watchdog."""
+        """Whether the drive reports the demanded mode and an armed watchdog."""
         shown = self._parameters.is_shown
         return (
             shown(endpoints.CONTROL_MODE, self._control_mode)
@@ -328,7 +314,7 @@ class OdriveCan(Driver):
         )
 
     def _go_towards_operation(self, now: float) -> None:
-        """Have the axis idle, in the mode asked for and with its watchdog armed, then in closed loop, one by one.
+        """Take the next step towards operation: idle, demanded mode, armed watchdog, closed loop.
 
         An angle holds where the shaft is until then.
         """
@@ -362,7 +348,7 @@ class OdriveCan(Driver):
             self._send(Command.SET_INPUT_TORQUE, ONE_FLOAT.pack(0.0))
 
     def _judge(self, now: float, engaged: bool) -> None:
-        """Say what keeps the drive out of operation, where it should be in it."""
+        """Raise the reason why the drive is not in operation although it should be."""
         if self.errors:
             raise DeviceFault(f"{self.name}: {described(self.errors)}")
         if now > self._heard_until:
@@ -397,7 +383,7 @@ class OdriveCan(Driver):
         }
 
     def _meet(self) -> None:
-        """See that the drive is there and has the firmware of the table."""
+        """Check that the drive answers and has the firmware of the table of endpoints."""
         if not any(self._has_taken_all(self._clock.now() + 0.25) for _ in range(3)):
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
         protocol, *hardware, major, minor, revision, _unreleased = self._version
@@ -413,13 +399,13 @@ class OdriveCan(Driver):
             )
 
     def _take_over(self, path: str, value: float) -> None:
-        """Set a parameter that the drive gets back when it is closed."""
+        """Set a parameter that is restored at `close`."""
         before = self._parameters.read(path)
         self._parameters.write(path, value)
         self._as_met[path] = before
 
     def _leave_errors(self) -> None:
-        """Clear what a host's end has left, and other errors where that is asked for."""
+        """Clear the error that the end of an earlier host left, and other errors if the settings say so."""
         if self.errors and (self.settings.reset_fault_at_start or self.errors == WATCHDOG_TIMER_EXPIRED):
             self._send(Command.CLEAR_ERRORS, b"\x00")
             soon = self._clock.now() + 0.25
@@ -441,13 +427,13 @@ class OdriveCan(Driver):
         self._most_current, self._most_turns_s = most / AMPLITUDE, turns
 
     def _has_taken_all(self, until: float) -> bool:
-        """Ask for the version: frames keep their order, so the answer shows that what was sent before was taken."""
+        """Query the version: frames keep their order, so the answer proves that earlier frames were received."""
         self._version_came[0] = False
         self._send(Command.GET_VERSION)
         return self._port.pump_until(self._version_came, until)
 
     def _hears(self, until: float) -> bool:
-        """Wait for the next heartbeat; whether one has come."""
+        """Wait for the next heartbeat; returns whether one came."""
         self._beat[0] = False
         return self._port.pump_until(self._beat, until)
 
@@ -461,7 +447,7 @@ class OdriveCan(Driver):
 
     @property
     def _silence(self) -> float:
-        """How long a drive may be silent [s]: three of its heartbeats, and what the host allows itself."""
+        """Longest allowed silence of a drive [s]: three of its heartbeats plus a margin for the host."""
         return 1e-3 * (3 * self.settings.heartbeat_ms + self.settings.watchdog_ms)
 
     def _on_version(self, data: bytearray, _timestamp: float) -> None:

@@ -1,4 +1,4 @@
-"""The far end of an ODrive's wire: questions, inputs, parameters, heartbeats and the watchdog.
+"""Emulator of an ODrive: queries, inputs, parameters, heartbeats and the watchdog.
 
 Frames in, frames out; it shares with the driver only the protocol's numbers. Where firmware versions differ it does
 what is harder on a host: its watchdog runs whenever it is enabled, and only inputs and states feed it.
@@ -32,7 +32,7 @@ FED_BY = (Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, 
 
 
 class OdriveEmulator:
-    """One axis at a node, turning a machine."""
+    """One axis at a node, which turns a motor."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class OdriveEmulator:
 
     @property
     def due(self) -> float:
-        """Time of the next message that nobody asked for, or of the watchdog's end."""
+        """Time [s] of the next unrequested message, or of the watchdog's timeout."""
         if self.frozen:
             return math.inf
         encoder = self._next_encoder if self.parameters[endpoints.ENCODER_PERIOD] else math.inf
@@ -84,7 +84,7 @@ class OdriveEmulator:
         return self._fed + self.parameters[endpoints.WATCHDOG_TIMEOUT]
 
     def tick(self, now: float) -> list[Frame]:
-        """Heartbeats, readings that come by themselves, and what the watchdog does."""
+        """Heartbeats, cyclic readings, and the reaction of the watchdog."""
         if self.frozen:
             return []
         if now >= self._watchdog_ends:
@@ -99,7 +99,7 @@ class OdriveEmulator:
         return frames
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take one frame from the bus and answer it."""
+        """Receive one frame from the bus; returns the answers."""
         identifier, data = frame
         if self.frozen or identifier >> NODE_SHIFT != self._base >> NODE_SHIFT:
             return []
@@ -157,7 +157,7 @@ class OdriveEmulator:
             self._drive()
 
     def _drive(self) -> None:
-        """Have the machine follow the input of the mode, cut to the drive's limits without a word."""
+        """Let the motor follow the input of the mode; it is limited to the drive's limits without a message."""
         mode = ControlMode(int(self.parameters[endpoints.CONTROL_MODE]))
         value = self._inputs[mode]
         if mode is ControlMode.POSITION:
@@ -205,9 +205,9 @@ class OdriveEmulator:
     # -- faults inside the drive -------------------------------------------------------------------------------------
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        """Stop answering and keep the last demand (`frozen` True), or return to normal."""
         self.frozen = frozen
 
     def fault(self, code: int) -> None:
-        """Go idle with an error of the power stage; this protocol has no code of CiA 301 for it."""
+        """Go idle with an error of the power stage; the protocol has no CiA 301 error codes."""
         self._disarm(DRV_FAULT)

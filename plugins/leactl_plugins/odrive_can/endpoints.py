@@ -1,4 +1,4 @@
-"""Numbers of a drive's parameters, which differ from firmware to firmware: the maker's `flat_endpoints.json`."""
+"""Numbers of a drive's parameters, which depend on the firmware, from the maker's `flat_endpoints.json`."""
 
 import json
 import struct
@@ -50,7 +50,7 @@ class Endpoint(NamedTuple):
 
 
 class EndpointTable(NamedTuple):
-    """The parameters that are needed of one firmware on one hardware."""
+    """The needed parameters of one firmware on one hardware."""
 
     firmware: str  # "0.6.10"
     hardware: str  # "4.4.58"
@@ -59,7 +59,7 @@ class EndpointTable(NamedTuple):
 
 @lru_cache(maxsize=8)
 def read_table(path: str) -> EndpointTable:
-    """Read the maker's file, or the emulated drive's.
+    """Read the maker's file, or that of the emulated drive.
 
     Raises
     ------
@@ -72,14 +72,14 @@ def read_table(path: str) -> EndpointTable:
             text = Path(path).expanduser().read_text("utf-8")
         data: Any = json.loads(text)
         firmware, hardware, endpoints = data["fw_version"], data["hw_version"], data["endpoints"]
-        found = {path: Endpoint(int(endpoints[path]["id"]), _layout(endpoints[path]["type"])) for path in NEEDED}
+        needed = {path: Endpoint(int(endpoints[path]["id"]), _layout(endpoints[path]["type"])) for path in NEEDED}
     except OSError as error:
         raise ValueError(f"'{path}' cannot be read: {error.strerror or error}") from None
     except KeyError as error:
         raise ValueError(f"'{path}' has no {error}; the flat_endpoints.json of firmware 0.6 was expected") from None
     except (ValueError, TypeError) as error:
         raise ValueError(f"'{path}' is no flat_endpoints.json: {error}") from None
-    return EndpointTable(str(firmware).partition("-")[0], str(hardware), found)
+    return EndpointTable(str(firmware).partition("-")[0], str(hardware), needed)
 
 
 def _layout(kind: str) -> struct.Struct:

@@ -1,4 +1,4 @@
-"""A drive's parameters by their paths: asked for and told without waiting, or until the drive has answered."""
+"""Read and write a drive's parameters by their paths, with or without waiting for the drive's answer."""
 
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
@@ -10,7 +10,7 @@ NEAR = 1e-6  # of a value, for the drive's single precision
 
 
 class Parameters:
-    """What one axis has told of its parameters."""
+    """Parameters that one axis has reported."""
 
     def __init__(self, name: str, port: CanPort, node: int, table: EndpointTable, timeout_s: float) -> None:
         self._name, self._port, self._timeout_s = name, port, timeout_s
@@ -21,18 +21,18 @@ class Parameters:
         self.shown: dict[str, float] = {}  # the newest value that was told of each
 
     def ask(self, path: str) -> None:
-        """Ask for a parameter; its answer arrives in `shown`."""
+        """Query a parameter without waiting; its value arrives in `shown`."""
         self._port.send(self._identifier, PARAMETER.pack(READ, self._endpoints[path].number, 0))
 
     def tell(self, path: str, value: float) -> None:
-        """Send a value, and forget what was shown before."""
+        """Send a value without waiting, and drop the reported one."""
         endpoint = self._endpoints[path]
         self.shown.pop(path, None)
         written = value if endpoint.layout.format == "<f" else int(value)
         self._port.send(self._identifier, PARAMETER.pack(WRITE, endpoint.number, 0) + endpoint.layout.pack(written))
 
     def read(self, path: str) -> float:
-        """Ask for a parameter and wait for its value.
+        """Query a parameter and wait for its value.
 
         Raises
         ------
@@ -46,7 +46,7 @@ class Parameters:
         raise NoAnswer(f"{self._name}: {path} was not answered in {TRIES} times {self._timeout_s:g} s")
 
     def write(self, path: str, value: float) -> None:
-        """Set a parameter and see that the drive keeps it.
+        """Set a parameter and read it back.
 
         Raises
         ------
@@ -60,16 +60,16 @@ class Parameters:
         raise DeviceError(f"{self._name}: {path} is {kept:g} although {value:g} was written")
 
     def is_shown(self, path: str, value: float) -> bool:
-        """Whether the drive has told that it has this value."""
+        """Whether the drive has reported this value."""
         return self.is_near(self.shown.get(path), value)
 
     @staticmethod
     def is_near(shown: float | None, value: float) -> bool:
-        """Whether a value that was told is this one."""
+        """Whether a reported value equals this one."""
         return shown is not None and abs(shown - value) <= NEAR * abs(value)
 
     def on_frame(self, data: bytearray, _timestamp: float) -> None:
-        """Take an answer; one without a value confirms a write (firmware 0.6.11)."""
+        """Receive an answer; one without a value confirms a write (firmware 0.6.11)."""
         if len(data) < PARAMETER.size:
             return
         path = self._paths.get(PARAMETER.unpack_from(data)[1])

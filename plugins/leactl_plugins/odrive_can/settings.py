@@ -42,10 +42,10 @@ class OdriveSettings(DriverSettings):
 
     @property
     def bus_identifiers(self) -> frozenset[int]:
-        """All 32 of the node."""
+        """The 32 identifiers of the node."""
         return frozenset(range(self.node << NODE_SHIFT, self.node + 1 << NODE_SHIFT))
 
     @property
     def host_silence_s(self) -> float:
-        """The time of the drive's watchdog."""
+        """Timeout of the drive's watchdog [s]."""
         return 1e-3 * self.watchdog_ms

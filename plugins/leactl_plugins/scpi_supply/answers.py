@@ -1,4 +1,4 @@
-"""What a supply's answers mean; whatever is not exactly an answer of its kind is refused, never guessed at."""
+"""Parse a supply's replies; a reply that does not have exactly the expected form is Unreadable."""
 
 import re
 from typing import NamedTuple
@@ -12,8 +12,8 @@ BEYOND = 1.2  # times its rating: what a supply does not show even where its pro
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
-class Identity(NamedTuple):
-    """Four fields of IEEE 488.2, 10.14."""
+class InstrumentIdentity(NamedTuple):
+    """The four fields of `*IDN?` (IEEE 488.2, 10.14)."""
 
     maker: str
     model: str
@@ -21,15 +21,15 @@ class Identity(NamedTuple):
     revision: str
 
 
-class Entry(NamedTuple):
-    """One entry of the instrument's error queue; number 0 says that it is empty."""
+class ErrorEntry(NamedTuple):
+    """One entry of the instrument's error queue; number 0 means that the queue is empty."""
 
     number: int
     text: str
 
 
 def number(line: bytes) -> float:
-    """A level that is set.
+    """Parse a set level.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def number(line: bytes) -> float:
 
 
 def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
-    """A measured voltage or current, which nothing else confirms: the rest of an answer may be a number as well.
+    """Parse a measured voltage or current strictly, because a part of a reply may be a number as well.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
 
 
 def truth(line: bytes) -> bool:
-    """On or off, tripped or not.
+    """Parse a boolean.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def truth(line: bytes) -> bool:
 
 
 def register(line: bytes) -> int:
-    """A status register's value.
+    """Parse the value of a status register.
 
     Raises
     ------
@@ -83,22 +83,22 @@ def register(line: bytes) -> int:
     return int(text)
 
 
-def entry(line: bytes) -> Entry:
-    """An entry of the error queue.
+def entry(line: bytes) -> ErrorEntry:
+    """Parse an entry of the error queue.
 
     Raises
     ------
     Unreadable : not a number with a quoted text.
     """
     text = _text(line)
-    found = ERROR.fullmatch(text)
-    if found is None:
+    match = ERROR.fullmatch(text)
+    if match is None:
         raise Unreadable(f"{text!r} where an error entry was expected")
-    return Entry(int(found[1]), found[2])
+    return ErrorEntry(int(match[1]), match[2])
 
 
-def identity(line: bytes) -> Identity:
-    """Who answers.
+def identity(line: bytes) -> InstrumentIdentity:
+    """Parse the identity of the instrument.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def identity(line: bytes) -> Identity:
     fields = [field.strip() for field in _text(line).split(",")]
     if len(fields) != 4 or not fields[0] or not fields[1]:
         raise Unreadable(f"{_text(line)!r} where an identity of four fields was expected")
-    return Identity(*fields)
+    return InstrumentIdentity(*fields)
 
 
 def _text(line: bytes) -> str:

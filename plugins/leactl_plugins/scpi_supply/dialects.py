@@ -1,4 +1,4 @@
-"""How two families of supplies spell what SCPI leaves open: protection, ranges, readings, a way out of a deadlock."""
+"""Commands of two families of supplies that SCPI does not standardise: protection, ranges, readings, device clear."""
 
 import re
 from typing import Final, NamedTuple
@@ -15,8 +15,8 @@ class Protection(NamedTuple):
     tripped: str
 
 
-class Dialect(NamedTuple):
-    """What is sent to an instrument of one family."""
+class ScpiDialect(NamedTuple):
+    """Commands of one family of instruments."""
 
     voltage: Protection
     current: Protection
@@ -26,12 +26,12 @@ class Dialect(NamedTuple):
 
     @property
     def off(self) -> bytes:
-        """What switches the output off from any state: the line feed ends what somebody has left half sent."""
+        """Bytes that switch the output off from any state; the line feed ends an incomplete earlier command."""
         return self.clear + b"\nSYST:REM\nOUTP OFF\n"
 
 
 DIALECTS: Final = {
-    "e36xx": Dialect(
+    "e36xx": ScpiDialect(
         Protection(
             "over-voltage protection",
             "VOLT:PROT",
@@ -52,7 +52,7 @@ DIALECTS: Final = {
         re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII),
         b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
     ),
-    "dp800": Dialect(
+    "dp800": ScpiDialect(
         Protection(
             "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP", "OUTP:OVP?", "OUTP:OVP:QUES?"
         ),

@@ -1,4 +1,4 @@
-"""What is said to a supply: to get in step with it, to take its output away, to set it up, to command it, to measure.
+"""Commands of an SCPI supply, as scripts: synchronise, switch off, set up, set levels, measure.
 
 Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
 """
@@ -8,26 +8,26 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Question, Script
-from leactl.driver.serial_supply import Progress, Reading
+from leactl.driver.conversation import Query, Script
+from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import answers, models
-from leactl_plugins.scpi_supply.answers import Entry, Identity
+from leactl_plugins.scpi_supply.answers import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.dialects import DIALECTS, Protection
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, the same in both families
-IDENTIFY = Question("*IDN?", answers.identity, patient=True)
-OUTPUT = Question("OUTP?", answers.truth)
+IDENTIFY = Query("*IDN?", answers.identity, patient=True)
+OUTPUT = Query("OUTP?", answers.truth)
 FIRST = OUTPUT._replace(patient=True)  # after who it is: an answer to whoever asked before may be taken for that one
-CONDITION = Question("STAT:QUES:COND?", answers.register)
-ERROR = Question("SYST:ERR?", answers.entry)
+CONDITION = Query("STAT:QUES:COND?", answers.register)
+ERROR = Query("SYST:ERR?", answers.entry)
 
 
-class Found(NamedTuple):
-    """How a protection stood before it was set."""
+class ProtectionBefore(NamedTuple):
+    """State of a protection before it was changed."""
 
     protection: Protection
     level: float
@@ -35,57 +35,57 @@ class Found(NamedTuple):
 
 
 class ScpiDialogue:
-    """What is said to the supply of these settings."""
+    """Dialogue with the supply of these settings."""
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
-        self.met: Identity | None = None  # who answered last
+        self.met: InstrumentIdentity | None = None  # who answered last
         self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
         self._armed_at = settings.voltage_limit_V
         self._held = 0.0  # A, the level of the current
-        self._found: list[Found] = []  # protections of whoever had the supply before, to be put back
+        self._found: list[ProtectionBefore] = []  # protections of whoever had the supply before, to be put back
         volts, amperes = models.most(settings.model)
         reading = partial(answers.reading, form=self._dialect.reading)
-        self._voltage = Question("MEAS:VOLT?", partial(reading, rating=volts))
-        self._current = Question("MEAS:CURR?", partial(reading, rating=amperes))
+        self._voltage = Query("MEAS:VOLT?", partial(reading, rating=volts))
+        self._current = Query("MEAS:CURR?", partial(reading, rating=amperes))
 
     @property
     def off(self) -> bytes:
-        """What switches the output off from any state."""
+        """Bytes that switch the output off from any state."""
         return self._dialect.off
 
-    def in_step(self) -> Script[Identity]:
-        """Ask who answers: what comes before that answer was meant for an earlier question, and is dropped."""
-        who: Identity = yield from _asked(IDENTIFY)
+    def in_step(self) -> Script[InstrumentIdentity]:
+        """Query the identity and drop all replies before it, which belong to earlier queries."""
+        who: InstrumentIdentity = yield from _ask(IDENTIFY)
         return who
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
-        """Switch off until the instrument says so and no current flows, however often that takes.
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
+        """Switch off repeatedly until the instrument reports it and no current flows.
 
         The first command may be lost to a half-sent one or to an answer under way, so it is repeated.
         """
         while True:
             yield self._dialect.off
             self._check((yield from self.in_step()))
-            on = yield from _asked(FIRST)
+            on = yield from _ask(FIRST)
             if on:
-                progress.said = "the output is still on"
+                off_trouble.text = "the output is still on"
                 continue
-            current = yield from _asked(self._current)
+            current = yield from _ask(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
-            progress.said = f"the output is said to be off and {current:.3f} A flow"
+            off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
 
-    def _check(self, who: Identity) -> None:
-        """Refuse another instrument."""
+    def _check(self, who: InstrumentIdentity) -> None:
+        """Raise DeviceError if another instrument answers."""
         settings, self.met = self._settings, who
         if who.model != settings.model:
             raise DeviceError(f"{who.maker} {who.model} answers; {settings.model} was expected")
         if settings.serial_number and who.serial_number != settings.serial_number:
             raise DeviceError(f"serial number {who.serial_number} answers; {settings.serial_number} was expected")
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
-        """Make off, then arm both protections at their limits, with nothing set; errors of whoever was there before.
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
+        """Switch off, set levels to 0 and arm both protections at their limits; returns earlier errors as notices.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class ScpiDialogue:
         """
         settings = self._settings
         self._found, self._held = [], 0.0
-        yield from self.output_off(progress)
+        yield from self.output_off(off_trouble)
         before = yield from _errors()
         if settings.output_range:
             yield f"{self._dialect.set_range} {settings.output_range.upper()}"
@@ -110,24 +110,24 @@ class ScpiDialogue:
             raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
         return [f"had an error from before: {number}, {text}" for number, text in before]
 
-    def _as_found(self, limits: Mapping[str, float]) -> Script[list[Found]]:
-        """How the protections stand; one that somebody has armed closer than the limits is not loosened."""
-        found = []
+    def _as_found(self, limits: Mapping[str, float]) -> Script[list[ProtectionBefore]]:
+        """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
+        protections = []
         for protection, (key, limit) in zip(
             (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
         ):
-            level = yield from _asked(Question(protection.level, answers.number))
-            armed = yield from _asked(Question(protection.armed, answers.truth))
+            level = yield from _ask(Query(protection.level, answers.number))
+            armed = yield from _ask(Query(protection.armed, answers.truth))
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
                 )
-            found.append(Found(protection, level, armed))
-        return found
+            protections.append(ProtectionBefore(protection, level, armed))
+        return protections
 
     def put(self, voltage: float, current: float) -> Script[None]:
-        """Set both levels [V, A], arm the over-voltage protection at its own, and read everything back.
+        """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
 
         The voltage follows the current: the protection is raised before a larger one, and lowered after a smaller one.
 
@@ -151,48 +151,48 @@ class ScpiDialogue:
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Put both protections back as they were found; what was put back."""
-        found, self._found = self._found, []
-        if not found:
+        """Restore both protections; returns their names."""
+        protections, self._found = self._found, []
+        if not protections:
             return ()
         yield from self.in_step()
-        for protection, level, armed in found:
+        for protection, level, armed in protections:
             yield from _written(protection.set_level, protection.level, level)
             yield f"{protection.switch} {'ON' if armed else 'OFF'}"
-            if (yield from _asked(Question(protection.armed, answers.truth))) is not armed:
+            if (yield from _ask(Query(protection.armed, answers.truth))) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
-        return [one.protection.name for one in found]
+        return [before.protection.name for before in protections]
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and see that it is.
+        """Switch the output and check its state.
 
         Raises
         ------
         DeviceFault : the instrument says that it is not.
         """
         yield f"OUTP {'ON' if on else 'OFF'}"
-        if (yield from _asked(OUTPUT)) is not on:
+        if (yield from _ask(OUTPUT)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
-    def measured(self) -> Script[Reading]:
-        """Voltage, current, and how the instrument fares."""
+    def measured(self) -> Script[SupplyReading]:
+        """Measure voltage and current, and read output, condition, errors and protections."""
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
-        on = yield from _asked(OUTPUT)
-        condition = yield from _asked(CONDITION)
-        found = yield from _errors()
+        on = yield from _ask(OUTPUT)
+        condition = yield from _ask(CONDITION)
+        errors = yield from _errors()
         fault = yield from self._tripped()
         mode = REGULATED.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
-        told = tuple(f"error {number}, {text}" for number, text in found)
-        return Reading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, told)
+        notices = tuple(f"error {number}, {text}" for number, text in errors)
+        return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
     def _tripped(self) -> Script[str]:
-        """Which protection has tripped; empty where none has."""
+        """Text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.voltage, self._dialect.current):
-            if (yield from _asked(Question(protection.tripped, answers.truth))):
+            if (yield from _ask(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
         return ""
 
@@ -200,37 +200,37 @@ class ScpiDialogue:
 def _protect(protection: Protection, level: float) -> Script[None]:
     yield from _written(protection.set_level, protection.level, level)
     yield f"{protection.switch} ON"
-    if not (yield from _asked(Question(protection.armed, answers.truth))):
+    if not (yield from _ask(Query(protection.armed, answers.truth))):
         raise DeviceError(f"{protection.name} does not stay on")
-    if (yield from _asked(Question(protection.tripped, answers.truth))):
+    if (yield from _ask(Query(protection.tripped, answers.truth))):
         raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
 
 def _written(command: str, query: str, value: float) -> Script[None]:
-    """Write a level and read it back; further away than rounding takes it, it was refused."""
+    """Write a level and read it back; raise if it differs by more than rounding."""
     yield f"{command} {value:.4f}"
-    held = yield from _asked(Question(query, answers.number))
+    held = yield from _ask(Query(query, answers.number))
     if not abs(held - value) <= _off_by(value):
         raise DeviceError(f"{command} holds {held:g} after {value:g} was written")
 
 
 def _off_by(value: float) -> float:
-    """By how much a level may come back otherwise than it was written."""
+    """Tolerance of a level that is read back."""
     return ROUNDED * value + ROUNDED_BESIDE
 
 
-def _errors() -> Script[tuple[Entry, ...]]:
-    """Empty the error queue."""
-    found: list[Entry] = []
-    while (entry := (yield from _asked(ERROR))).number:
-        found.append(entry)
-        if len(found) > MOST_ERRORS:
+def _errors() -> Script[tuple[ErrorEntry, ...]]:
+    """Read the error queue until it is empty."""
+    errors: list[ErrorEntry] = []
+    while (entry := (yield from _ask(ERROR))).number:
+        errors.append(entry)
+        if len(errors) > MOST_ERRORS:
             raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
-    return tuple(found)
+    return tuple(errors)
 
 
-def _asked(question: Question) -> Script[Any]:
-    """The value of an answer."""
+def _ask(question: Query) -> Script[Any]:
+    """Script that sends a query and returns the value of its reply."""
     answer = yield question
     assert answer is not None
     return answer.value

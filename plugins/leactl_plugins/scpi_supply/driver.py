@@ -1,4 +1,4 @@
-"""A programmable DC supply over a serial line: off when met and when left, and whatever it says is asked for again.
+"""Programmable DC supply over a serial line: switched off at `open` and `close`, and every setting is read back.
 
 The instrument takes tens of milliseconds for an answer, and nothing waits for one within the loop.
 """
@@ -40,15 +40,15 @@ class ScpiSupply(Driver):
         self._line = SupplyLine(name, role, settings.feeds, port, self._dialogue, settings.answer_s, settings.period_s)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Switch off and see that it is, from any state, over a fresh connection if need be; never raises."""
+        """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
         return self._line.make_safe(deadline_s)
 
     def stop_now(self) -> None:
-        """Send what switches the output off, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that switches the output off, without waiting; over a new connection if needed."""
         self._line.stop_now()
 
     def open(self) -> None:
-        """Meet the supply: see who it is, make it off, arm its protections.
+        """Connect to the supply: identify it, switch it off, arm its protections.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class ScpiSupply(Driver):
         self._line.open(OPEN_S)
 
     def identity(self) -> Identity:
-        """Maker with model, serial number and revision as it answered `*IDN?`; 0 stands for none there."""
+        """Maker with model, serial number and revision from `*IDN?`, in which 0 means that there is none."""
         met = self._dialogue.met
         if met is None:
             return Identity()
@@ -66,7 +66,7 @@ class ScpiSupply(Driver):
         return Identity(f"{met.maker} {met.model}", serial, revision)
 
     def close(self) -> None:
-        """Let the line go."""
+        """Close the line."""
         self._line.close()
 
     @classmethod
@@ -81,16 +81,16 @@ class ScpiSupply(Driver):
 
     @property
     def most(self) -> tuple[float, float]:
-        """Highest voltage [V] and current [A] that `supply` takes: the levels of the protections."""
+        """Highest voltage [V] and current [A] that `supply` accepts: the levels of the protections."""
         return self.settings.voltage_limit_V, self.settings.current_limit_A
 
     @property
     def supplying(self) -> bool:
-        """True from when the instrument has reported its output on until it has reported it off."""
+        """Whether the output is on, by the instrument's last report."""
         return self._line.supplying
 
     def supply(self, voltage: float, current: float) -> None:
-        """Put out no more than this voltage [V] and this current [A] while switched on; switches nothing.
+        """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
 
         Raises
         ------
@@ -100,11 +100,11 @@ class ScpiSupply(Driver):
 
     @property
     def trip_accuracy(self) -> TripAccuracy:
-        """How far from its level [V] the over-voltage protection may trip."""
+        """Tolerance of the level of the over-voltage protection [V]."""
         return PROTECTION
 
     def protect(self, level: float) -> None:
-        """Have the over-voltage protection trip at this level [V], from the next `supply` on and with it.
+        """Set the level [V] of the over-voltage protection; it takes effect with the next `supply`.
 
         Raises
         ------
@@ -120,7 +120,7 @@ class ScpiSupply(Driver):
         self._line.switch_on()
 
     def switch_off(self) -> None:
-        """Begin to switch the output off: at once, and then until it is confirmed.
+        """Send the command to switch off at once, and repeat it in `take` until it is confirmed.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class ScpiSupply(Driver):
         return (self._line.stream,)
 
     def take(self) -> Sequence[Row]:
-        """Go on with the conversation; what has been measured since the last call; never waits.
+        """Continue the conversation without waiting; returns the rows measured since the last call.
 
         Raises
         ------
@@ -145,5 +145,5 @@ class ScpiSupply(Driver):
         return self._line.take()
 
     def notices(self) -> Sequence[str]:
-        """Errors of the instrument, answers that were lost, changes between constant voltage and constant current."""
+        """Notices: errors of the instrument, lost rounds, changes between constant voltage and constant current."""
         return self._line.notices()

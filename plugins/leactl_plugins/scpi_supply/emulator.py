@@ -1,4 +1,4 @@
-"""The supply's far end of the wire: commands of both families as bytes, an error queue, an output that regulates.
+"""Emulator of an SCPI supply: commands of both families, an error queue, and a regulated output.
 
 Spelt after the Keysight E3632A and E3633A/E3634A User's Guides and the Rigol DP800 Programming Guide; long and short
 forms, optional nodes and letter case are taken as SCPI-1999 volume 1, section 6.2, has them.
@@ -60,16 +60,16 @@ class ScpiSupplyEmulator:
     # -- what a bench may have go wrong ------------------------------------------------------------------------------
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Switch on no more off, as with a welded relay; `admits` says whether `OUTP?` goes on to answer 1."""
+        """Make the output stay on, as with a welded relay; `admits` says whether `OUTP?` still answers 1."""
         self._stuck, self._admits = True, admits
 
     def lose_regulation(self, share: float) -> None:
-        """Give this share of the voltage and current it is set to, and say that it does not regulate."""
+        """Put out only this share of the set voltage and current, and report that it does not regulate."""
         self._share = share
         self._regulate()
 
     def mend(self) -> None:
-        """Be whole again."""
+        """Return to normal operation."""
         self._stuck, self._share = False, 1.0
         self._regulate()
 
@@ -77,11 +77,11 @@ class ScpiSupplyEmulator:
 
     @property
     def due(self) -> float:
-        """When an answer is ready or the output is looked at again."""
+        """Time of the next answer or the next regulation [s]."""
         return min(self._output[0][0] if self._output else math.inf, self._regulates)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes as they arrive; a line feed ends a message, semicolons part its commands."""
+        """Receive bytes; a line feed ends a message, and semicolons separate its commands."""
         for byte in data:
             if byte == 0x03 and self.dialect == "e36xx":  # device clear
                 self._input = b""
@@ -95,7 +95,7 @@ class ScpiSupplyEmulator:
                 self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
 
     def tick(self, now: float) -> bytes:
-        """Regulate where that is due; the answer that is ready."""
+        """Regulate the output if that is due; returns an answer that is ready."""
         if now >= self._regulates:
             self._regulates = now + REGULATE_S
             self._regulate()
@@ -165,13 +165,13 @@ class ScpiSupplyEmulator:
             "STATus:QUEStionable:CONDition?": lambda _: self._register(self._condition()),
         }
         if self.dialect == "e36xx":
-            own = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", self.over_voltage)
-            own |= self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", self.over_current)
-            own |= {"[SOURce:]VOLTage:RANGe": self._set_range}
+            subtree = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", self.over_voltage)
+            subtree |= self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", self.over_current)
+            subtree |= {"[SOURce:]VOLTage:RANGe": self._set_range}
         else:
-            own = self._protection("OUTPut:OVP", ":VALue", ":QUES?", self.over_voltage)
-            own |= self._protection("OUTPut:OCP", ":VALue", ":QUES?", self.over_current)
-        return [(_pattern(name), act) for name, act in (common | own).items()]
+            subtree = self._protection("OUTPut:OVP", ":VALue", ":QUES?", self.over_voltage)
+            subtree |= self._protection("OUTPut:OCP", ":VALue", ":QUES?", self.over_current)
+        return [(_pattern(name), act) for name, act in (common | subtree).items()]
 
     def _protection(self, head: str, level: str, tripped: str, held: _Level) -> dict[str, Callable[[str], str | None]]:
         def set_level(text: str) -> None:
@@ -233,7 +233,7 @@ class ScpiSupplyEmulator:
 
 
 def _pattern(name: str) -> re.Pattern[str]:
-    """A header as the manuals print it, capitals for the short form and brackets for what may be left out."""
+    """Pattern of a header in the notation of the manuals: capitals for the short form, brackets for optional parts."""
     spelt = re.sub(r"[A-Z]+[a-z]*", lambda word: _either(word[0]), name.replace("*", r"\*").replace("?", r"\?"))
     return re.compile(":?" + spelt.replace("[", "(?:").replace("]", ")?"), re.IGNORECASE)
 

@@ -1,4 +1,4 @@
-"""What each model is good for; one that is not listed here can give anything as far as is known."""
+"""Ratings of known models; an unlisted model has no known limits."""
 
 import math
 from typing import Final

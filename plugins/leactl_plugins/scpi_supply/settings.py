@@ -1,4 +1,4 @@
-"""Settings of one power supply: which instrument it is, what it feeds, and what it may never put out."""
+"""Settings of one power supply: its model, its load, and the limits of its output."""
 
 from typing import Annotated, Literal
 

@@ -1,1 +1,1 @@
-"""Thermal cameras by the text files that their programs export."""
+"""Driver for thermal cameras, read from the text files that their programs export."""

@@ -1,7 +1,7 @@
-"""A thermal camera by its exports: regions over time, in degC, on the camera's own clock.
+"""Thermal camera read by its exported files: temperatures of regions [degC] on the camera's own clock.
 
 The camera takes no part in the control loop. Its program exports a file, before, during or after the run; the record is
-read as a whole and tied to the run's clock afterwards.
+read as a whole, and its clock is aligned with the run's afterwards.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import ExportFolder, Record, RecordClock
+from leactl.driver.batch import ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.ordering import in_order
+from leactl.driver.tables.row_order import order_rows
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl_plugins.thermal_csv.matrix import read_matrices
-from leactl_plugins.thermal_csv.series import Sheet, read_series
+from leactl_plugins.thermal_csv.series import CameraFile, read_series
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 
@@ -39,23 +39,23 @@ class ThermalCsv(Driver):
         self.exports = ExportFolder(settings.exports_folder)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: it only measures."""
+        """Confirm at once: the camera only measures."""
         return Confirmation(True, "measures only")
 
     def open(self) -> None:
-        """See which files are there already: those that come later are of the run."""
+        """Remember the present files, so that later ones are known to belong to the run."""
         self.exports.look()
 
     def close(self) -> None:
-        """Nothing to do: no file stays open."""
+        """Do nothing: no file stays open."""
 
     @classmethod
     def far_end(cls, settings: ThermalCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
-        """A camera that looks at the emulated actuator of this role.
+        """A camera that measures the emulated actuator of this role.
 
         Raises
         ------
-        InputError : no folder is set that its program could export to, or the export would be of frames.
+        InputError : no folder of exports is set, or the settings are for frames.
         """
         from leactl_plugins.thermal_csv.emulator import CameraEmulator
 
@@ -68,12 +68,12 @@ class ThermalCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the camera's clock is tied to that of a run."""
+        """How the camera's clock is aligned with that of a run."""
         return self.settings.clock
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:
-        """One channel a region, named and located as the settings have it."""
+        """One channel for each region, with the region's name as location."""
         return tuple(
             ChannelSpec(
                 name, region.quantity, self.role, self.name, region.column or f"{region.statistic} of {name}", name
@@ -81,49 +81,49 @@ class ThermalCsv(Driver):
             for name, region in self.settings.regions.items()
         )
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
-        """Read one record from one export, from its parts in order, or from files of one frame each.
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
+        """Read a record from one export, from its parts in order, or from files with one frame each.
 
         Raises
         ------
-        InputError : a file that cannot be read, or that has two readings.
+        InputError : a file cannot be read or is ambiguous.
         """
         if self.settings.matrix:
-            sheets = [read_matrices(paths, self.settings)]
+            files = [read_matrices(paths, self.settings)]
         else:
-            sheets = [read_series(path, self.settings) for path in paths]
-        time, values, began = joined(sheets)
-        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in sheets)])
+            files = [read_series(path, self.settings) for path in paths]
+        time, values, began = joined(files)
+        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in files)])
 
         def where(row: int) -> str:
             part = int(np.searchsorted(starts, row, side="right")) - 1
-            return sheets[part].where(row - int(starts[part]))
+            return files[part].where(row - int(starts[part]))
 
         times = self.settings.time
-        resolution = max(sheet.clock.resolution for sheet in sheets)
-        rows = in_order(time, values, where, times.backward, resolution, times.frame_rate_Hz)
+        resolution = max(sheet.clock.resolution for sheet in files)
+        rows = order_rows(time, values, where, times.backward, resolution, times.frame_rate_Hz)
         empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
-        told = list(dict.fromkeys(text for sheet in sheets for text in sheet.told))
-        return Record(
+        remarks = list(dict.fromkeys(text for sheet in files for text in sheet.remarks))
+        return FileRecord(
             stream=self.name,
             channels=self.channels,
             time=rows.time - rows.time[0],
             values=rows.values,
             began=None if began is None else began + float(rows.time[0]),
             resolution=resolution,
-            told=(*told, *rows.told),
+            remarks=(*remarks, *rows.remarks),
             files=tuple(paths),
         )
 
 
-def joined(sheets: Sequence[Sheet]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
-    """Rows of all parts on one clock, and the moment of its zero in s since 1970, where it is known.
+def joined(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
+    """Times and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
 
     Raises
     ------
-    InputError : parts of which some tell the day and some do not.
+    InputError : some parts have a date or zone and others have none.
     """
     midnights = [sheet.clock.midnight for sheet in sheets]
     known = [moment.timestamp() for moment in midnights if moment is not None]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from leactl.driver.text_writing import Dialect, new_export
+from leactl.driver.tables.writing import TableDialect, new_export
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 SYMBOLS = {"degC": "°C", "degF": "°F", "K": "K"}
@@ -24,7 +24,7 @@ DAY = datetime(2026, 1, 1)  # of a camera whose clock was never set
 def series(
     stamps: Sequence[str],
     columns: dict[str, Sequence[float]],
-    dialect: Dialect,
+    dialect: TableDialect,
     unit: str = "degC",
     time_heading: str = "Time",
     above: Sequence[str] = (),
@@ -44,13 +44,18 @@ def series(
     return dialect.encoded("".join(lines), begins=True)
 
 
-def heading(columns: Sequence[str] | dict[str, Sequence[float]], dialect: Dialect, unit: str, time_heading: str) -> str:
+def heading(
+    columns: Sequence[str] | dict[str, Sequence[float]], dialect: TableDialect, unit: str, time_heading: str
+) -> str:
     """The line of headings, units in brackets."""
     return dialect.row([time_heading, *(f"{name} ({SYMBOLS[unit]})" for name in columns)])
 
 
 def matrix(
-    frames: Sequence[Sequence[Sequence[float]]], above: Sequence[Sequence[str]], dialect: Dialect, unit: str = "degC"
+    frames: Sequence[Sequence[Sequence[float]]],
+    above: Sequence[Sequence[str]],
+    dialect: TableDialect,
+    unit: str = "degC",
 ) -> bytes:
     """Frames of pixels in degC, each under its own lines."""
     lines = [dialect.head()]
@@ -69,7 +74,7 @@ class CameraEmulator:
 
     def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
         self._folder, self._name, self._settings, self._regions = folder, name, settings, regions
-        self._dialect = Dialect(
+        self._dialect = TableDialect(
             encoding=settings.encoding or "utf-8",
             delimiter=settings.delimiter or ",",
             decimal=settings.decimal or ".",
@@ -107,7 +112,7 @@ class CameraEmulator:
         if time.kind == "wall":
             day = datetime.fromisoformat(time.date) if time.date else DAY
             return (day + timedelta(seconds=since)).isoformat(" ", "milliseconds")
-        return Dialect(decimal=self._dialect.decimal, decimals=3).number(since)
+        return TableDialect(decimal=self._dialect.decimal, decimals=3).number(since)
 
     def _write(self) -> None:
         """Write what is pending; a program whose disk fails it writes no more, and the bench goes on without it."""
@@ -126,6 +131,6 @@ class CameraEmulator:
 
     def _head(self) -> str:
         named = self._settings.time.column or "Time"
-        told = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
+        time_heading = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
         columns = [str(region.column) for region in self._settings.regions.values()]
-        return heading(columns, self._dialect, self._unit, told)
+        return heading(columns, self._dialect, self._unit, time_heading)

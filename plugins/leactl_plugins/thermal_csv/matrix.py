@@ -1,4 +1,4 @@
-"""Frames of pixels: one row of numbers a line, frames apart by blank lines or by lines that tell their time."""
+"""Read frames of pixels: one line per row, frames separated by blank lines or by lines with their time."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -7,22 +7,30 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.driver.batch import in_number_order
-from leactl.driver.text_form import read_numbers
-from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, one_unit, text_of, trimmed
+from leactl.driver.batch import refuse_text_order
+from leactl.driver.tables.number_format import read_numbers
+from leactl.driver.tables.text_table import (
+    DELIMITER_NAMES,
+    DELIMITERS,
+    SEP_LINE,
+    Aside,
+    common_unit,
+    read_text,
+    strip_cells,
+)
 from leactl.errors import InputError
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
     Array,
-    Sheet,
-    by_order,
-    emissivities,
-    marks_told,
+    CameraFile,
+    emissivity_remarks,
+    missing_remarks,
+    times_without_stamps,
     to_celsius,
     unit_in,
 )
-from leactl_plugins.thermal_csv.settings import Region, ThermalCsvSettings
+from leactl_plugins.thermal_csv.settings import CameraRegion, ThermalCsvSettings
 from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
 
 LETTER = re.compile(r"[^\W\d_]")
@@ -32,8 +40,8 @@ NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 
 
 @dataclass
-class Frame:
-    """One frame, not yet read: its lines, where it begins, what the lines above it say."""
+class PixelFrame:
+    """Unparsed lines of one frame, its first line, and the named values above it."""
 
     path: Path
     line: int
@@ -41,102 +49,106 @@ class Frame:
     above: list[Aside] = field(default_factory=list)
 
 
-def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
+def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> CameraFile:
     """Read the frames of one file or of several, in the order given.
 
     Raises
     ------
-    InputError : no frames, frames of several sizes, regions outside them, stamps or numbers with two readings.
+    InputError : no frames, frames of different sizes, regions outside them, or ambiguous stamps or numbers.
     """
-    frames: list[Frame] = []
-    told: list[str] = []
+    frames: list[PixelFrame] = []
+    remarks: list[str] = []
     for path in paths:
-        text, encoding = text_of(path, settings.encoding)
+        text, encoding = read_text(path, settings.encoding)
         lines = text.splitlines()
         delimiter = delimiter_of(path, lines, settings)
-        told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
+        remarks.append(f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells")
         frames += frames_in(path, lines, delimiter, settings)
         if not text.endswith(("\n", "\r")):
-            told.append(f"{path.name} has no end of its last line: the last pixel may be cut")
-    told = list(dict.fromkeys(told))
+            remarks.append(f"{path.name} has no end of its last line: the last pixel may be cut")
+    remarks = list(dict.fromkeys(remarks))
     if settings.time.line is None:
-        in_number_order(paths)
-    frames, width, left_out = even(frames, delimiter)
-    told += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
+        refuse_text_order(paths)
+    frames, width, left_out = frames_of_one_size(frames, delimiter)
+    remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
 
     def where(row: int) -> str:
         return f"{frames[row].path}: the frame from line {frames[row].line} on"
 
     cells = region_cells(frames, delimiter, width, settings)
-    flat = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
+    cells_by_region = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
     sizes = {name: len(of[0]) for name, of in cells.items()}
 
     def place(name: str, at: int) -> str:
         return f"{where(at // sizes[name])}, region {name}"
 
-    found, convention = read_numbers(flat, settings, place, dict.fromkeys(flat, (COLDEST, HOTTEST)))
+    numbers, convention = read_numbers(
+        cells_by_region, settings, place, dict.fromkeys(cells_by_region, (COLDEST, HOTTEST))
+    )
     asides = [aside for frame in frames for aside in frame.above]
     headings = {name: name for name in cells}
-    unit = unit_in(paths[0], settings, headings, found, asides)
+    unit = unit_in(paths[0], settings, headings, numbers, asides)
     values = np.stack(
         [
-            STATISTICS[region.statistic](to_celsius(found[name].values, unit).reshape(len(frames), -1), axis=1)
+            STATISTICS[region.statistic](to_celsius(numbers[name].values, unit).reshape(len(frames), -1), axis=1)
             for name, region in settings.regions.items()
         ],
         axis=1,
     )
     if settings.time.line is None:
-        clock = by_order(len(frames), settings, where)
+        clock = times_without_stamps(len(frames), settings, where)
     else:
         stamps = [stamp_of(frame, settings.time.line) for frame in frames]
         if looks_plain(stamps[0]):
             plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
-            numbers, line = plain[settings.time.line], settings.time.line
-            clock = read_plain(numbers.values, one_unit("", numbers.units, where(0)), settings.time, line, where)
+            stamp_numbers, line = plain[settings.time.line], settings.time.line
+            clock = read_plain(
+                stamp_numbers.values, common_unit("", stamp_numbers.units, where(0)), settings.time, line, where
+            )
         else:
             clock = read_stamps(stamps, settings.time, where)
-    told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]
-    return Sheet(clock, values, where, told + emissivities(asides))
+    remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
+    return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
-    """What stands between the cells: as told, or the only mark that cuts the first rows into equally many numbers."""
+    """The delimiter: as stated, or the only one that splits the first lines into equally many numbers."""
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
-    sample = [line for line in lines[:200] if line.strip() and not tells(line, settings)][:50]
+    sample = [line for line in lines[:200] if line.strip() and not is_text_line(line, settings)][:50]
     fitting = [
         mark
         for mark in DELIMITERS
         if sample
-        and len({len(trimmed(line.split(mark))) for line in sample}) == 1
-        and len(trimmed(sample[0].split(mark))) > 1
+        and len({len(strip_cells(line.split(mark))) for line in sample}) == 1
+        and len(strip_cells(sample[0].split(mark))) > 1
         and all(looks_plain(cell) or not any(c.isdigit() for c in cell) for cell in sample[0].split(mark))
     ]
     if len(fitting) != 1:
-        names = " and ".join(NAMED.get(mark, repr(mark)) for mark in fitting) or "no mark"
+        names = " and ".join(DELIMITER_NAMES.get(mark, repr(mark)) for mark in fitting) or "no mark"
         raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides")
     return fitting[0]
 
 
-def tells(line: str, settings: ThermalCsvSettings) -> bool:
-    """Whether a line says something and is no row of pixels; a pixel that was missed may be marked by letters."""
+def is_text_line(line: str, settings: ThermalCsvSettings) -> bool:
+    """Whether a line begins with a word and is no row of pixels; marks of missing pixels may be letters too."""
     first = CELL_ENDS.split(line, maxsplit=1)[0].strip("\"' ")
     return LETTER.match(first) is not None and first not in settings.missing
 
 
-def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[Frame]:
-    """Cut a file into frames."""
-    frames = [Frame(path, 1)]
+def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[PixelFrame]:
+    """Split the lines of a file into frames."""
+    frames = [PixelFrame(path, 1)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
             continue
-        cells = trimmed(line.split(delimiter))
-        if not cells or tells(line, settings):
+        cells = strip_cells(line.split(delimiter))
+        if not cells or is_text_line(line, settings):
             if frames[-1].rows:
-                frames.append(Frame(path, number + 1))
+                frames.append(PixelFrame(path, number + 1))
             if cells:
-                note(frames[-1], number, cells)
+                note_named_value(frames[-1], number, cells)
             continue
         if not frames[-1].rows:
             frames[-1].line = number
@@ -144,38 +156,38 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
     return [frame for frame in frames if frame.rows]
 
 
-def note(frame: Frame, line: int, cells: Sequence[str]) -> None:
-    """Keep what a line between the frames says: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
-    found = NAME_VALUE.fullmatch(cells[0])
-    name, value = (found[1], found[2]) if found else (cells[0], "")
+def note_named_value(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
+    """Store the named value of a line between frames: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
+    match = NAME_VALUE.fullmatch(cells[0])
+    name, value = (match[1], match[2]) if match else (cells[0], "")
     frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
 
 
-def even(frames: list[Frame], delimiter: str) -> tuple[list[Frame], int, list[str]]:
-    """Frames of one size; a last one that is cut short is left out.
+def frames_of_one_size(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
+    """Check that frames have one size; an incomplete last frame is left out. Returns frames, width and remarks.
 
     Raises
     ------
-    InputError : no frame, or another size in the midst of them.
+    InputError : no frame, or a frame of another size before the last.
     """
     if not frames:
         raise InputError("no frame of numbers was found")
-    sizes = [{len(trimmed(row.split(delimiter))) for row in frame.rows} for frame in frames]
+    sizes = [{len(strip_cells(row.split(delimiter))) for row in frame.rows} for frame in frames]
     width, height = max(sizes[0]), len(frames[0].rows)
-    told = []
+    remarks = []
     last = frames[-1]
     if len(frames) > 1 and (len(last.rows) < height or min(sizes[-1]) < width):
-        told.append(f"the last frame, from line {last.line} on, is cut short: left out")
+        remarks.append(f"the last frame, from line {last.line} on, is cut short: left out")
         frames, sizes = frames[:-1], sizes[:-1]
     for frame, widths in zip(frames, sizes, strict=True):
         if widths != {width} or len(frame.rows) != height:
             shape = f"{len(frame.rows)} rows of {' or '.join(map(str, sorted(widths)))} cells"
             raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {height} of {width} were expected")
-    return frames, width, told
+    return frames, width, remarks
 
 
 def region_cells(
-    frames: Sequence[Frame], delimiter: str, width: int, settings: ThermalCsvSettings
+    frames: Sequence[PixelFrame], delimiter: str, width: int, settings: ThermalCsvSettings
 ) -> dict[str, list[list[str]]]:
     """The cells of each region, by frame.
 
@@ -194,27 +206,27 @@ def region_cells(
     for frame in frames:
         split = {row: frame.rows[row].split(delimiter) for row in needed}
         for name, (rows, columns) in spans.items():
-            found = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
-            cells[name].append([cell for row_cells in found for cell in row_cells])
+            rows_of_region = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
+            cells[name].append([cell for row_cells in rows_of_region for cell in row_cells])
     return cells
 
 
-def span_of(region: Region) -> tuple[tuple[int, int], tuple[int, int]]:
+def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:
     """First and last row, first and last column."""
     assert region.rows is not None
     assert region.columns is not None
     return region.rows, region.columns
 
 
-def stamp_of(frame: Frame, name: str) -> str:
-    """What the lines above a frame tell of its time.
+def stamp_of(frame: PixelFrame, name: str) -> str:
+    """The named value above a frame that holds its time.
 
     Raises
     ------
-    InputError : nothing of that name.
+    InputError : there is no value of that name, or several.
     """
-    found = [aside.value for aside in frame.above if aside.name == name]
-    if len(found) != 1:
+    values = [aside.value for aside in frame.above if aside.name == name]
+    if len(values) != 1:
         has = ", ".join(repr(aside.name) for aside in frame.above) or "nothing"
         raise InputError(f"{frame.path}: the frame from line {frame.line} on has {has} above it, not one {name!r}")
-    return found[0]
+    return values[0]

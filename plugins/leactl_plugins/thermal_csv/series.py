@@ -1,4 +1,4 @@
-"""A series of regions over time: one row a frame, columns of the user's own names."""
+"""Read a table of regions over time: one row per frame, with columns named by the user."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -8,74 +8,78 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Aside, Table, one_unit, read_table, unit_of
+from leactl.driver.tables.number_format import Numbers, read_numbers
+from leactl.driver.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
-from leactl_plugins.thermal_csv.stamps import Clock, looks_plain, read_frames, read_plain, read_stamps
+from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
 
 Array = npt.NDArray[np.float64]
-COLDEST, HOTTEST = -460.0, 6000.0  # in any of the units; no camera tells more
+COLDEST, HOTTEST = -460.0, 6000.0  # range of cameras in any of the units
 EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
 UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位", re.IGNORECASE)
 
 
-class Sheet(NamedTuple):
-    """What one file holds, in its own order."""
+class CameraFile(NamedTuple):
+    """Content of one file, in the order of its rows."""
 
-    clock: Clock
+    clock: RowTimes
     values: Array  # (rows, regions), degC
     where: Callable[[int], str]
-    told: list[str]
+    remarks: list[str]
 
 
-def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
+def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     """Read one file of a series.
 
     Raises
     ------
-    InputError : everything in it that is wrong or has two readings.
+    InputError : all faults and ambiguities of the file.
     """
     time = settings.time
     regions = {name: str(region.column) for name, region in settings.regions.items()}
-    stamped = [name for name in (time.date_column, time.column) if name is not None]
-    table = read_table(path, settings, [*stamped, *regions.values()], every_row=not stamped)
+    stamp_columns = [name for name in (time.date_column, time.column) if name is not None]
+    table = read_table(path, settings, [*stamp_columns, *regions.values()], every_row=not stamp_columns)
     columns = {name: table.column(column) for name, column in regions.items()}
-    stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamped), strict=True)]
-    plain = not stamps or looks_plain(stamps[0])
+    stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamp_columns), strict=True)]
+    is_number = not stamps or looks_plain(stamps[0])
     cells = {table.heading(column): columns[name] for name, column in regions.items()}
     bounds = dict.fromkeys(cells, (COLDEST, HOTTEST))
     heading = table.heading(time.column) if time.column else ""
-    if plain and stamps:
+    if is_number and stamps:
         cells[heading] = stamps
-    found, convention = read_numbers(cells, settings, table.place, bounds)
-    told = [*table.told, str(convention)]
+    numbers_by_heading, convention = read_numbers(cells, settings, table.place, bounds)
+    remarks = [*table.remarks, str(convention)]
 
     def where(row: int) -> str:
         return table.place(heading or table.headings[0], row)
 
     if not stamps:
-        clock = by_order(len(table.rows), settings, where)
-    elif plain:
+        clock = times_without_stamps(len(table.rows), settings, where)
+    elif is_number:
         clock = read_plain(
-            found[heading].values, one_unit(heading, found[heading].units, where(0)), time, heading, where
+            numbers_by_heading[heading].values,
+            common_unit(heading, numbers_by_heading[heading].units, where(0)),
+            time,
+            heading,
+            where,
         )
     else:
         clock = read_stamps(stamps, time, where)
-    by_name = {name: found[table.heading(column)] for name, column in regions.items()}
+    by_name = {name: numbers_by_heading[table.heading(column)] for name, column in regions.items()}
     headings = {name: table.heading(column) for name, column in regions.items()}
     unit = unit_in(path, settings, headings, by_name, table.asides)
-    told += [f"temperatures in {unit}", clock.told, *marks_told(headings, by_name)]
+    remarks += [f"temperatures in {unit}", clock.description, *missing_remarks(headings, by_name)]
     if table.repeated_headers:
-        told.append(f"{table.repeated_headers + 1} blocks under the same headings")
-    told += emissivities(table.asides) + emissivity_columns(table)
+        remarks.append(f"{table.repeated_headers + 1} blocks under the same headings")
+    remarks += emissivity_remarks(table.asides) + emissivity_column_remarks(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
-    return Sheet(clock, values, where, told)
+    return CameraFile(clock, values, where, remarks)
 
 
-def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> Clock:
-    """The clock of rows that carry no stamp: frames by their order."""
+def times_without_stamps(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
+    """Times of rows without stamps, from the frame rate."""
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 
 
@@ -86,33 +90,33 @@ def unit_in(
     columns: Mapping[str, Numbers],
     asides: list[Aside],
 ) -> str:
-    """The one temperature unit of a file: by headings, cells or a line above them, or as the settings say.
+    """The temperature unit of a file, from headings, cells, a line above the table, or the settings.
 
     Raises
     ------
-    InputError : none is named, or several.
+    InputError : no unit or several units are named.
     """
-    named: dict[str, str] = {}
+    sources_by_unit: dict[str, str] = {}
     for name, heading in headings.items():
         unit = unit_named(unit_of(heading)) or unit_after_slash(heading)
         if unit:
-            named.setdefault(unit, f"heading {heading!r}")
+            sources_by_unit.setdefault(unit, f"heading {heading!r}")
         for text in filter(None, columns[name].units):
             in_cell = unit_named(text)
             if in_cell is None:
                 raise InputError(f"{path}: column {heading!r}: {text!r} behind a number is no temperature unit")
-            named.setdefault(in_cell, f"cells of {heading!r}")
+            sources_by_unit.setdefault(in_cell, f"cells of {heading!r}")
     for aside in asides:
         if UNIT_LINE.search(aside.name) and (unit := unit_named(aside.value)):
-            named.setdefault(unit, f"line {aside.line}")
+            sources_by_unit.setdefault(unit, f"line {aside.line}")
     if settings.unit is not None:
-        named.setdefault(settings.unit, "the setting unit")
-    if len(named) > 1:
-        told = ", ".join(f"{unit} by {where}" for unit, where in named.items())
-        raise InputError(f"{path}: several temperature units: {told}")
-    if not named:
+        sources_by_unit.setdefault(settings.unit, "the setting unit")
+    if len(sources_by_unit) > 1:
+        message = ", ".join(f"{unit} by {where}" for unit, where in sources_by_unit.items())
+        raise InputError(f"{path}: several temperature units: {message}")
+    if not sources_by_unit:
         raise InputError(f"{path}: no heading, cell or line names the temperature unit; unit decides")
-    return next(iter(named))
+    return next(iter(sources_by_unit))
 
 
 def unit_after_slash(heading: str) -> str | None:
@@ -121,42 +125,44 @@ def unit_after_slash(heading: str) -> str | None:
 
 
 def to_celsius(values: Array, unit: str) -> Array:
-    """Temperatures in degC."""
+    """Convert temperatures to degC."""
     conversion = converter(unit, "winding_temperature")
     assert conversion is not None
     converted: Array = conversion.factor * (values - conversion.zero)
     return converted
 
 
-def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
-    """Cells without a number, by column."""
-    told = []
+def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
+    """Remarks on missing and over-range cells, one for each column."""
+    remarks = []
     for name, numbers in columns.items():
         over = ", ".join(f"{mark} {count} times" for mark, count in numbers.outside.items())
         missing = f"{numbers.missing} missing" if numbers.missing else ""
         if over or missing:
-            told.append(f"{headings[name]}: {', '.join(filter(None, (missing, over)))}: NaN")
-    return told
+            remarks.append(f"{headings[name]}: {', '.join(filter(None, (missing, over)))}: NaN")
+    return remarks
 
 
-def emissivities(asides: list[Aside]) -> list[str]:
-    """The emissivity that the camera was set to, and where it changed."""
-    found = [aside for aside in asides if EMISSIVITY.search(aside.name)]
-    changes = [aside for k, aside in enumerate(found) if k == 0 or aside.value != found[k - 1].value]
+def emissivity_remarks(asides: list[Aside]) -> list[str]:
+    """A remark on the camera's emissivity and its changes; empty if the file has none."""
+    emissivity_lines = [aside for aside in asides if EMISSIVITY.search(aside.name)]
+    changes = [
+        aside for k, aside in enumerate(emissivity_lines) if k == 0 or aside.value != emissivity_lines[k - 1].value
+    ]
     if not changes:
         return []
     first, *later = changes
-    told = "".join(f"; from line {aside.line} on it is {aside.value}" for aside in later)
-    return [f"emissivity {first.value}{told and ' CHANGES'}{told}"]
+    later_values = "".join(f"; from line {aside.line} on it is {aside.value}" for aside in later)
+    return [f"emissivity {first.value}{later_values and ' CHANGES'}{later_values}"]
 
 
-def emissivity_columns(table: Table) -> list[str]:
-    """Emissivities that stand in columns of their own, and where they change."""
-    told = []
-    for place, heading in enumerate(table.headings):
+def emissivity_column_remarks(table: Table) -> list[str]:
+    """Remarks on columns of emissivities and their changes."""
+    remarks = []
+    for column, heading in enumerate(table.headings):
         if EMISSIVITY.search(heading):
-            cells = [row[place].strip() for row in table.rows]
-            turns = [k for k in range(1, len(cells)) if cells[k] != cells[k - 1]]
-            changed = "".join(f"; from line {table.lines[k]} on it is {cells[k]}" for k in turns[:5])
-            told.append(f"{heading} {cells[0]}{changed and ' CHANGES'}{changed}")
-    return told
+            cells = [row[column].strip() for row in table.rows]
+            changed_rows = [k for k in range(1, len(cells)) if cells[k] != cells[k - 1]]
+            changed = "".join(f"; from line {table.lines[k]} on it is {cells[k]}" for k in changed_rows[:5])
+            remarks.append(f"{heading} {cells[0]}{changed and ' CHANGES'}{changed}")
+    return remarks

@@ -1,4 +1,4 @@
-"""Settings of one thermal camera: which columns or pixels are which places, and what its files do not say."""
+"""Settings of one thermal camera: the columns or pixels of its regions, and facts that its files do not state."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
 import math
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import Shown
-from leactl.driver.text_form import TextForm
+from leactl.driver.tables.number_format import TableFormat
 from leactl.units import known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -19,8 +19,8 @@ Pixel = Annotated[int, Field(strict=True, ge=0, le=20_000)]
 QUANTITIES = ("winding_temperature", "housing_temperature", "ambient_temperature")
 
 
-class Region(BaseModel):
-    """One place on the actuator: a column of the series, or a rectangle of the frames."""
+class CameraRegion(BaseModel):
+    """A region on the actuator: a column of a table, or a rectangle of the frames."""
 
     model_config = STRICT
     quantity: Literal["winding_temperature", "housing_temperature", "ambient_temperature"]
@@ -40,8 +40,8 @@ class Region(BaseModel):
         return self
 
 
-class TimeOf(BaseModel):
-    """Where the stamps stand and what they are; what is left out is found in the file, or the file is refused."""
+class StampSettings(BaseModel):
+    """Column and meaning of the stamps; a setting that is None is detected, and an ambiguous file is refused."""
 
     model_config = STRICT
     column: Heading | None = None
@@ -73,11 +73,11 @@ class TimeOf(BaseModel):
         return value
 
 
-class ThermalCsvSettings(TextForm, RecordSettings):
-    """One camera and the regions that its exports have."""
+class ThermalCsvSettings(TableFormat, RecordSettings):
+    """One camera with the regions of its exports."""
 
-    regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Region], Field(min_length=1)]
-    time: TimeOf = TimeOf()
+    regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], CameraRegion], Field(min_length=1)]
+    time: StampSettings = StampSettings()
     unit: Literal["degC", "degF", "K"] | None = None
 
     @model_validator(mode="after")
@@ -90,7 +90,7 @@ class ThermalCsvSettings(TextForm, RecordSettings):
         return self
 
     def shown(self) -> list[Shown]:
-        """Every region; a record of another program trips no limit, so that none has to lie within a range."""
+        """Every region with an infinite range, because a record that comes after the run cannot trip a limit."""
         return [
             Shown(("regions", name, "quantity"), region.quantity, -math.inf, math.inf)
             for name, region in self.regions.items()
@@ -98,12 +98,12 @@ class ThermalCsvSettings(TextForm, RecordSettings):
 
     @property
     def matrix(self) -> bool:
-        """Whether the files hold frames of pixels, and no series of regions."""
+        """Whether the files have frames of pixels instead of a table of regions."""
         return all(region.column is None for region in self.regions.values())
 
 
 def zone_of(name: str) -> timezone | ZoneInfo:
-    """A zone by its name or its hours ahead of UTC.
+    """A time zone by its name or its offset from UTC.
 
     Raises
     ------
@@ -127,6 +127,6 @@ assert set(UNIT_NAMES) == set(known_units("winding_temperature"))
 
 
 def unit_named(text: str) -> str | None:
-    """The temperature unit that a heading or cell names; None where it is none."""
+    """The temperature unit that a text names; None if it names none."""
     plain = text.strip().lower()
     return next((unit for unit, names in UNIT_NAMES.items() if plain in names), None)

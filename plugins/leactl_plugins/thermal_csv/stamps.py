@@ -1,6 +1,6 @@
-"""Stamps of a camera's export as seconds: time of day, elapsed time or frame numbers, in every way they are written.
+"""Convert stamps of a camera's export to seconds: time of day, elapsed time or frame numbers, in all usual formats.
 
-Where a stamp has two readings that differ, such as 01/02/2026, it is refused with the setting that decides.
+An ambiguous stamp, such as 01/02/2026, is refused with the name of the setting that decides.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.units import SECONDS
-from leactl_plugins.thermal_csv.settings import TimeOf, zone_of
+from leactl_plugins.thermal_csv.settings import StampSettings, zone_of
 
 Array = npt.NDArray[np.float64]
 Where = Callable[[int], str]
@@ -30,18 +30,18 @@ STAMP = re.compile(
 ORDERS = {"ymd": (0, 1, 2), "dmy": (2, 1, 0), "mdy": (2, 0, 1)}
 
 
-class Clock(NamedTuple):
-    """Stamps as they were read."""
+class RowTimes(NamedTuple):
+    """Times of the rows of one file."""
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
     day: date | None  # of that midnight, where it is known
     resolution: float  # s
-    told: str
+    description: str
 
 
-class Stamp(NamedTuple):
-    """One stamp taken apart, without its fraction of a second."""
+class StampParts(NamedTuple):
+    """Parts of a stamp, without its fraction of a second."""
 
     day: tuple[int, int, int] | None  # as it stands
     fields: tuple[int, ...]  # of the time, between colons
@@ -50,85 +50,92 @@ class Stamp(NamedTuple):
 
 
 def looks_plain(text: str) -> bool:
-    """Whether a stamp is a plain number: elapsed time or a frame's number."""
+    """Whether a stamp is a plain number: elapsed time or a frame number."""
     return PLAIN.fullmatch(text.strip()) is not None
 
 
-def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
-    """Seconds out of stamps with colons.
+def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> RowTimes:
+    """Convert stamps with colons to seconds.
 
     Raises
     ------
-    InputError : a stamp that is none, or one with two readings.
+    InputError : a stamp is invalid or ambiguous.
     """
     if settings.colons == "fraction_last":
         texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
-    places, fractions, digits = without_fractions(texts)
-    heads = {key: row for row, key in reversed(list(enumerate(places)))}
-    stamps = {key: take_apart("".join(key), where(heads[key])) for key in dict.fromkeys(places)}
-    day_of, told_order = read_days(stamps, settings, lambda key: where(heads[key]))
+    stamp_texts, fractions, digits = without_fractions(texts)
+    first_rows = {key: row for row, key in reversed(list(enumerate(stamp_texts)))}
+    stamps = {key: parse_stamp("".join(key), where(first_rows[key])) for key in dict.fromkeys(stamp_texts)}
+    day_of, order_text = read_days(stamps, settings, lambda key: where(first_rows[key]))
     kind = kind_of(stamps, settings, where)
     base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
     days_first = digits > 0 or settings.colons == "days_first"
     hours_first = two_fields_are_hours(stamps, settings, kind, digits, where)
     seconds = {}
     for key, stamp in stamps.items():
-        own = day_of[stamp.day]
-        days = (own - base).days if own is not None and base is not None else 0
-        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, hours_first, where(heads[key]), kind)
-    time_s = np.array([seconds[key] for key in places]) + fractions
-    told = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
+        day = day_of[stamp.day]
+        days = (day - base).days if day is not None and base is not None else 0
+        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, hours_first, where(first_rows[key]), kind)
+    time_s = np.array([seconds[key] for key in stamp_texts]) + fractions
+    description = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
     if kind == "wall" and None in day_of.values():
         step = np.diff(time_s, prepend=time_s[0])
         over = (step < -0.5 * DAY_S).astype(int) - (step > 0.5 * DAY_S)  # a row out of order goes back over midnight
         passed = np.cumsum(over)
         time_s = time_s + DAY_S * passed
-        told += f", {int(passed[-1])} midnights passed"
+        description += f", {int(passed[-1])} midnights passed"
     whole = 60.0 if hours_first and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
     resolution = 10.0**-digits if digits else whole
-    midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
-    said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
+    midnight, zone_text = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
+    said = [description, order_text, zone_text if kind == "wall" else "", f"resolved to {resolution:g} s"]
     wall = kind == "wall"
-    return Clock(time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said)))
+    return RowTimes(
+        time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said))
+    )
 
 
 def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
-    """What stands before and behind each fraction of a second, the fractions, and the digits of the longest.
+    """Texts before and after each fraction of a second, the fractions (n,) [s], and their largest number of digits.
 
-    A long record has few stamps that differ in more than their fraction; only those are taken apart.
+    Few stamps of a long record differ in more than their fraction; only those are parsed.
     """
-    places: list[tuple[str, str]] = []
+    stamp_texts: list[tuple[str, str]] = []
     fractions = np.zeros(len(texts))
     digits = 0
     for row, text in enumerate(texts):
-        found = FRACTION.fullmatch(text)
-        places.append((found[1], found[3]) if found else (text, ""))
-        if found:
-            digits = max(digits, len(found[2]))
-            fractions[row] = int(found[2]) * 10.0 ** -len(found[2])
-    return places, fractions, digits
+        match = FRACTION.fullmatch(text)
+        stamp_texts.append((match[1], match[3]) if match else (text, ""))
+        if match:
+            digits = max(digits, len(match[2]))
+            fractions[row] = int(match[2]) * 10.0 ** -len(match[2])
+    return stamp_texts, fractions, digits
 
 
-def take_apart(text: str, where: str) -> Stamp:
-    """The parts of one stamp."""
-    found = STAMP.fullmatch(text.strip())
-    if found is None or (found["early"] and found["late"]):
+def parse_stamp(text: str, where: str) -> StampParts:
+    """Parse one stamp.
+
+    Raises
+    ------
+    InputError : it is no date and time.
+    """
+    match = STAMP.fullmatch(text.strip())
+    if match is None or (match["early"] and match["late"]):
         raise InputError(f"{where}: {text!r} is no date and time that is known")
-    half = (found["early"] or found["late"] or "").lower().replace(".", "")
+    half = (match["early"] or match["late"] or "").lower().replace(".", "")
     half = {"上午": "am", "下午": "pm"}.get(half, half)
-    day = (int(found["a"]), int(found["b"]), int(found["c"])) if found["a"] else None
-    return Stamp(day, tuple(int(part) for part in found["clock"].split(":")), half, found["zone"] or "")
+    day = (int(match["a"]), int(match["b"]), int(match["c"])) if match["a"] else None
+    return StampParts(day, tuple(int(part) for part in match["clock"].split(":")), half, match["zone"] or "")
 
 
 def read_days(
-    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Callable[[tuple[str, str]], str]
+    stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Callable[[tuple[str, str]], str]
 ) -> tuple[dict[tuple[int, int, int] | None, date | None], str]:
-    """Every day as a date, in the one order of year, month and day that fits all of them."""
+    """Convert days to dates by the only order of year, month and day that fits all; also returns the order as text."""
     days = {stamp.day: key for key, stamp in stamps.items()}
     readings: dict[str, dict[tuple[int, int, int] | None, date | None]] = {}
     for order in ORDERS if settings.date_order is None else (settings.date_order,):
         dates = {day: None if day is None else date_in(order, day) for day in days}
-        if all(found is not None for day, found in dates.items() if day is not None):
+        if all(day_read is not None for day, day_read in dates.items() if day is not None):
             readings[order] = dates
     if not readings:
         first = next(day for day in days if day is not None)
@@ -138,14 +145,14 @@ def read_days(
     for other, different in others:
         for day in days:
             if dates[day] != different[day]:
-                told = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
-                raise InputError(f"{where(days[day])}: {told}; time.date_order decides")
+                message = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
+                raise InputError(f"{where(days[day])}: {message}; time.date_order decides")
     return dates, f"dates as {order}" if any(day is not None for day in days) else ""
 
 
 def date_in(order: str, day: tuple[int, int, int]) -> date | None:
-    """A date in one order; the year has two or four digits and a four-digit one stands where the order says."""
-    year, month, number = (day[place] for place in ORDERS[order])
+    """A date from three numbers in an order; None if it is no date from 1990 to 2100."""
+    year, month, number = (day[index] for index in ORDERS[order])
     if year < 100:
         year += 2000
     try:
@@ -154,8 +161,8 @@ def date_in(order: str, day: tuple[int, int, int]) -> date | None:
         return None
 
 
-def kind_of(stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Where) -> str:
-    """What the clock tells: the time of day, elapsed time, or either ("") where that makes no difference."""
+def kind_of(stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Where) -> str:
+    """Kind of the stamps: "wall", "elapsed", or "" if either is possible."""
     dated = any(stamp.day is not None or stamp.half for stamp in stamps.values())
     past_a_day = any(len(stamp.fields) == 3 and stamp.fields[0] > 23 for stamp in stamps.values())
     if dated:
@@ -169,13 +176,13 @@ def kind_of(stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Where
     return settings.kind or ("elapsed" if past_a_day else "wall" if settings.date else "")
 
 
-def first_day(stamps: dict[tuple[str, str], Stamp]) -> tuple[int, int, int] | None:
-    """The day of the first stamp."""
+def first_day(stamps: dict[tuple[str, str], StampParts]) -> tuple[int, int, int] | None:
+    """The day in the first stamp; None if it has none."""
     return next(iter(stamps.values())).day
 
 
-def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) -> date | None:
-    """The day whose midnight is time zero."""
+def base_day(days: set[date | None], first: StampParts, settings: StampSettings, kind: str) -> date | None:
+    """The date whose midnight is time zero; None if unknown."""
     dated = [day for day in days if day is not None]
     if dated:
         return min(dated)
@@ -187,13 +194,13 @@ def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) 
 
 
 def two_fields_are_hours(
-    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, kind: str, digits: int, where: Where
+    stamps: dict[tuple[str, str], StampParts], settings: StampSettings, kind: str, digits: int, where: Where
 ) -> bool:
-    """Whether stamps such as 10:15 are hours and minutes, and not minutes and seconds.
+    """Whether stamps such as 10:15 are hours and minutes instead of minutes and seconds.
 
     Raises
     ------
-    InputError : they may be both, or minutes and seconds where a time of day is needed.
+    InputError : both are possible, or they are minutes and seconds although a time of day is needed.
     """
     short = next((stamp for stamp in stamps.values() if len(stamp.fields) == 2), None)
     if short is None:
@@ -214,8 +221,8 @@ def two_fields_are_hours(
     return hours
 
 
-def clock_seconds(stamp: Stamp, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
-    """Seconds of the day, or since the start, without the fraction."""
+def clock_seconds(stamp: StampParts, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
+    """Seconds since midnight or since the start, without the fraction."""
     fields, days = stamp.fields, 0
     if len(fields) == 4 and not days_first:
         text = ":".join(f"{part:02d}" for part in fields)
@@ -235,13 +242,19 @@ def clock_seconds(stamp: Stamp, days_first: bool, hours_first: bool, where: str,
 
 
 def midnight_of(
-    base: date | None, zones: set[str], settings: TimeOf, time_s: Array, where: Where
+    base: date | None, zones: set[str], settings: StampSettings, time_s: Array, where: Where
 ) -> tuple[datetime | None, str]:
-    """Time zero as a moment, where the clock tells the day and the zone."""
+    """Time zero as a UTC moment (None without date or zone), and a description of the zone."""
     if len(zones) > 1:
         raise InputError(f"{where(0)}: stamps of several zones: {', '.join(sorted(zones))}")
-    own = next(iter(zones))
-    name = own if own[:1] in ("+", "-") and own else "+00:00" if own else settings.zone
+    zone_in_stamp = next(iter(zones))
+    name = (
+        zone_in_stamp
+        if zone_in_stamp[:1] in ("+", "-") and zone_in_stamp
+        else "+00:00"
+        if zone_in_stamp
+        else settings.zone
+    )
     name = f"{name[:3]}:{name[3:]}" if name and name[0] in "+-" and ":" not in name else name
     if base is None:
         return None, "no date"
@@ -255,18 +268,18 @@ def midnight_of(
     moments = [midnight + timedelta(seconds=float(at)) for at in (time_s.min(), time_s.max())]
     offsets = {moment.replace(tzinfo=zone, fold=fold).utcoffset() for moment in moments for fold in (0, 1)}
     if len(offsets) > 1:
-        told = f"the clocks of {name} change within the record; give time.zone as hours, such as +01:00"
-        raise InputError(f"{where(0)}: {told}")
+        message = f"the clocks of {name} change within the record; give time.zone as hours, such as +01:00"
+        raise InputError(f"{where(0)}: {message}")
     offset = offsets.pop() or timedelta()
     return (midnight - offset).replace(tzinfo=UTC), f"zone {name}"
 
 
-def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str, where: Where) -> Clock:
-    """Seconds out of plain numbers: elapsed time in its unit, or frames by their number.
+def read_plain(values: Array, heading_unit: str, settings: StampSettings, heading: str, where: Where) -> RowTimes:
+    """Convert plain numbers to seconds: elapsed time in a unit, or frame numbers.
 
     Raises
     ------
-    InputError : neither the heading nor a setting says which.
+    InputError : neither the heading nor a setting says which, or they contradict.
     """
     named = heading_unit if heading_unit in SECONDS else None
     unit = settings.units or named
@@ -277,21 +290,21 @@ def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str,
     if settings.kind != "frame" and unit is not None:
         spread = np.diff(np.unique(values[np.isfinite(values)]))
         resolution = SECONDS[unit] * float(spread.min()) if len(spread) else SECONDS[unit]
-        return Clock(values * SECONDS[unit], None, None, min(resolution, 1.0), f"elapsed time in {unit}")
+        return RowTimes(values * SECONDS[unit], None, None, min(resolution, 1.0), f"elapsed time in {unit}")
     if settings.kind == "elapsed":
         raise InputError(f"{where(0)}: elapsed time in no unit that {heading!r} names; time.units decides")
     if settings.kind != "frame":
-        told = f"a plain number under {heading!r} may be elapsed time or a frame's number"
-        raise InputError(f"{where(0)}: {told}; time.kind and time.units decide")
+        message = f"a plain number under {heading!r} may be elapsed time or a frame's number"
+        raise InputError(f"{where(0)}: {message}; time.kind and time.units decide")
     return read_frames(values, settings, where)
 
 
-def read_frames(values: Array, settings: TimeOf, where: Where) -> Clock:
-    """Seconds out of frame numbers."""
+def read_frames(values: Array, settings: StampSettings, where: Where) -> RowTimes:
+    """Convert frame numbers to seconds by the frame rate."""
     if settings.frame_rate_Hz is None:
         raise InputError(f"{where(0)}: frames by number; time.frame_rate_Hz is needed")
     wrong = np.flatnonzero(values != np.round(values))
     if len(wrong) and math.isfinite(values[wrong[0]]):
         raise InputError(f"{where(int(wrong[0]))}: {values[wrong[0]]:g} is no frame number")
     rate = settings.frame_rate_Hz
-    return Clock(values / rate, None, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")
+    return RowTimes(values / rate, None, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")

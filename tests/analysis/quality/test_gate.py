@@ -8,7 +8,7 @@ from leactl.analysis.anova.values import of_runs
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.processes import Workers
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from tests.analysis.control_runs import step_run
 from tests.analysis.corrupted import constant, frozen, rewritten, thousandfold, turned, zero
 from tests.analysis.heated import HeatedBench

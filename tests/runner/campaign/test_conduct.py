@@ -7,8 +7,8 @@ import pytest
 
 from leactl.errors import DeviceError, InputError, Stopped
 from leactl.protocol.protocolfile import load
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.campaign import folder as place
 from tests.runner.campaign.conftest import SMALL, SPIN
 

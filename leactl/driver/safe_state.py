@@ -1,0 +1,44 @@
+"""Make devices safe: remove power from all of them first, then wait for each to confirm its safe state.
+
+A device that does not answer uses up its deadline; all others have received their command before.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, PowerSupply
+
+
+def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
+    """Bring these devices to their safe state in this order, power supplies last; never raises."""
+    ordered = sorted(devices, key=_supplies)
+    outcome: dict[str, Confirmation] = {}
+    for device in ordered:
+        try:
+            device.stop_now()
+        except Exception:  # noqa: BLE001 (a broken driver must not keep the others waiting; it is asked again below)
+            continue
+    for device in ordered:
+        name = getattr(device, "name", type(device).__name__)
+        try:
+            outcome[name] = device.safe_state(SAFE_STATE_S)
+        except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
+            outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
+    return outcome
+
+
+def _supplies(device: Driver) -> bool:
+    try:
+        return isinstance(device, PowerSupply)  # which reads its properties
+    except Exception:  # noqa: BLE001 (a broken driver must not keep any device from being made safe)
+        return False
+
+
+def unconfirmed_devices(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
+    """One line that names the devices without a confirmed safe state; empty if all confirmed.
+
+    The reason of a device is left out if it equals `cause`, which the caller's message already contains.
+    """
+    unsafe = {name: confirmation.detail for name, confirmation in outcome.items() if not confirmation.safe}
+    known = [name for name, detail in unsafe.items() if cause and detail.endswith(cause)]
+    doubtful = [*([", ".join(known)] if known else []), *(f"{n}: {unsafe[n]}" for n in unsafe if n not in known)]
+    return "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful) if doubtful else ""

@@ -1,0 +1,240 @@
+"""Settings of a text table, and the numbers of its cells: decimal and thousands marks are inferred only if unambiguous.
+
+A cell such as `1,234` has two readings. A number format has to read all cells of a file; if several formats do and give
+different values, the file is refused, and the message names the setting that decides.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import StringConstraints, model_validator
+
+from leactl.driver.contract import DriverSettings
+from leactl.errors import InputError
+
+Array = npt.NDArray[np.float64]
+SPACES = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
+CELL = re.compile(
+    r"(?P<outside>[<>]=?\s*)?"
+    r"(?P<number>[+-]?(?:[0-9][0-9.,' ]*|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
+    r"(?P<unit>[^\d\s.,'+<>-][^\d<>]*)?"
+)
+THOUSANDS = (",", ".", " ", "'")
+Where = Callable[[str, int], str]  # heading and row
+Mark = Annotated[str, StringConstraints(strict=True)]
+
+
+class TableFormat(DriverSettings):
+    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+
+    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
+    delimiter: Literal[",", ";", "\t", "|"] | None = None
+    decimal: Literal[".", ","] | None = None
+    thousands: Literal["", ",", ".", " ", "'"] | None = None
+    missing: tuple[Mark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
+
+    @model_validator(mode="after")
+    def _marks_differ(self) -> "TableFormat":
+        if self.decimal is not None and self.decimal in (self.thousands, self.delimiter):
+            raise ValueError(f"decimal {self.decimal!r} is the thousands mark or the delimiter as well")
+        return self
+
+
+class NumberFormat(NamedTuple):
+    """Decimal mark and thousands mark of a file."""
+
+    decimal: str
+    thousands: str
+
+    def value(self, text: str) -> float | None:
+        """The number that a text stands for; None if it is no number in this format."""
+        mantissa, _, exponent = text.replace("E", "e").partition("e")
+        sign = -1.0 if mantissa.startswith("-") else 1.0
+        whole, mark, fraction = mantissa.lstrip("+-").strip().partition(self.decimal)
+        if self.thousands and self.thousands in whole:
+            groups = whole.split(self.thousands)
+            if not 1 <= len(groups[0]) <= 3 or groups[0][0] == "0" or any(len(group) != 3 for group in groups[1:]):
+                return None
+            whole = "".join(groups)
+        digits = whole + fraction
+        if not (digits.isascii() and digits.isdigit()):
+            return None
+        return sign * float(f"{whole or '0'}{'.' + fraction if mark and fraction else ''}e{exponent or '0'}")
+
+    def __str__(self) -> str:
+        kinds = {"": "no thousands mark", " ": "a space between thousands"}
+        return f"decimal {self.decimal!r}, {kinds.get(self.thousands, f'thousands {self.thousands!r}')}"
+
+
+class NumberCell(NamedTuple):
+    """Parts of a cell; `number` is empty for a missing sample."""
+
+    number: str
+    unit: str = ""
+    outside: str = ""  # ">" or "<" before the number: beyond the sensor's range
+
+
+class Numbers(NamedTuple):
+    """The numbers of one column."""
+
+    values: Array  # NaN where missing or out of range
+    units: tuple[str, ...]  # units in its cells; "" for cells without one
+    missing: int
+    outside: dict[str, int]  # count of each over-range cell
+
+
+def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
+    """Split a cell into its parts; None if it is neither a number nor a mark for a missing sample."""
+    plain = text.translate(SPACES).strip()
+    if plain in missing:
+        return NumberCell("")
+    match = CELL.fullmatch(plain)
+    if match is None:
+        return None
+    return NumberCell(match["number"].strip(), (match["unit"] or "").strip(), (match["outside"] or "")[:1])
+
+
+def read_numbers(
+    columns: Mapping[str, Sequence[str]],
+    form: TableFormat,
+    cell_name: Where,
+    bounds: Mapping[str, tuple[float, float]],
+) -> tuple[dict[str, Numbers], NumberFormat]:
+    """Read columns of text that have one number format.
+
+    Parameters
+    ----------
+    columns : cells by heading.
+    cell_name : function of heading and row that returns file, line and column for messages.
+    bounds : lowest and highest possible value of a column, by heading, which excludes some formats.
+
+    Raises
+    ------
+    InputError : a cell is no number, no format reads all cells, or several formats give different values.
+    """
+    missing = frozenset(mark.translate(SPACES).strip() for mark in form.missing)
+    cells_by_text: dict[str, dict[str, NumberCell]] = {}
+    faults: list[str] = []
+    for heading, cells in columns.items():
+        cells_by_text[heading] = {}
+        for text in dict.fromkeys(cells):
+            cell = split_cell(text, missing)
+            if cell is not None:
+                cells_by_text[heading][text] = cell
+            elif len(faults) < 5:
+                message = f"{text!r} is not a number; if it marks a missed sample, add it to missing"
+                faults.append(f"{cell_name(heading, cells.index(text))}: {message}")
+    if faults:
+        raise InputError(faults)
+    readings = [
+        (convention, values)
+        for convention in possible_formats(form, cells_by_text)
+        if (values := read_in_format(convention, cells_by_text, bounds)) is not None
+    ]
+    if not readings:
+        raise InputError(unreadable_message(columns, form, cells_by_text, cell_name, bounds))
+    convention, values = readings[0]
+    for other, different in readings[1:]:
+        refuse_ambiguity(columns, cell_name, (convention, values), (other, different))
+    return {
+        heading: column_of_numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
+    }, convention
+
+
+def possible_formats(
+    form: TableFormat, cells_by_text: Mapping[str, Mapping[str, NumberCell]]
+) -> Iterator[NumberFormat]:
+    """Number formats that the settings allow and whose thousands mark occurs in a cell."""
+    used = set("".join(cell.number for cells in cells_by_text.values() for cell in cells.values()))
+    for decimal in (".", ",") if form.decimal is None else (form.decimal,):
+        for thousands in ("", *THOUSANDS) if form.thousands is None else (form.thousands,):
+            if thousands != decimal and (thousands in used or not thousands or form.thousands is not None):
+                yield NumberFormat(decimal, thousands)
+
+
+def read_in_format(
+    convention: NumberFormat,
+    cells_by_text: Mapping[str, Mapping[str, NumberCell]],
+    bounds: Mapping[str, tuple[float, float]],
+) -> dict[str, dict[str, float]] | None:
+    """Value of every distinct cell in one format; None if a cell is no number in it or is out of bounds."""
+    read: dict[str, dict[str, float]] = {}
+    for heading, cells in cells_by_text.items():
+        low, high = bounds.get(heading, (-np.inf, np.inf))
+        column = read[heading] = {}
+        for text, cell in cells.items():
+            if not cell.number:
+                column[text] = np.nan
+                continue
+            value = convention.value(cell.number)
+            if value is None or not low <= value <= high:
+                return None
+            column[text] = value
+    return read
+
+
+def refuse_ambiguity(
+    columns: Mapping[str, Sequence[str]],
+    cell_name: Where,
+    first: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
+    other: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
+) -> None:
+    """Raise InputError if two formats give different values, with the first cell where they differ."""
+    for heading, cells in columns.items():
+        for text, value in first[1][heading].items():
+            second = other[1][heading][text]
+            if value != second and not np.isnan(value):
+                where = cell_name(heading, cells.index(text))
+                key = "decimal" if first[0].decimal != other[0].decimal else "thousands"
+                raise InputError(f"{where}: {text!r} reads {value:.15g} or {second:.15g}; {key} decides")
+
+
+def unreadable_message(
+    columns: Mapping[str, Sequence[str]],
+    form: TableFormat,
+    cells_by_text: Mapping[str, Mapping[str, NumberCell]],
+    cell_name: Where,
+    bounds: Mapping[str, tuple[float, float]],
+) -> str:
+    """Message for a file that no format reads: the first failing cell of the format that reads most cells."""
+    furthest, message = -1, ""
+    for convention in possible_formats(form, cells_by_text):
+        passed = 0
+        for heading, cells in cells_by_text.items():
+            low, high = bounds.get(heading, (-np.inf, np.inf))
+            for text, cell in cells.items():
+                value = convention.value(cell.number) if cell.number else 0.0
+                if value is None or (cell.number and not low <= value <= high):
+                    if passed > furthest:
+                        why = "is no number" if value is None else f"is {value:g}, outside {low:g} to {high:g},"
+                        furthest = passed
+                        message = (
+                            f"{cell_name(heading, columns[heading].index(text))}: {text!r} {why} with {convention}"
+                        )
+                    break
+                passed += 1
+            else:
+                continue
+            break
+    return f"{message}; no decimal and thousands mark reads every number of the file"
+
+
+def column_of_numbers(
+    cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]
+) -> Numbers:
+    """Build a column; over-range cells become NaN and are counted."""
+    marks = {text for text, cell in cells_by_text.items() if cell.outside}
+    missing_texts = {text for text, cell in cells_by_text.items() if not cell.number}
+    known = {text: np.nan if text in marks else value for text, value in values.items()}
+    outside: dict[str, int] = {}
+    missing = 0
+    if marks or missing_texts:
+        for text in cells:
+            if text in marks:
+                outside[text.strip()] = outside.get(text.strip(), 0) + 1
+            missing += text in missing_texts
+    units = tuple(sorted({cell.unit for cell in cells_by_text.values() if cell.number}))
+    return Numbers(np.array([known[text] for text in cells], np.float64), units, missing, outside)

@@ -1,0 +1,304 @@
+"""Read text files of other programs as tables: detect encoding and delimiter, find the headings, check every row.
+
+The caller names the headings that it needs. The delimiter is the one under which some line has all of them, so that a
+file of another layout is refused.
+"""
+
+import codecs
+import csv
+import errno
+import re
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from leactl.driver.tables.number_format import TableFormat
+from leactl.errors import InputError
+from leactl.regular import open_regular
+
+MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
+MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16
+MOST_PREAMBLE = 1000  # lines
+MOST_FAULTS = 5
+DELIMITERS = (",", ";", "\t", "|")
+DELIMITER_NAMES = {"\t": "tab"}
+BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
+SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
+UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
+STAMPED = re.compile(r"[^:=]*[0-9]\s*:[0-9]")  # `PM 12:00:00`, which is no aside
+ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivity: 0.95`, `Time = 12:00`
+
+
+@dataclass
+class Aside:
+    """A line outside the table with a name and a value: `Emissivity: 0.95`."""
+
+    line: int
+    name: str
+    value: str
+
+
+@dataclass
+class Table:
+    """Rows of text under headings."""
+
+    path: Path
+    headings: list[str]
+    rows: list[list[str]] = field(default_factory=list)
+    lines: array = field(default_factory=lambda: array("q"))  # type: ignore[type-arg]
+    asides: list[Aside] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    repeated_headers: int = 0
+
+    def place(self, heading: str, row: int) -> str:
+        """File, line and column of a cell for messages."""
+        return f"{self.path}: line {self.lines[row]}, column {heading!r}"
+
+    def heading(self, wanted: str) -> str:
+        """The full heading, with its unit, of a column.
+
+        Raises
+        ------
+        InputError : several columns have this name.
+        """
+        matches = [heading for heading in self.headings if wanted in column_names(heading)]
+        if len(matches) > 1:
+            raise InputError(
+                f"{self.path}: {wanted!r} stands over {len(matches)} columns: {', '.join(map(repr, matches))}"
+            )
+        return matches[0]
+
+    def column(self, wanted: str) -> list[str]:
+        """Cells of one column."""
+        at = self.headings.index(self.heading(wanted))
+        return [row[at] for row in self.rows]
+
+
+def column_names(heading: str) -> set[str]:
+    """Names of a column: its heading with and without the unit in brackets."""
+    return {heading, UNIT_IN_BRACKETS.sub("", heading)}
+
+
+def unit_of(heading: str) -> str:
+    """The unit in brackets at the end of a heading; empty if there is none."""
+    match = UNIT_IN_BRACKETS.search(heading)
+    return match[1].strip() if match else ""
+
+
+def common_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
+    """The common unit of a heading and its cells; empty if neither has one.
+
+    Raises
+    ------
+    InputError : several units; the message begins with `column`.
+    """
+    named = sorted({unit_of(heading), *in_cells} - {""})
+    if len(named) > 1:
+        raise InputError(f"{column} holds numbers in {' and '.join(named)}")
+    return "".join(named)
+
+
+def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
+    """Text and encoding of a file: by its byte order mark, else as stated, else detected as UTF-16 or UTF-8.
+
+    Raises
+    ------
+    InputError : absent, empty, too large, not in the stated encoding, or in an encoding that cannot be detected.
+    """
+    try:
+        with open_regular(path, MOST_BYTES) as stream:
+            raw = stream.read()
+    except OSError as error:
+        advice = "; export it in parts" if error.errno == errno.EFBIG else ""
+        raise InputError(f"{path}: {error.strerror or error}{advice}") from None
+    if not raw.strip(b"\0 \r\n\t"):
+        raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
+    marked_encoding = next((name for mark, name in BOMS if raw.startswith(mark)), None)
+    if (
+        marked_encoding
+        and encoding not in (None, marked_encoding)
+        and not (encoding == "utf-16" and marked_encoding.startswith("utf-16"))
+    ):
+        raise InputError(f"{path}: begins with the mark of {marked_encoding}; encoding says {encoding}")
+    chosen = marked_encoding or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
+    try:
+        text = raw.decode(chosen)
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: {decoding_fault(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
+        ) from None
+    if len(text) > MOST_CHARACTERS:
+        raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
+    text = text.removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{path}: holds nothing but the mark of {chosen}")
+    if "\0" in text:
+        raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
+    return text, chosen
+
+
+def looks_like_utf16(raw: bytes) -> bool:
+    """Whether many odd bytes and no even byte are NUL, as in Latin text in UTF-16 without a byte order mark."""
+    head = raw[: 1 << 12]
+    return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
+
+
+def decoding_fault(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
+    """Message for undecodable bytes: their line in other encodings, unless the encoding was stated."""
+    if is_stated:
+        return f"not {encoding} at byte {start}"
+    begin = raw.rfind(b"\n", 0, start) + 1
+    line = raw[begin : begin + 60].split(b"\n")[0].rstrip(b"\r")
+    readings = [f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk")]
+    return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
+
+
+def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:
+    """Read the table with the wanted headings; with `every_row`, empty rows are kept because row numbers give the time.
+
+    Raises
+    ------
+    InputError : no line has the headings, several delimiters fit, or rows have another number of cells.
+    """
+    text, encoding = read_text(path, form.encoding)
+    lines = text.splitlines(keepends=True)
+    first, declared = 0, SEP_LINE.match(lines[0])
+    if declared:
+        first = 1
+    candidates = [form.delimiter] if form.delimiter else [declared[1]] if declared else [*DELIMITERS]
+    headers = [
+        (delimiter, at) for delimiter in candidates if (at := find_header(lines, first, delimiter, wanted)) is not None
+    ]
+    if not headers:
+        raise InputError(f"{path}: {missing_headings(lines[first:], candidates, wanted)}")
+    if len(headers) > 1:
+        names = " or ".join(DELIMITER_NAMES.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
+        raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
+    delimiter, at = headers[0]
+    table = Table(path, [])
+    table.remarks.append(
+        f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}"
+    )
+    for k, line in enumerate(lines[first:at], start=first + 1):
+        note_aside(table, k, strip_cells(line.split(delimiter)))
+    read_rows(table, lines[at:], at, delimiter, every_row)
+    if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
+        table.remarks.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
+        table.rows.pop()
+    if not table.rows:
+        raise InputError(f"{path}: no row below the headings of line {at + 1}")
+    return table
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of one line."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
+    """Index of the first line with all wanted headings; None if there is none."""
+    needles = set(wanted)
+    for at in range(first, min(len(lines), first + MOST_PREAMBLE)):
+        if needles <= {name for cell in cells_of(lines[at], delimiter) for name in column_names(cell.strip())}:
+            return at
+    return None
+
+
+def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
+    """Message for missing headings: those wanted, and the cells of the most similar line."""
+    rows = [
+        cells
+        for delimiter in candidates
+        for line in lines[:50]
+        if (cells := [cell.strip() for cell in cells_of(line, delimiter) if cell.strip()])
+        and sum(any(c.isalpha() for c in cell) for cell in cells) > len(cells) / 2
+    ]
+    best = max(
+        rows, key=lambda cells: (sum(bool(column_names(cell) & {*wanted}) for cell in cells), len(cells)), default=[]
+    )
+    has = ", ".join(map(repr, best[:40])) or "no line that looks like headings"
+    lacking = [repr(name) for name in wanted if all(name not in column_names(cell) for cell in best)]
+    return f"no line has the headings {', '.join(lacking)}; the file has {has}"
+
+
+def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
+    """Read all lines from the headings on; each is a row, repeated headings, an aside, blank, or a fault."""
+    reader = csv.reader(lines, delimiter=delimiter)
+    faults: list[str] = []
+    uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
+    try:
+        headings = table.headings = strip_cells(next(reader))
+        if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
+            table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
+        width, rows, line_numbers = len(headings), table.rows, table.lines
+        empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
+        last_line = reader.line_num
+        for cells in reader:
+            if reader.line_num > last_line + 1:
+                message = "a quote opens a cell that does not end in its line"
+                raise InputError(f"{table.path}: line {before + last_line + 1}: {message}")
+            last_line = reader.line_num
+            plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
+            if not plain:
+                filled = strip_cells(cells)
+                if not filled:
+                    if every_row and len(cells) >= width:
+                        empty.append((before + reader.line_num, cells))
+                    continue
+                if filled == headings:
+                    table.repeated_headers += 1
+                    empty.clear()
+                    continue
+                if not STAMPED.match(filled[0]) and note_aside(table, before + reader.line_num, filled):
+                    continue
+            if uneven is not None:
+                faults.append(width_fault(table, *uneven, width))
+                uneven = None
+                if len(faults) == MOST_FAULTS:
+                    break
+            for line, nothing in empty:
+                rows.append(nothing)
+                line_numbers.append(line)
+            empty.clear()
+            if plain or len(filled) <= width <= len(cells):
+                rows.append(cells)
+                line_numbers.append(before + reader.line_num)
+            else:
+                uneven = before + reader.line_num, len(cells)
+    except csv.Error as error:
+        raise InputError(f"{table.path}: line {before + reader.line_num}: {error}") from None
+    if uneven is not None and uneven[1] > width:
+        faults.append(width_fault(table, *uneven, width))
+    elif uneven is not None:
+        table.remarks.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
+    if faults:
+        raise InputError(faults)
+
+
+def strip_cells(cells: Sequence[str]) -> list[str]:
+    """Strip the cells and drop empty ones at the end."""
+    kept = [cell.strip() for cell in cells]
+    while kept and not kept[-1]:
+        kept.pop()
+    return kept
+
+
+def width_fault(table: Table, line: int, cells: int, width: int) -> str:
+    """Message for a row with another number of cells than headings."""
+    hint = "; is a decimal comma taken for the delimiter?" if cells > width else ""
+    return f"{table.path}: line {line}: {cells} cells where {width} were expected{hint}"
+
+
+def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:
+    """Store a line of the form `name: value`; returns whether the line has that form."""
+    filled_cells = [cell for cell in cells if cell]
+    match = ASIDE.fullmatch(filled_cells[0].strip('"')) if 0 < len(filled_cells) <= 2 else None
+    if match is None:
+        return False
+    value = match[2] or (filled_cells[1] if len(filled_cells) > 1 else "")
+    table.asides.append(Aside(line, match[1], value.strip()))
+    return True

@@ -1,0 +1,1 @@
+"""Find the offset and drift between two clocks from signals that were recorded on both."""

@@ -1,0 +1,301 @@
+"""Align one clock with another: offset, drift and their uncertainty, by least squares through common moments (ties).
+
+A tie is one moment read on both clocks, with its standard deviation. A straight line through
+the ties is the alignment. The drift of one clock against the other is bounded beforehand; the bound enters as a
+prior on the slope, so that the uncertainty of a single tie grows with the time from it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.align.similarity import FAR_APART, FEWEST_COMMON, ends_search, peaks
+
+Array = npt.NDArray[np.float64]
+NORMAL_95 = 1.959964
+LEAST_CORRELATION = 0.8  # below it, two channels are taken to have measured different quantities
+LEAST_SHARE = 0.05  # a channel's noise and its own derivative cancel from sample to sample
+LEAST_PART = 1.0 / 3.0  # of the variance that the best shift explains: a shift that explains less may fit by chance
+BLOCKS = 12  # of the common time, each of which gives a tie
+FEWEST_IN_BLOCK = 30  # samples
+LEAST_DRIFT = 1e-12
+LEAST_SD = 0.01  # of the sampling interval: between samples lies a straight line
+
+
+class Tie(NamedTuple):
+    """One moment on both clocks."""
+
+    device_time: float  # s
+    run_time: float  # s
+    sd: float  # s, of their difference
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Straight line from a device's clock to the run's: run time = offset + rate * device time."""
+
+    method: str
+    offset: float  # s
+    rate: float
+    covariance: tuple[float, float, float]  # of offset and rate: s^2, s, 1; before `systematic`
+    systematic: float  # s, 95 %: delays that no tie shows
+    quantile: float  # of what the covariance is multiplied by for 95 %
+    ties: int
+
+    def on_run(self, device_time: Array) -> Array:
+        """Convert stamps of the device's clock [s], any shape, to the run's clock [s]."""
+        return np.asarray(self.offset + self.rate * device_time, np.float64)
+
+    def uncertainty(self, device_time: float) -> float:
+        """Half-width of the 95 % interval [s] of a stamp converted to the run's clock."""
+        a, ab, b = self.covariance
+        return math.hypot(
+            self.quantile * math.sqrt(max(a + 2 * device_time * ab + device_time * device_time * b, 0.0)),
+            self.systematic,
+        )
+
+    def describe(self, device_time: float = 0.0) -> str:
+        """One line for people: offset and drift with their uncertainty at `device_time` [s], and the method."""
+        drift = f", drift {self.drift_ppm:+.3g} +- {self.drift_uncertainty_ppm:.2g} ppm" if self.covariance[2] else ""
+        run_time = float(self.on_run(np.array([device_time]))[0])
+        when = f" at {device_time:.6g} s of its own" if device_time else ""
+        within = f"+- {self.uncertainty(device_time):.2g} s (95 %)"
+        return f"offset {run_time - device_time:.6g} {within}{when}{drift}, by {self.method}"
+
+    @property
+    def drift_ppm(self) -> float:
+        """Rate of the run's clock over the device's, minus one [ppm]."""
+        return 1e6 * (self.rate - 1.0)
+
+    @property
+    def drift_uncertainty_ppm(self) -> float:
+        """Half-width of the 95 % interval of the drift [ppm]."""
+        return 1e6 * self.quantile * math.sqrt(max(self.covariance[2], 0.0))
+
+
+def fit_alignment(method: str, ties: Sequence[Tie], drift_within: float, systematic: float) -> Alignment:
+    """Fit the line through ties by weighted least squares, with the bound of the drift as prior on its slope.
+
+    Parameters
+    ----------
+    drift_within : the rate lies within 1 +- this before any tie is seen (95 %).
+    systematic : constant delay between the two channels that the ties compare (95 %) [s].
+    """
+    device_times = np.array([tie.device_time for tie in ties])
+    shift = np.array([tie.run_time - tie.device_time for tie in ties])
+    weight = 1.0 / np.array([tie.sd for tie in ties]) ** 2
+    centre = float(np.average(device_times, weights=weight))
+    centred = device_times - centre
+    prior = (max(drift_within, LEAST_DRIFT) / NORMAL_95) ** -2
+    normal = np.array(
+        [
+            [weight.sum(), (weight * centred).sum()],
+            [(weight * centred).sum(), (weight * centred * centred).sum() + prior],
+        ]
+    )
+    covariance = np.linalg.inv(normal)
+    mean, slope = covariance @ np.array([(weight * shift).sum(), (weight * centred * shift).sum()])
+    free = len(ties) - (2 if drift_within > LEAST_DRIFT else 1)
+    quantile = NORMAL_95
+    if free >= 1:
+        from scipy.stats import t
+
+        # ties that scatter by more than they claim are worth less; fewer than they claim is luck
+        scatter = float((weight * (shift - mean - slope * centred) ** 2).sum()) / free
+        covariance = covariance * max(scatter, 1.0)
+        quantile = float(t.ppf(0.975, free)) if scatter > 1.0 else NORMAL_95
+    at_zero = np.array([[1.0, -centre], [0.0, 1.0]])
+    a, b = at_zero @ covariance @ at_zero.T
+    return Alignment(
+        method, float(mean - slope * centre), 1.0 + float(slope), (a[0], a[1], b[1]), systematic, quantile, len(ties)
+    )
+
+
+def ties_by_similarity(
+    time: Array, values: Array, base: Array, reference: Array, shift: float, rate: float = 1.0
+) -> list[Tie]:
+    """Ties of two channels that measured the same quantity, one for each block of their common time.
+
+    Near the right shift the channel is a scaled reference plus the reference's derivative times the error of the
+    shift. Noise of the reference would bias that error towards zero; the channel's own derivative serves as the
+    instrumental variable. Both are compared at the samples of the slower one; the faster one is interpolated.
+    """
+    finite, reference_finite = np.isfinite(values), np.isfinite(reference)
+    time, values, base, reference = (
+        shift + rate * time[finite],
+        values[finite],
+        base[reference_finite],
+        reference[reference_finite],
+    )
+    fine = float(np.median(np.diff(time))) < float(np.median(np.diff(base)))
+    grid = base if fine else time
+    interval = float(np.median(np.diff(grid)))
+    first, last = max(time[0], base[0]) + interval, min(time[-1], base[-1]) - interval
+    grid = grid[(grid > first) & (grid < last)]
+    channel, channel_slope = value_and_slope(grid, time, values, interval)
+    reference_values, reference_slope = value_and_slope(grid, base, reference, interval)
+    spread = float(np.std(reference_values))
+    if len(grid) < FEWEST_COMMON or spread == 0.0:
+        return []
+    gain = math.copysign(
+        float(np.std(channel)) / spread,
+        float((channel - channel.mean()) @ (reference_values - reference_values.mean())),
+    )
+    level = np.stack([reference_values, np.ones(len(grid))], axis=1)
+    delayed, instrument, response = (
+        residual_of(level, column) for column in (gain * reference_slope, channel_slope, channel)
+    )
+    if not float(instrument @ delayed):
+        return []
+    parts = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
+    # a block's own noise, known from a few samples, would make a poor weight: that of all blocks counts
+    common = float(instrument @ response) / float(instrument @ delayed)
+    scores = instrument * (response - common * delayed)
+    noise = sum(autocorrelated_variance(scores[part]) for part in parts) / float(instrument @ instrument)
+    ties = []
+    for part in parts:
+        x, z, y = delayed[part], instrument[part], response[part]
+        shared = float(z @ x)
+        sd = math.hypot(math.sqrt(noise * float(z @ z)) / abs(shared), LEAST_SD * interval) if shared else math.inf
+        if sd < 0.5 * (grid[part[-1]] - grid[part[0]]):
+            at = float(np.average(grid[part], weights=channel_slope[part] ** 2))
+            ties.append(Tie((at - shift) / rate, at + float(z @ y) / shared, sd))
+    return ties
+
+
+def residual_of(others: Array, column: Array) -> Array:
+    """Residual of a column (n,) after least squares on other columns (n, k)."""
+    rest: Array = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+    return rest
+
+
+def value_and_slope(grid: Array, time: Array, values: Array, interval: float) -> tuple[Array, Array]:
+    """A channel interpolated at the times of a grid, and its central difference over one interval to either side."""
+    ahead, behind = np.interp(grid + interval, time, values), np.interp(grid - interval, time, values)
+    return np.interp(grid, time, values), (ahead - behind) / (2.0 * interval)
+
+
+def autocorrelated_variance(scores: Array, least: float = LEAST_SHARE) -> float:
+    """Variance of the sum of correlated scores, after Newey and West (1987), Bartlett weights.
+
+    Parameters
+    ----------
+    least : lower bound, as a share of the variance that uncorrelated scores would have.
+    """
+    count = len(scores)
+    lags = min(count - 1, 4 + int(4.0 * (count / 100.0) ** (2.0 / 9.0)))
+    centred = scores - scores.mean()
+    alone = total = float(centred @ centred)
+    for k in range(1, lags + 1):
+        total += 2.0 * (1.0 - k / (lags + 1.0)) * float(centred[k:] @ centred[:-k])
+    return max(total, least * alone) * count / max(count - 3, 1)
+
+
+def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better: Alignment, worse: Alignment) -> float:
+    """Excess squared residual of one alignment over another, in standard deviations, at the samples both compare.
+
+    Where both fit equally well, their squared residuals are noise of the same kind, and the sum is as uncertain as
+    that of the better one. A change within one sampling interval is left out: where in it an edge lay is not known.
+    """
+    (time, values), (base, reference_values) = channel, reference
+    interval = float(np.median(np.diff(base)))
+    # samples between those of the reference share its noise
+    every = max(1, round(interval / float(np.median(np.diff(time)))))
+    time, values = time[::every], values[::every]
+    interval = max(interval, float(np.median(np.diff(time))))
+    stamps_on_run = [alignment.on_run(time) for alignment in (better, worse)]
+    inside = np.logical_and.reduce([(stamps >= base[0]) & (stamps <= base[-1]) for stamps in stamps_on_run])
+    if inside.sum() < FEWEST_COMMON:
+        return 0.0
+
+    def levelled(stamps: Array) -> Array:
+        return np.stack([np.interp(stamps, base, reference_values), np.ones(len(stamps))], axis=1)
+
+    observed = values[inside]
+    model = levelled(stamps_on_run[0][inside])
+    gain = np.linalg.lstsq(model, observed, rcond=None)[0]
+    squared_residual = (observed - model @ gain) ** 2
+    excess = residual_of(levelled(stamps_on_run[1][inside]), observed) ** 2 - squared_residual
+    half = 0.5 * interval
+    step = (levelled(stamps_on_run[0][inside] + half) - levelled(stamps_on_run[0][inside] - half)) @ gain
+    # the noise of two samples is in that step, too, and makes no edge
+    unseen = max(float(step @ step) - 2.0 * float(squared_residual.sum()), 0.0)
+    sd = math.sqrt(2.0 * autocorrelated_variance(squared_residual, least=1.0))
+    return (float(excess.sum()) - unseen) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
+
+
+def align_by_similarity(
+    channel: tuple[Array, Array],
+    reference: tuple[Array, Array],
+    within: float,
+    what: str,
+    near: float = 0.0,
+    drift_within: float = 0.0,
+    systematic: float = 0.0,
+) -> Alignment:
+    """Align two channels that measured the same quantity, each given as (stamps, values).
+
+    Parameters
+    ----------
+    near, within : the offsets near - within to near + within are searched [s].
+    drift_within : bound of the drift; 0 gives one offset for the whole record.
+
+    Raises
+    ------
+    InputError : they do not correlate, change too little beside their noise, or correlate as well at another offset.
+    """
+    finite, reference_finite = np.isfinite(channel[1]), np.isfinite(reference[1])
+    channel, reference = (
+        (channel[0][finite], channel[1][finite]),
+        (reference[0][reference_finite], reference[1][reference_finite]),
+    )
+    candidates = peaks(*channel, *reference, within, near)
+    likeness = max((peak.likeness for peak in candidates), default=0.0)
+    if likeness < LEAST_CORRELATION:
+        raise InputError(
+            f"{what} correlate by {likeness:.2f} at best; expected {LEAST_CORRELATION} within {within:g} s"
+        )
+    # a short part of a record may fit by chance; where it fits better than the whole, neither is sure
+    most = max(peak.explained for peak in candidates if peak.likeness >= LEAST_CORRELATION)
+    best = next(peak for peak in candidates if peak.explained >= LEAST_PART * most)
+    method = f"likeness of {what} ({best.likeness:.3f})"
+    alignment = align_near(channel, reference, best.shift, method, drift_within, systematic)
+    for rival in candidates:
+        whole = rival.explained >= LEAST_PART * most
+        if rival is best or ends_search(rival, within, near) or not (whole or rival.likeness >= LEAST_CORRELATION):
+            continue
+        other = align_near(channel, reference, rival.shift, method, drift_within, systematic)
+        doubtful = misfit(channel, reference, alignment, other) <= FAR_APART
+        if doubtful if whole else misfit(channel, reference, other, alignment) > FAR_APART:
+            raise InputError(
+                f"{what} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s around the"
+                " true one (near_s), or another signal, decides"
+            )
+    if ends_search(best, within, near):
+        raise InputError(f"{what} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that")
+    if not alignment.ties:
+        raise InputError(f"{what} change too little beside their noise to tell when")
+    return alignment
+
+
+def align_near(
+    channel: tuple[Array, Array],
+    reference: tuple[Array, Array],
+    shift: float,
+    method: str,
+    drift_within: float,
+    systematic: float,
+) -> Alignment:
+    """Refine an alignment from a first shift [s]; where no tie can be fitted, return the shift with zero ties."""
+    alignment = Alignment(method, shift, 1.0, (0.0, 0.0, 0.0), systematic, NORMAL_95, 0)
+    for _ in range(2):
+        ties = ties_by_similarity(*channel, *reference, alignment.offset, alignment.rate)
+        if not ties:
+            return replace(alignment, ties=0)
+        alignment = fit_alignment(method, ties, drift_within, systematic)
+    return alignment

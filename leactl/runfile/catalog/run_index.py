@@ -1,0 +1,377 @@
+"""Index of a folder of runs: the summaries of its files, kept so that unchanged files are not opened again.
+
+The index is a SQLite file and can be rebuilt from the run files at any time. A row is valid only if the size, times
+and inode of its file have not changed since it was read. The whole index is read into memory and written as a new
+file that replaces the old one, so that no locks are needed: of two writers at the same time the later one remains.
+"""
+
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from secrets import token_hex
+from typing import Any, Final, NamedTuple, get_type_hints
+
+from leactl.errors import InputError
+from leactl.processes import HERE, Workers
+from leactl.regular import open_regular
+from leactl.runfile.catalog.tags import with_tags
+from leactl.runfile.publish import NotWritten, replacement
+from leactl.runfile.summary import RECORDING, Summary, is_run_name
+
+NAME: Final = ".leactl-index.sqlite"
+APPLICATION: Final = 0x6C656178  # "leax"
+VERSION: Final = 1  # raised where what a column means has changed
+# SQLite file format, 1.3: what the file begins with, the version of its user, the application that it is of
+MAGIC, VERSION_AT, APPLICATION_AT = b"SQLite format 3\0", slice(60, 64), slice(68, 72)
+MOST_BYTES: Final = 1 << 30  # some million runs
+# what was changed less than this before it was read may change again within one tick of its file system's clock, which
+# is 2 s on FAT
+YOUNG_NS: Final = 2 * 10**9
+DIGITS: Final = 64  # of a SHA-256
+BATCH: Final = 32  # runs that are read at a time, some 0.2 s
+TOLD_EVERY: Final = 10 * BATCH
+MANY: Final = 1000  # files, which take some seconds to open
+
+KNOWN: Final = Summary._fields[1:-1]  # all but the folder, which is where the index is asked about, and the tags
+STAMP: Final = ("mtime_ns", "ctime_ns", "inode")
+TYPES: Final = {
+    **{name: {float: "REAL", int: "INTEGER"}.get(kind, "TEXT") for name, kind in get_type_hints(Summary).items()},
+    **dict.fromkeys(("seed", *STAMP), "INTEGER"),
+}
+# SQLite holds any type in any column
+MISTYPED: Final = " OR ".join(
+    f"typeof({name}) NOT IN ('{TYPES[name].lower()}'{', ' + repr('null') if name == 'seed' else ''})"
+    for name in (*KNOWN, *STAMP)
+)
+
+Tell = Callable[[str], None]
+
+
+def ignore(line: str) -> None:
+    """Discard a line."""
+
+
+class FileStamp(NamedTuple):
+    """File status by which an unchanged file is recognised."""
+
+    size: int
+    mtime_ns: int
+    ctime_ns: int
+    inode: int
+
+
+UNSETTLED: Final = FileStamp(0, 0, 0, 0)  # of a file that is read again next time
+NOT_THERE: Final = FileStamp(-1, -1, -1, -1)  # of a link that leads nowhere
+
+
+class IndexedRun(NamedTuple):
+    """A run of the index, and the status of its file when it was read."""
+
+    stamp: FileStamp
+    run: Summary
+
+
+class UnusableIndex(Exception):
+    """The index file cannot be used and is built anew; the message says why."""
+
+
+@dataclass
+class Catalogue:
+    """The runs of a folder, with counts of the files that were opened or are gone."""
+
+    directory: Path
+    rows: dict[str, IndexedRun] = field(default_factory=dict)  # by file, as the names sort
+    read: int = 0  # number of files that were opened
+    gone: int = 0  # number of files of the index that no longer exist
+    changed: bool = False  # whether the index has to be written
+    behind: bool = False  # whether the runs differ from those of the index
+
+    @property
+    def runs(self) -> list[Summary]:
+        """The runs sorted by file name, which puts the oldest first."""
+        return [row.run for row in self.rows.values()]
+
+    def refresh(self, workers: Workers = HERE, tell: Tell = ignore) -> None:
+        """Read new and changed files, and drop files that no longer exist.
+
+        If it is interrupted, the files read so far are kept.
+
+        Parameters
+        ----------
+        workers : processes that open the files.
+        tell : called with a line of progress.
+
+        Raises
+        ------
+        InputError : the folder cannot be read.
+        """
+        known, stamps = self.rows, stamps_of(self.directory)
+        self.gone = len(known.keys() - stamps.keys())
+        due = [name for name, stamp in stamps.items() if name not in known or known[name].stamp != stamp]
+        self.rows = {name: known[name] for name in stamps.keys() - due}
+        began = time.time_ns()
+        batches = [due[at : at + BATCH] for at in range(0, len(due), BATCH)]
+        jobs = [(self.directory, batch) for batch in batches]
+        try:
+            for done in workers.in_order(_summaries, jobs):
+                for run in done.value():
+                    stamp = stamps[run.file] if is_settled(run, stamps[run.file], began) else UNSETTLED
+                    self.rows[run.file] = IndexedRun(stamp, run)
+                    self.read += 1
+                if self.read % TOLD_EVERY == 0:
+                    tell(f"{self.read} of {len(due)} files read")
+        finally:
+            self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
+            self.changed = self.changed or self.rows != known
+            if self.changed:
+                self.behind = {name: row.run for name, row in known.items()} != {run.file: run for run in self.runs}
+
+
+def is_settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
+    """Whether an unchanged file status will mean unchanged content.
+
+    Not for an unreadable file, since the reason may lie outside it, nor for one still recorded or changed just before.
+    """
+    return not run.fault and run.status != RECORDING and stamp.mtime_ns < read_ns - YOUNG_NS
+
+
+def stamps_of(directory: Path) -> dict[str, FileStamp]:
+    """File status of each run file of a folder, sorted by name; no file is opened.
+
+    Raises
+    ------
+    InputError : not a folder, or it cannot be read.
+    """
+    try:
+        with os.scandir(directory) as entries:
+            stamps = {entry.name: _stamp(entry) for entry in entries if is_run_name(entry.name)}
+    except NotADirectoryError:
+        raise InputError(f"{directory}: not a directory") from None
+    except OSError as fault:
+        raise InputError(f"{directory}: cannot be read: {fault.strerror}") from fault
+    return {name: stamps[name] for name in sorted(stamps)}
+
+
+def _stamp(entry: "os.DirEntry[str]") -> FileStamp:
+    try:
+        about = entry.stat()
+    except OSError:
+        return NOT_THERE
+    # SQLite's numbers have 63 bits and a sign, inodes of some file systems 64
+    return FileStamp(about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino & (1 << 63) - 1)
+
+
+def _summaries(directory: Path, names: Sequence[str]) -> list[Summary]:
+    from leactl.runfile.catalog.summaries import (
+        summary,  # h5py, which takes a tenth of a second, only where a file is opened
+    )
+
+    return [summary(directory / name) for name in names]
+
+
+def list_runs(directory: Path, index: Path | None = None, remark: Tell = ignore) -> list[Summary]:
+    """Summaries of all run files of a folder with their tags, sorted by file name.
+
+    An existing index is used and brought up to date.
+
+    Parameters
+    ----------
+    index : path of the index, if it is not in the folder.
+    remark : called with a line if the index was out of date, unusable or could not be written.
+
+    Raises
+    ------
+    InputError : no such folder, or no file at `index`.
+    """
+    path = index or directory / NAME
+    if os.path.lexists(path):
+        catalogue = load_catalogue(directory, path, remark)
+        was_usable = not catalogue.changed
+        catalogue.refresh()
+        if was_usable and catalogue.behind:
+            remark(f"{path}: was not up to date; {catalogue.read} runs read, {catalogue.gone} gone")
+        if catalogue.changed:
+            try:
+                save(catalogue, path)
+            except NotWritten as fault:
+                remark(f"{fault}; this list is from the files")
+    elif index is not None:
+        raise InputError(f"{index}: no such index; leactl runs index {directory} --index {index} makes it")
+    else:
+        catalogue = Catalogue(directory)
+        catalogue.refresh()
+        if catalogue.read >= MANY:
+            remark(f"{catalogue.read} files opened; leactl runs index {directory} makes the next list quick")
+    return with_tags(directory, catalogue.runs, remark)
+
+
+def update(
+    directory: Path, index: Path | None = None, remark: Tell = ignore, workers: Workers = HERE, tell: Tell = ignore
+) -> tuple[Path, Catalogue]:
+    """Create the index of a folder or bring it up to date; an interrupt keeps what was read so far.
+
+    Parameters
+    ----------
+    index, remark : as of `list_runs`.
+    workers : processes that read the runs.
+    tell : called with a line of progress.
+
+    Returns
+    -------
+    Path of the index, and its content.
+
+    Raises
+    ------
+    InputError : no such folder, a folder that cannot be written, or `index` names a file that is no index.
+    """
+    path = index or directory / NAME
+    stamps_of(directory)
+    catalogue = load_catalogue(directory, path, remark)
+    try:
+        if not catalogue.rows:  # minutes of reading may follow
+            save(catalogue, path)
+        try:
+            catalogue.refresh(workers, tell)
+        finally:
+            if catalogue.changed:
+                save(catalogue, path)
+    except NotWritten as fault:
+        raise InputError(f"{fault}; --index FILE puts the index elsewhere") from None
+    return path, catalogue
+
+
+def load_catalogue(directory: Path, path: Path, remark: Tell) -> Catalogue:
+    """Load the index of a folder; empty if there is none, or if it is unusable, which `remark` is told.
+
+    Raises
+    ------
+    InputError : the file is no index of runs.
+    """
+    catalogue = Catalogue(directory)
+    refuse_foreign_file(path)
+    if os.path.lexists(path):
+        try:
+            catalogue.rows = read(path, directory)
+        except UnusableIndex as reason:
+            catalogue.changed = True
+            remark(f"{path}: {reason}; made anew from the files")
+    return catalogue
+
+
+def refuse_foreign_file(path: Path) -> None:
+    """Refuse to replace a file that is no index, for example one whose name was given by mistake.
+
+    Raises
+    ------
+    InputError : the file exists and is no index.
+    """
+    if path.name == NAME or not os.path.lexists(path):
+        return
+    head = b""
+    with suppress(OSError), open_regular(path) as file:
+        head = file.read(APPLICATION_AT.stop)
+    if path.is_dir() or (head and not is_index(head)) or not path.is_file():
+        raise InputError(f"{path}: is no index of runs and is not replaced; name another file by --index")
+
+
+def is_index(data: bytes) -> bool:
+    """Whether bytes begin like an index of any version."""
+    return data.startswith(MAGIC) and data[APPLICATION_AT] == APPLICATION.to_bytes(4, "big")
+
+
+def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
+    """Read the rows of an index.
+
+    Raises
+    ------
+    UnusableIndex : it is damaged, of another version, or no index.
+    """
+    try:
+        with open_regular(path, MOST_BYTES) as file:
+            data = file.read()
+    except OSError as fault:
+        raise UnusableIndex(f"cannot be read: {fault.strerror}") from None
+    if not is_index(data):
+        raise UnusableIndex("is no index of runs")
+    if (version := int.from_bytes(data[VERSION_AT], "big")) != VERSION:
+        raise UnusableIndex(f"is of version {version}, this program's is {VERSION}")
+    # from memory: no journal that lies beside the file counts, and no lock is asked for
+    with closing(sqlite3.connect(":memory:")) as base:
+        try:
+            base.deserialize(data)
+            base.execute("PRAGMA trusted_schema = OFF")
+            if [sql for (sql,) in base.execute("SELECT sql FROM sqlite_schema WHERE sql NOT NULL")] != tables():
+                raise UnusableIndex("has other columns than this program's")
+            (digest,) = base.execute("SELECT sha256 FROM digest").fetchone()
+            if not isinstance(digest, str) or len(digest) != DIGITS or digest_of(data, digest) != digest:
+                raise UnusableIndex("is damaged")
+            if base.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {MISTYPED})").fetchone() != (0,):
+                raise UnusableIndex("is damaged")
+            return rows_of(base.execute("SELECT * FROM runs"), directory)
+        except (sqlite3.Error, TypeError, ValueError, RecursionError):
+            raise UnusableIndex("is damaged") from None
+
+
+def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, IndexedRun]:
+    """Records of the table as rows; parameters that many runs share are one mapping."""
+    parameters: dict[str, Mapping[str, Any]] = {}
+    rows = {}
+    for record in records:
+        *known, text, mtime_ns, ctime_ns, inode = record
+        if text not in parameters:
+            parameters[text] = dict(json.loads(text))
+        run = Summary._make([directory, *known, parameters[text], ()])
+        if run.fault:
+            run = run._replace(fault=f"{run.path}: {run.fault}")
+        rows[run.file] = IndexedRun(FileStamp(run.size, mtime_ns, ctime_ns, inode) if ctime_ns else UNSETTLED, run)
+    return rows
+
+
+def save(catalogue: Catalogue, path: Path) -> None:
+    """Write the index to a new file that replaces the old one.
+
+    Raises
+    ------
+    NotWritten : the file cannot be written.
+    """
+    with closing(sqlite3.connect(":memory:")) as base:
+        base.execute(f"PRAGMA application_id = {APPLICATION}")
+        base.execute(f"PRAGMA user_version = {VERSION}")
+        for table in tables():
+            base.execute(table)
+        mark = token_hex(DIGITS // 2)
+        base.execute("INSERT INTO digest VALUES (?)", (mark,))
+        insert = f"INSERT INTO runs VALUES ({', '.join('?' * (len(KNOWN) + len(STAMP)))})"
+        for row in catalogue.rows.values():
+            # a name that is no UTF-8, or a number beyond 63 bits: SQLite holds neither, and the file is read each time
+            with suppress(UnicodeEncodeError, OverflowError):
+                base.execute(insert, record_of(row))
+        base.commit()
+        data = base.serialize()
+    with replacement(path) as temporary:
+        temporary.write_bytes(data.replace(mark.encode(), digest_of(data, mark).encode()))
+
+
+def record_of(row: IndexedRun) -> tuple[Any, ...]:
+    """Convert a row to a record of the SQLite table."""
+    # the folder may go by another name next time
+    run = row.run._replace(fault=row.run.fault.removeprefix(f"{row.run.path}: "))
+    _, *known, parameters, _ = run
+    return *known, json.dumps(dict(parameters)), *row.stamp[1:]
+
+
+def tables() -> list[str]:
+    """SQL statements that create the tables."""
+    columns = ", ".join(f"{name} {TYPES[name]}" for name in (*KNOWN, *STAMP))
+    return [f"CREATE TABLE runs ({columns})", "CREATE TABLE digest (sha256 TEXT)"]
+
+
+def digest_of(data: bytes, stored: str) -> str:
+    """SHA-256 of an index in which the stored digest is replaced by zeros."""
+    return sha256(data.replace(stored.encode(), b"0" * len(stored))).hexdigest()

@@ -1,0 +1,168 @@
+"""Select and sort runs by attributes, by date and by the parameters of their protocol."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.runfile.catalog.expression import Test, moment_of, read_expression, span_of
+from leactl.runfile.summary import STATUSES, Summary
+
+KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
+ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run, where no parameter has the name
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Criteria for runs; an empty field sets no criterion."""
+
+    protocol: str = ""
+    actuator: str = ""
+    condition: str = ""
+    status: str = ""
+    since: datetime | None = None
+    until: datetime | None = None  # not included
+    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # of parameters and attributes, what will do
+    tests: Sequence[Test] = ()  # expressions, all of which a run has to pass
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no criterion, so that every run fits."""
+        return self == Selection()
+
+    def fits(self, run: Summary) -> bool:
+        """Whether a run meets all criteria; an unreadable run never does."""
+        texts = all(
+            getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
+        )
+        values = all(_value(run, name) in wanted for name, wanted in self.where.items())
+        known = not run.fault and texts and values and self._in_time(run.created)
+        return known and all(test(run) for test in self.tests)
+
+    def _in_time(self, created: str) -> bool:
+        if self.since is None and self.until is None:
+            return True
+        if (moment := moment_of(created)) is None:
+            return False
+        return (self.since is None or moment >= self.since) and (self.until is None or moment < self.until)
+
+
+def selection_of(
+    runs: Sequence[Summary],
+    *,
+    protocol: str = "",
+    actuator: str = "",
+    condition: str = "",
+    status: str = "",
+    since: str = "",
+    until: str = "",
+    where: Sequence[str] = (),
+) -> Selection:
+    """Build the selection from command-line options; days are UTC, and the day of `until` is included.
+
+    Raises
+    ------
+    InputError : one line for each option that no run could meet.
+    """
+    faults: list[str] = []
+    if status and status not in STATUSES:
+        faults.append(f"--status {status}: one of {', '.join(STATUSES)} was expected")
+    asked: dict[str, Sequence[Any]] = {}
+    tests: list[Test] = []
+    parameters = parameters_of(runs)
+    known = [*sorted(parameters - {*ATTRIBUTES}), *ATTRIBUTES]
+    for word in where:
+        name, _, text = word.partition("=")
+        if not is_pair(word):
+            try:
+                tests.append(read_expression(word, parameters))
+            except InputError as fault:
+                faults += fault.faults
+        elif name not in known:
+            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known)}")
+        else:
+            asked[name] = _values(word, text, faults)
+    first, last = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
+    if faults:
+        raise InputError(faults)
+    return Selection(protocol, actuator, condition, status, first, last, asked, tuple(tests))
+
+
+def is_pair(word: str) -> bool:
+    """Whether a word has the short form NAME=VALUE of the expression NAME == VALUE."""
+    name, equals, text = word.partition("=")
+    return bool(name and equals) and not text.startswith("=") and not re.search(r"[!<>()'\"\s]", name)
+
+
+def parameters_of(runs: Iterable[Summary]) -> set[str]:
+    """Names of all parameters of all runs."""
+    return {name for _, parameters in _alike(runs) for name in parameters}
+
+
+def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
+    """Sort runs by one of `KEYS` or by a parameter; runs without the parameter come last, and the sort is stable.
+
+    Raises
+    ------
+    InputError : `key` is neither one of `KEYS` nor a parameter of any run.
+    """
+    rows = list(runs)
+    if key in KEYS:
+        return sorted(rows, key=lambda run: (bool(run.fault), getattr(run, key)))
+    if not any(key in run.parameters for run in rows):
+        known = ", ".join(sorted({name for run in rows for name in run.parameters})) or "none"
+        raise InputError(f"--sort {key}: one of {', '.join(KEYS)}, or a parameter of the runs ({known}), was expected")
+    return sorted(rows, key=lambda run: _rank(run.parameters.get(key)))
+
+
+def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
+    """Pairs (protocol, parameter) whose value differs between runs of the protocol."""
+    seen: dict[tuple[str, str], list[Any]] = {}
+    for protocol, parameters in _alike(runs):
+        for name, value in parameters.items():
+            values = seen.setdefault((protocol, name), [])
+            if value not in values[:2]:  # two tell that it differs
+                values.append(value)
+    return {key for key, values in seen.items() if len(values) > 1}
+
+
+def _alike(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
+    """(protocol, parameters) of the runs, once for runs that share one mapping object, as those of an index do."""
+    return {(run.protocol, id(run.parameters)): (run.protocol, run.parameters) for run in runs}.values()
+
+
+def _value(run: Summary, name: str) -> Any:
+    """A parameter of a run, else its attribute of this name."""
+    return run.parameters.get(name, getattr(run, name) if name in ATTRIBUTES else None)
+
+
+def _rank(value: Any) -> tuple[int, float, str]:
+    if value is None:
+        return 2, 0.0, ""
+    return (0, float(value), "") if isinstance(value, int | float) else (1, 0.0, str(value))
+
+
+def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
+    """Values that match a word: as `--set` reads it and as text; for a list of one, also its only item."""
+    if not text.startswith("["):
+        return yamlfile.scalar(text), text
+    try:
+        value = yamlfile.parse(text, f"--where {word}").data
+    except InputError as error:
+        faults.extend(error.faults)
+        return ()
+    return (value, *value) if len(value) == 1 else (value,)
+
+
+def _moment(option: str, text: str, end: int, faults: list[str]) -> datetime | None:
+    """The moment of a date or a date with time; `end` 0 gives its start, `end` 1 the first moment after it."""
+    if not text:
+        return None
+    try:
+        return span_of(text)[end]
+    except ValueError:
+        faults.append(f"{option} {text}: a date as 2026-01-31 or 2026-01-31T13:00 was expected")
+        return None

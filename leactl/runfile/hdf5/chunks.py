@@ -1,0 +1,76 @@
+"""Sizes of compressed chunks: HDF5 decompresses a chunk to its end, whatever size its header announces.
+
+A chunk announced with 8 KiB may decompress to a thousand times its size in the file, and HDF5 keeps all of it in memory
+as long as the dataset is open.
+"""
+
+import zlib
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+DEFLATE_AT_MOST: Final = 1032  # values packed into one byte by deflate (zlib's technical details)
+CHECKSUM: Final = 4  # bytes of Fletcher's, behind the values
+MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what it cannot pack
+
+
+def chunks(dataset: Any) -> list[Any]:
+    """Chunk infos of a dataset's written chunks: offset in the dataset, offset in the file, and stored size."""
+    infos: list[Any] = []
+    dataset.chunk_iter(infos.append)
+    return infos
+
+
+def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
+    """Whether a compressed chunk takes or decompresses to more than `most` bytes; False if it is damaged."""
+    if chunk.size > most + most // 1000 + MORE:
+        return True
+    _, packed = dataset.read_direct_chunk(chunk.chunk_offset)
+    try:
+        return len(zlib.decompressobj().decompress(packed, most + 1)) > most
+    except zlib.error:
+        return False
+
+
+def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
+    """Decompressed bytes of a chunk; None if it is damaged or decompresses to more than `most` bytes."""
+    data: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
+    used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
+    most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
+    for code in reversed(used):
+        if code == h5py.h5z.FILTER_FLETCHER32:
+            data = data[:-CHECKSUM]
+        elif code == h5py.h5z.FILTER_SHUFFLE:  # first bytes of all values, second bytes of all values ...
+            rows = len(data) // value_size
+            data = np.frombuffer(data, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
+        else:
+            try:
+                data = zlib.decompressobj().decompress(data, most_bytes + 1)
+            except zlib.error:
+                return None
+            if len(data) > most_bytes:
+                return None
+    return data
+
+
+def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
+    """The last value of a one-dimensional dataset, as an array of length 1; of length 0 if the dataset is empty.
+
+    Raises
+    ------
+    OSError : its last chunk decompresses to more than it announces.
+    """
+    rows = len(dataset)
+    if rows and dataset.chunks and h5py.h5z.FILTER_DEFLATE in filters(dataset.id.get_create_plist()):
+        length = dataset.chunks[0]
+        chunk = dataset.id.get_chunk_info_by_coord(((rows - 1) // length * length,))
+        if chunk.size and exceeds_announced(dataset.id, chunk, length * dataset.dtype.itemsize):
+            raise OSError(f"the last chunk of {dataset.name} unpacks to more than it announces")
+    values: np.ndarray[Any, Any] = dataset[-1:]
+    return values
+
+
+def filters(plist: Any) -> tuple[int, ...]:
+    """HDF5 filter codes of a dataset's chunks, in the order in which they were applied."""
+    return tuple(plist.get_filter(index)[0] for index in range(plist.get_nfilters()))

@@ -1,0 +1,186 @@
+"""Open a run file safely: return an open HDF5 file, or raise one line that says why it is no run file.
+
+A recording that was killed or is still being written opens too (see `swmr`); foreign or truncated files are refused.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import h5py
+
+from leactl.errors import InputError
+from leactl.regular import open_regular
+from leactl.runfile import layout
+from leactl.runfile.hdf5.swmr import FLAGS_AT, OPEN_FOR_WRITE, SIGNATURE, SWMR_WRITE, VERSION_AT, AsClosed
+from leactl.runfile.hdf5.text_heaps import longest_text
+from leactl.runfile.hdf5.tree import (
+    MOST_ATTRIBUTES,
+    MOST_NAMES,
+    Node,
+    attribute_bytes,
+    faults_of_attributes,
+    faults_of_foreign_tree,
+    faults_of_texts_in_attributes,
+    faults_of_tree,
+)
+from leactl.yamlfile import shown
+
+TOO_NEW = (
+    f"written in a newer HDF5 format than h5py {h5py.__version__} with HDF5 {h5py.version.hdf5_version} reads; where it"
+    " opens, `leactl runs convert` makes it old again"
+)
+# h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
+GROWING = 3  # times that a live file is reopened because it grew while it was checked
+BEYOND_ITS_END = "addr overflow"  # HDF5's error for an address beyond the size that the file had when it was opened
+USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
+
+
+def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool = True) -> tuple[Any, bool]:
+    """Open a run file for reading; the second result says whether a writer has it open or was killed.
+
+    Parameters
+    ----------
+    root : receives the attributes of the root group.
+    values : whether more than the last value of each stream will be read, so that compressed chunks are checked too.
+
+    Raises
+    ------
+    InputError : not a run file, or one that cannot be read safely; one line for each fault.
+    """
+    try:
+        raw = open_regular(path)
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder; run files were expected, such as {path / '*.h5'}") from None
+    except OSError as fault:
+        raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
+    with raw:
+        head = raw.read(FLAGS_AT + 1)
+        flags = head[FLAGS_AT] if is_hdf5(head) and len(head) > FLAGS_AT and head[VERSION_AT] >= 3 else 0
+        if flags & OPEN_FOR_WRITE and not flags & SWMR_WRITE:
+            text = "the recording never started (its writer ended while preparing the file); delete it"
+            raise InputError(f"{path}: {text}")
+        live = bool(flags & SWMR_WRITE)
+        for tries in range(GROWING, -1, -1):
+            try:
+                file = h5py.File(AsClosed(raw) if live else path, "r")
+            except DAMAGE as fault:
+                raise InputError(f"{path}: {open_failure(fault)}") from fault
+            try:
+                faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
+            except DAMAGE as fault:
+                faults = [damage_text(fault)]
+            if faults:
+                file.close()
+            if not (tries and live and any(BEYOND_ITS_END in fault for fault in faults)):
+                break
+        if faults:
+            raise InputError([f"{path}: {fault}" for fault in faults])
+    return file, live
+
+
+def open_foreign(path: Path) -> Any:
+    """Open an HDF5 file that is no run, such as a MAT file of version 7.3, for reading.
+
+    Raises
+    ------
+    InputError : not an HDF5 file, or one that cannot be read safely; one line for each fault.
+    """
+    try:
+        raw = open_regular(path)
+    except OSError as fault:
+        raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
+    with raw:
+        try:
+            file = h5py.File(path, "r")
+        except DAMAGE as fault:
+            raise InputError(f"{path}: {open_failure(fault)}") from fault
+        try:
+            faults = faults_of_sizes(file) or faults_of_foreign_tree(file, raw, longest_text(raw))
+        except InputError as fault:
+            faults = fault.faults
+        except DAMAGE as fault:
+            faults = [damage_text(fault)]
+        if faults:
+            file.close()
+            raise InputError([f"{path}: {fault}" for fault in faults])
+    return file
+
+
+def is_hdf5(head: bytes) -> bool:
+    """Whether the first bytes of a file are the HDF5 signature."""
+    return head.startswith(SIGNATURE)
+
+
+def faults_of_form(file: Any, head: bytes) -> list[str]:
+    """A line if the file does not begin with HDF5's signature, or its addresses have an unusual size."""
+    if not is_hdf5(head):
+        return ["begins with bytes that are not HDF5's; none were expected before its part"]
+    return faults_of_sizes(file)
+
+
+def faults_of_sizes(file: Any) -> list[str]:
+    """A line if addresses or lengths have an unusual size, for which the text heaps cannot be checked."""
+    if (sizes := file.id.get_create_plist().get_sizes()) != USUAL_SIZES:
+        return [f"its addresses and lengths have {sizes[0]} and {sizes[1]} bytes; 8 were expected"]
+    return []
+
+
+def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool) -> list[str]:
+    """One line for each reason why the file is no readable run; adds the root attributes to `root`."""
+    try:
+        longest = longest_text(raw)
+        return faults_of_root(file, longest, root) or faults_of_tree(file, raw, longest, values)
+    except InputError as fault:
+        return fault.faults
+
+
+@contextmanager
+def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
+    """Convert HDF5's errors in the block to an InputError of one line with file and HDF5 path."""
+    try:
+        yield
+    except DAMAGE as fault:
+        where = f"{path}: {hdf5_path}" if hdf5_path else f"{path}"
+        raise InputError(f"{where}: {damage_text(fault)}") from fault
+
+
+def damage_text(fault: Exception) -> str:
+    """One line, in words a person can act on, for an error while HDF5 reads data."""
+    if isinstance(fault, MemoryError):
+        return "holds more than fits into the memory of this computer"
+    text = " ".join(str(fault).split())
+    return TOO_NEW if "bad version number" in text else f"damaged: {text}"
+
+
+def open_failure(fault: Exception) -> str:
+    """One line, in words a person can act on, for an error while HDF5 opens a file."""
+    text = str(fault)
+    if "signature not found" in text:
+        return "not an HDF5 file"
+    if "truncated" in text:
+        return "truncated: the file is shorter than it says; copy it again from where it was recorded"
+    return f"HDF5 cannot open it: {' '.join(text.split())}"
+
+
+def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
+    """A line if the root attributes are not those of a run of a supported version; adds them to `root`."""
+    try:
+        if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_NAMES:
+            return [f"/: {names} attributes; at most {MOST_NAMES} were expected"]
+        size = attribute_bytes(file.id)
+        texts = [Node("/", h5py.h5o.open(file.id, b"/"))]
+        if faults := (
+            faults_of_attributes(size, "/") or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTES)
+        ):
+            return faults
+        root |= layout.attributes(file)
+    except DAMAGE as fault:
+        return [f"its attributes cannot be read: {damage_text(fault)}"]
+    if root.get("format") != layout.FORMAT:
+        return [f"not a run file: attribute 'format' is {shown(root.get('format'))}, expected {layout.FORMAT!r}"]
+    if root.get("format_version") != layout.VERSION:
+        return [f"format_version is {shown(root.get('format_version'))}; this program reads {layout.VERSION}"]
+    return []

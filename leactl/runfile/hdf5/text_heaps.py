@@ -1,0 +1,74 @@
+"""Check the heaps that hold a file's texts before HDF5 reads them: a length of 0 in a heap keeps HDF5 busy for ever.
+
+A heap is a sequence of objects, each with its length. The last one, number 0, is the free space; its length includes
+its header and so is never 0. HDF5 steps by these lengths unchecked, and no checksum covers a heap (HDF5 file format
+3.0, III.E). Other faults of a heap are found by HDF5 itself. The length of the longest text bounds the memory that
+many references to one text can take.
+"""
+
+import struct
+from collections.abc import Iterator
+from typing import BinaryIO, Final
+
+from leactl.errors import InputError
+
+HEAD: Final = b"GCOL\x01\0\0\0"  # signature, version and what is reserved; the heap's length follows
+HEADER: Final = struct.Struct("<8sQ")
+OBJECT: Final = struct.Struct("<HHLQ")  # number, references, reserved, length of what follows
+ALIGNMENT: Final = 8  # bytes, of the objects in a heap
+BLOCK: Final = 1 << 22  # bytes, that are looked through at once
+MOST_BYTES: Final = 1 << 24  # of one text; HDF5 and Python hold five copies of it for a moment
+MOST_STEPS: Final = 1 << 19  # heaps and the objects in them; a run has some hundred texts, and three for each event
+
+
+def longest_text(stream: BinaryIO) -> int:
+    """Length [bytes] of the longest text in the heaps of an HDF5 file with 8-byte lengths.
+
+    Raises
+    ------
+    InputError : HDF5 would never reach the end of a heap, or there are more or longer texts than a run can have.
+    """
+    longest = steps = 0
+    for at in heaps(stream):
+        for number, length in objects(stream, at):
+            steps += 1
+            if not number and not length:
+                raise InputError(f"damaged: the texts that begin at byte {at} are not whole")
+            if steps > MOST_STEPS:
+                raise InputError(f"more than {MOST_STEPS} texts; fewer were expected of a run")
+            longest = max(longest, length if number else 0)
+            if longest > MOST_BYTES:
+                raise InputError(f"a text of {longest} bytes; at most {MOST_BYTES} were expected")
+    return longest
+
+
+def heaps(stream: BinaryIO) -> Iterator[int]:
+    """Byte offsets of the heaps of a file; read block by block, since the file may be larger than the memory."""
+    begin, block = 0, bytes_at(stream, 0, BLOCK)
+    while len(block) >= len(HEAD):
+        at = block.find(HEAD)
+        while at >= 0:
+            yield begin + at
+            at = block.find(HEAD, at + len(HEAD))
+        begin += len(block) - len(HEAD) + 1  # a head may lie across two blocks
+        block = bytes_at(stream, begin, BLOCK)
+
+
+def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
+    """Number and length of each object of a heap, preceded by (1, 0) for the heap itself."""
+    yield 1, 0
+    head = bytes_at(stream, at, HEADER.size)
+    if len(head) < HEADER.size:
+        return
+    end = at + HEADER.unpack(head)[1]
+    at += HEADER.size
+    while at + OBJECT.size <= end and len(head := bytes_at(stream, at, OBJECT.size)) == OBJECT.size:
+        number, _, _, length = OBJECT.unpack(head)
+        yield number, length
+        at += length if not number else OBJECT.size + -(-length // ALIGNMENT) * ALIGNMENT
+
+
+def bytes_at(stream: BinaryIO, at: int, count: int) -> bytes:
+    """`count` bytes of a file from byte `at`; fewer at its end."""
+    stream.seek(at)
+    return stream.read(count)

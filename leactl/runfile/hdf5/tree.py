@@ -1,0 +1,396 @@
+"""Check the object tree of an HDF5 file before its values are read: names, sizes, depth and kinds of its objects.
+
+A file of a few kB may announce a channel of 1e12 values that were never written, attributes that fill the memory, a
+text that is referred to a million times, chunks that decompress without end, or groups that contain themselves. All of
+these are refused by object headers, references and compressed bytes alone; HDF5 reads no value.
+"""
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, BinaryIO, Final, NamedTuple, Self
+
+import h5py
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.runfile import layout
+from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
+
+KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+DEEPEST: Final = 8  # groups in one another; the layout has 3
+DEEPEST_FOREIGN: Final = 32  # structs and cells of other programs in one another
+MOST_OBJECTS: Final = 10_000  # groups and datasets; a run of the largest bench has about 100
+MOST_ROWS_OF_TABLE: Final = 1 << 17  # of steps, events and notes
+MOST_TEXTS: Final = 1 << 19  # in all datasets
+MOST_TEXT: Final = 1 << 26  # bytes of them
+MOST_NAMES: Final = 1 << 13  # of attributes; to read one by its name, HDF5 looks at all others of its object
+MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; what is written here shares 64 KiB
+MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
+MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as a kill leaves them
+ATTRIBUTE_HEADER: Final = 64  # bytes, about, of an attribute beside its value
+MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the file's size plus 256 MiB
+TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
+MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
+LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
+
+GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
+TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": layout.NOTES}
+
+
+class Node(NamedTuple):
+    """A group or dataset with its path in the file."""
+
+    path: str
+    item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`
+
+
+class Storage(NamedTuple):
+    """Type, shape and storage of a dataset's values, from its object header."""
+
+    dtype: "np.dtype[Any]"
+    shape: tuple[int, ...] | None  # None where it has no values
+    elsewhere: bool  # in another file
+    in_header: bool  # in the object's header instead of a block of their own
+    filters: tuple[int, ...]
+    chunk_values: int  # 0 where it is not chunked
+
+    @classmethod
+    def of(cls, dataset: Any) -> Self:
+        """Read the header once, because each access to a dataset's shape or properties copies all of them."""
+        plist = dataset.get_create_plist()
+        form = plist.get_layout()
+        return cls(
+            dtype=dataset.dtype,
+            shape=dataset.shape,
+            elsewhere=form == h5py.h5d.VIRTUAL or plist.get_external_count() > 0,
+            in_header=form == h5py.h5d.COMPACT,
+            filters=filters(plist),
+            chunk_values=math.prod(plist.get_chunk()) if form == h5py.h5d.CHUNKED else 0,
+        )
+
+    @property
+    def announced(self) -> int:
+        """Number of values, written or not."""
+        return 0 if self.shape is None else math.prod(self.shape)
+
+    @property
+    def size(self) -> int:
+        """Size of the values [bytes]; a text of variable length counts as its reference."""
+        return self.announced * self.dtype.itemsize
+
+    @property
+    def chunk_size(self) -> int:
+        """Size of one decompressed chunk [bytes]; 0 if the dataset is not chunked."""
+        value = TEXT_IN_HEAP if self.is_text_of_any_length else self.dtype
+        return self.chunk_values * int(value.itemsize)
+
+    @property
+    def is_packed(self) -> bool:
+        """Whether the chunks are compressed."""
+        return h5py.h5z.FILTER_DEFLATE in self.filters
+
+    @property
+    def is_text(self) -> bool:
+        """Whether the values are texts."""
+        return h5py.check_string_dtype(self.dtype) is not None
+
+    @property
+    def is_text_of_any_length(self) -> bool:
+        """Whether the values are references to texts in the file's heaps."""
+        kind = h5py.check_string_dtype(self.dtype)
+        return kind is not None and kind.length is None
+
+    @property
+    def rank(self) -> int:
+        """Number of dimensions; 0 for a scalar or a dataset without values."""
+        return len(self.shape or ())
+
+    def holds(self, text: bool) -> bool:
+        """Whether the values are texts (`text` True) or numbers (`text` False)."""
+        return self.is_text if text else self.dtype.kind in "fiu"
+
+
+def faults_of_tree(file: Any, raw: BinaryIO, longest: int, values: bool = True) -> list[str]:
+    """One line for each reason why a run file cannot be read safely.
+
+    Parameters
+    ----------
+    raw : the file, opened for reading bytes.
+    longest : length of the longest text in its heaps [bytes].
+    values : whether more than the last value of each stream will be read, so that compressed chunks are checked too.
+    """
+    tree = Tree(raw, longest)
+    try:
+        faults = tree.faults_of_nodes(file) or faults_of_kinds(tree.items)
+        return faults or (tree.faults_of_packing() if values else [])
+    except InputError as fault:
+        return fault.faults
+
+
+def faults_of_foreign_tree(file: Any, raw: BinaryIO, longest: int) -> list[str]:
+    """One line for each reason why an HDF5 file that is no run, such as a MAT file, cannot be read safely."""
+    tree = Tree(raw, longest, foreign=True)
+    try:
+        return tree.faults_of_nodes(file) or tree.faults_of_packing()
+    except InputError as fault:
+        return fault.faults
+
+
+class Tree:
+    """The objects of a file, with sums of their sizes that are updated while the tree is walked."""
+
+    def __init__(self, raw: BinaryIO, longest: int, foreign: bool = False) -> None:
+        self.items: dict[str, Any] = {}  # by path: of a dataset its storage
+        self._foreign = foreign  # not a run: deeper, with references, and no text but in arrays of numbers
+        self._raw, self._longest, self._file_size = raw, longest, os.fstat(raw.fileno()).st_size
+        self._datasets: list[tuple[str, Any, Storage]] = []
+
+    def faults_of_nodes(self, file: Any) -> list[str]:
+        """Faults of single objects and of their sums, one line each, with the object's path."""
+        faults: list[str] = []
+        nodes: list[Node] = []
+        attributes = names = 0
+        for path, item in walk(file.id, faults, DEEPEST_FOREIGN if self._foreign else DEEPEST):
+            self.items[path] = item
+            nodes.append(Node(path, item))
+            names += int(h5py.h5a.get_num_attrs(item))
+            if names > MOST_NAMES:
+                raise InputError(f"{path}: more than {MOST_NAMES} attributes in this file; fewer were expected")
+            size = attribute_bytes(item)
+            attributes += size
+            faults += faults_of_attributes(size, path)
+            if isinstance(item, h5py.h5d.DatasetID):
+                self.items[path] = storage = Storage.of(item)
+                self._datasets.append((path, item, storage))
+                faults += faults_of_dataset(storage, path, self._foreign)
+            if len(self.items) > MOST_OBJECTS:
+                raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
+        if attributes > MOST_ATTRIBUTES_OF_FILE and not faults:
+            faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTES_OF_FILE} were expected")
+        return (
+            faults
+            or faults_of_texts_in_attributes(nodes, attributes, self._longest, MOST_ATTRIBUTES_OF_FILE)
+            or self._faults_of_sizes()
+            or self._faults_of_texts()
+        )
+
+    def _faults_of_sizes(self) -> list[str]:
+        """A line if values were never written, overlap one another, or exceed what is read."""
+        unwritten, largest = 0, ("", 0)
+        stored: dict[int, int] = {}  # by address: an object may have two names
+        for path, item, storage in self._datasets:
+            if storage.size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of so little stays below
+                continue
+            taken = int(item.get_storage_size())
+            stored[h5py.h5o.get_info(item).addr] = taken
+            size = max(0, storage.size - (DEFLATE_AT_MOST if storage.is_packed else 1) * taken)
+            unwritten += size
+            largest = max(largest, (path, size), key=lambda candidate: candidate[1])
+        if unwritten > MOST_UNWRITTEN:
+            return [
+                f"{largest[0]}: announces {largest[1]} bytes of values that were never written; at most"
+                f" {MOST_UNWRITTEN} were expected, as a recording that was cut off may leave them"
+            ]
+        if (size := sum(stored.values())) > self._file_size:
+            return [f"damaged: its values take {size} bytes in a file of {self._file_size}"]
+        most = MOST_UNPACKED[0] * self._file_size + MOST_UNPACKED[1]
+        if (size := sum(storage.size for _, _, storage in self._datasets)) > most:
+            return [f"{size} bytes of values in a file of {self._file_size}; at most {most} were expected"]
+        return []
+
+    def _faults_of_texts(self) -> list[str]:
+        """A line if the texts are too many or too long, repeated references included."""
+        count = size = 0
+        for path, item, storage in self._datasets:
+            if not storage.is_text:
+                continue
+            count += storage.announced
+            if count > MOST_TEXTS:
+                return [f"{path}: more than {MOST_TEXTS} texts in this file; fewer were expected"]
+            if not storage.is_text_of_any_length:
+                size += storage.size
+                continue
+            if storage.in_header and storage.announced * self._longest > MOST_TEXT:
+                return [f"{path}: {storage.announced} texts in its header; one of the file has {self._longest} bytes"]
+            lengths = self._lengths(item, storage)
+            if lengths is None:
+                return [f"{path}: damaged: a chunk of texts cannot be unpacked to what it announces"]
+            if (longest := int(lengths.max(initial=0))) > self._file_size:
+                return [f"{path}: damaged: announces a text of {longest} bytes in a file of {self._file_size}"]
+            size += int(lengths.sum())
+        return [] if size <= MOST_TEXT else [f"{size} bytes of text; at most {MOST_TEXT} were expected"]
+
+    def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any] | None":
+        """Lengths of a dataset's texts [bytes], from its references; empty if these are in the object header.
+
+        None if the references cannot be read.
+        """
+        size = TEXT_IN_HEAP.itemsize
+        if storage.is_packed:
+            chunks_unpacked = [unpacked(item, chunk, storage.chunk_size, size) for chunk in chunks(item)]
+            if any(chunk_bytes is None for chunk_bytes in chunks_unpacked):
+                return None
+            references = b"".join(chunk_bytes for chunk_bytes in chunks_unpacked if chunk_bytes is not None)
+            return np.frombuffer(references, TEXT_IN_HEAP, len(references) // size)["length"].astype(np.int64)
+        if storage.chunk_values:
+            parts = [(chunk.byte_offset, chunk.size) for chunk in chunks(item)]
+        else:
+            parts = [(item.get_offset(), storage.announced * TEXT_IN_HEAP.itemsize)]
+        references = b""
+        for at, size in parts:
+            if at is not None:  # None: not written, or in the header
+                self._raw.seek(at)
+                references += self._raw.read(min(size, self._file_size))
+        return np.frombuffer(references, TEXT_IN_HEAP, len(references) // TEXT_IN_HEAP.itemsize)["length"].astype(
+            np.int64
+        )
+
+    def faults_of_packing(self) -> list[str]:
+        """A line for each dataset with a chunk that decompresses to more than it announces.
+
+        No chunk is decompressed if all of them together cannot exceed `MOST_UNSEEN`.
+        """
+        packed = [(path, item, storage) for path, item, storage in self._datasets if storage.is_packed]
+        if DEFLATE_AT_MOST * sum(int(item.get_storage_size()) for _, item, _ in packed) <= MOST_UNSEEN:
+            return []
+        return [
+            f"{path}: damaged: a chunk unpacks to more than the {storage.chunk_size} bytes that it announces"
+            for path, item, storage in packed
+            if any(exceeds_announced(item, chunk, storage.chunk_size) for chunk in chunks(item))
+        ]
+
+
+def walk(group: Any, faults: list[str], deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
+    """Every group and dataset below a group; soft and external links are added to `faults` and not followed."""
+    for name, kind in links(group):
+        node_path = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
+        if depth == deepest:  # as where a group holds itself: what else is in it does not count
+            raise InputError(f"{node_path}: lies in more than {deepest} groups; fewer were expected")
+        if kind != h5py.h5l.TYPE_HARD:
+            faults.append(f"{node_path}: a link instead of data; no link is followed")
+            continue
+        node = Node(node_path, h5py.h5o.open(group, name))
+        yield node
+        if isinstance(node.item, h5py.h5g.GroupID):
+            yield from walk(node.item, faults, deepest, node_path, depth + 1)
+
+
+def links(group: Any) -> list[tuple[bytes, int]]:
+    """Name and type of each link of a group, at most one more than a file may have objects."""
+    named: list[tuple[bytes, int]] = []
+
+    def take(name: bytes, link: Any) -> bool | None:
+        named.append((name, link.type))
+        return len(named) > MOST_OBJECTS or None  # anything but None ends the iteration
+
+    group.links.iterate(take, info=True)
+    return named
+
+
+def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -> list[str]:
+    """One line for each reason why a dataset's values cannot be read.
+
+    Besides numbers, a run may have texts; a foreign file may have references to its own objects.
+    """
+    faults = []
+    if storage.elsewhere:
+        faults.append(f"{hdf5_path}: its values lie in another file; no other is opened")
+    faults += [f"{hdf5_path}: filter {code} is neither gzip nor shuffle" for code in {*storage.filters} - KNOWN_FILTERS]
+    if len({*storage.filters}) < len(storage.filters):
+        faults.append(f"{hdf5_path}: packed more than once")
+    if storage.shape is None:
+        faults.append(f"{hdf5_path}: a dataset without values")
+    elif storage.chunk_size > LARGEST_CHUNK:
+        faults.append(f"{hdf5_path}: chunks of {storage.chunk_size} bytes; at most {LARGEST_CHUNK} were expected")
+    elif storage.dtype.hasobject and not (is_reference(storage) if foreign else storage.is_text):
+        faults.append(f"{hdf5_path}: values that are neither numbers nor {'references' if foreign else 'text'}")
+    elif storage.dtype.hasobject and foreign and storage.announced > MOST_OBJECTS:
+        faults.append(f"{hdf5_path}: {storage.announced} references; at most {MOST_OBJECTS} were expected")
+    return faults
+
+
+def is_reference(storage: Storage) -> bool:
+    """Whether the values are references to objects of the file."""
+    return h5py.check_ref_dtype(storage.dtype) is h5py.Reference
+
+
+def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
+    """A line if the attributes of one object exceed `MOST_ATTRIBUTES` bytes."""
+    if size <= MOST_ATTRIBUTES:
+        return []
+    return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
+
+
+def attribute_bytes(item: Any) -> int:
+    """Size of an object's attributes [bytes], by their headers."""
+    least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
+    if not 0 < least <= MOST_ATTRIBUTES:
+        return least
+    sizes: list[int] = []
+    # in one pass: to open each by its number, HDF5 begins anew every time
+    h5py.h5a.iterate(item, lambda _name, attribute: sizes.append(attribute.data_size), info=True)
+    return least + sum(sizes)
+
+
+def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int, most: int) -> list[str]:
+    """A line if texts in attributes exceed the limits.
+
+    Parameters
+    ----------
+    nodes : the objects whose attributes are checked.
+    size : size of all their attributes [bytes]; a text counts as its reference.
+    longest : length of the longest text in the file's heaps [bytes]; if it rules out an excess, no text is read.
+    most : limit of the size of all texts [bytes].
+    """
+    if size // TEXT_IN_HEAP.itemsize * longest <= most:
+        return []
+    total = 0
+    for path, item in nodes:
+        of_item = 0
+        for name in attribute_names(item):
+            attribute = h5py.h5a.open(item, name)
+            kind = h5py.check_string_dtype(attribute.dtype)
+            if kind is None or kind.length is not None:
+                continue
+            count = math.prod(attribute.shape)
+            if count > 1 and count * longest > MOST_TEXT:
+                return [f"{path}: an attribute of {count} texts in a file that has one of {longest} bytes"]
+            texts = np.empty(attribute.shape, attribute.dtype)
+            attribute.read(texts)
+            of_item += sum(len(text) for text in texts.flat)
+            if (more := faults_of_attributes(of_item, path)) or total + of_item > most:
+                return more or [f"more than {most} bytes of texts in attributes; fewer were expected"]
+        total += of_item
+    return []
+
+
+def attribute_names(item: Any) -> list[bytes]:
+    """Names of an object's attributes."""
+    names: list[bytes] = []
+    h5py.h5a.iterate(item, names.append)
+    return names
+
+
+def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
+    """One line for each object of the run format that is not the group, table column or text that it should be."""
+    faults = [
+        f"/{name}: a dataset where a group was expected"
+        for name in GROUPS
+        if f"/{name}" in items and not isinstance(items[f"/{name}"], h5py.h5g.GroupID)
+    ]
+    if faults:
+        return faults
+    for name in layout.SOURCES:
+        item = items.get(f"/{name}/source")
+        if item is not None and not (isinstance(item, Storage) and item.holds(text=True) and item.announced == 1):
+            faults.append(f"/{name}/source: one text was expected")
+    for table, columns in TABLES.items():
+        for column, width in columns.items():
+            item = items.get(f"/{table}/{column}")
+            text = width is not None
+            if item is not None and not (isinstance(item, Storage) and item.holds(text) and item.rank == 1):
+                faults.append(f"/{table}/{column}: one dimension of {'texts' if text else 'numbers'} was expected")
+            elif item is not None and item.announced > MOST_ROWS_OF_TABLE:
+                faults.append(f"/{table}/{column}: {item.announced} rows; at most {MOST_ROWS_OF_TABLE} were expected")
+    return faults

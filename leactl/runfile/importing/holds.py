@@ -1,0 +1,251 @@
+"""Find the stretches in which a channel holds a level: those between changes that exceed its noise.
+
+A setpoint repeats its level exactly, so that every change ends a stretch. In a reading, a level changes where the means
+of the rows before and after differ by more than the scatter of such means (moving sums, MOSUM: Eichinger and Kirch,
+Bernoulli 24, 2018). That scatter is estimated from the recording at the length of the means: the noise from row to row
+underestimates it if the noise is coloured by a filter, a ripple or a control loop.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
+WINDOWS = 4  # windows in the shortest hold: the two around a row leave half of the hold undisturbed
+FEWEST = 8  # least rows of a window, so that its scatter can be estimated
+CHANGE = 5.0  # a level changes where the means of two windows differ by this many standard deviations
+CALM = 0.1  # quantile of the ratios by which the scatter of means is first estimated
+CALM_NORMAL = 0.2533  # |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM
+UNSURE = 2.0  # standard errors added to the estimated scatter of means
+MOST_ROUNDS = 20  # iterations of leaving out changes; fewer if the estimate no longer changes
+TAIL, BEYOND = 0.995, 2.5  # a row is off its level beyond 2.5 times the 99.5 % quantile of deviations (7 sd if normal)
+ROUNDED = 1e-9  # relative rounding error of a mean of equal numbers
+WANDERS = 0.25  # share of the smallest step between levels that a level may drift beyond its noise
+
+
+class LevelHold(NamedTuple):
+    """A stretch of rows at one level."""
+
+    first: int
+    after: int  # the row after the last
+    level: float
+    before: float  # value of the channel before it came to this level; NaN if no row tells
+
+
+class NotDistinct(Exception):
+    """Levels cannot be distinguished from noise; the message says where."""
+
+
+def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
+    """Stretches of at least `least_s` in which a channel stays at one level.
+
+    A single deviating row of a setpoint is ignored, two in sequence end a stretch; a stretch of a reading ends where
+    its mean changes. Missing rows end a stretch if they last a quarter of `least_s` or more.
+
+    Raises
+    ------
+    NotDistinct : a noisy channel without a change of level, or a level that wanders by more than noise explains.
+    """
+    finite_rows = np.flatnonzero(np.isfinite(values))
+    if not len(finite_rows):
+        return []
+    stamps, levels = time[finite_rows], median_of_three(values[finite_rows])
+    rounded = ROUNDED * float(np.abs(levels).max())
+    window = round(len(finite_rows) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
+    # rows behind which a channel is silent for long, as a setpoint is in another mode of its drive
+    silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
+
+    def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
+        """Parts of holds that last `least_s`: key in finite rows, value in all rows."""
+        parts = {
+            part: rows_among_all(part, finite_rows, silences, len(values))
+            for part in split_at_silences(holds, silences)
+        }
+        ends = {part: float(time[min(whole.after, len(time) - 1)]) for part, whole in parts.items()}
+        return {part: whole for part, whole in parts.items() if ends[part] - time[whole.first] >= least_s}
+
+    holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST else {}
+    if not holds and window >= FEWEST:
+        means = WindowMeans(levels, window)
+        holds = lasting(between_changes(levels, means, rounded))
+        refuse_wandering([*holds], levels, means, stamps, settle_s, rounded)
+    return [*holds.values()]
+
+
+def median_of_three(values: Array) -> Array:
+    """Median of each row and its two neighbours, which removes single deviating rows and keeps edges."""
+    if len(values) < 3:
+        return values
+    middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
+    return np.concatenate([values[:1], middle, values[-1:]])
+
+
+def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
+    """Split holds at silences; the value before a part after a silence is NaN."""
+    for hold in holds:
+        inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
+        for first, after in pairwise([hold.first, *inside, hold.after]):
+            yield hold._replace(first=first, after=after, before=math.nan if first in silences else hold.before)
+
+
+def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
+    """Convert a hold from indices of finite rows to indices of all rows."""
+    if hold.after in silences:
+        after = int(known[hold.after - 1]) + 1
+    else:
+        after = int(known[hold.after]) if hold.after < len(known) else rows
+    return hold._replace(first=int(known[hold.first]), after=after)
+
+
+def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
+    """Stretches of constant value, up to `rounded`."""
+    changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
+    edges = [0, *changes.tolist(), len(values)]
+    return [
+        LevelHold(first, after, float(values[first]), float(values[first - 1]) if first else math.nan)
+        for first, after in pairwise(edges)
+    ]
+
+
+class WindowMeans:
+    """Moving means before and after each row, and the scatter of the rows in them."""
+
+    def __init__(self, values: Array, window: int) -> None:
+        rows = np.arange(len(values)) - 0.5 * (len(values) - 1)
+        centred = values - values.mean()
+        mean, square, moment = (window_means(column, window) for column in (centred, centred**2, rows * centred))
+        # without a slope, which is no noise: what a ramp leaves beside it is
+        middle = rows[: len(mean)] + 0.5 * (window - 1)
+        sloping = (moment - middle * mean) ** 2 / ((window**2 - 1) / 12.0)
+        variance = np.maximum(square - mean**2 - sloping, 0.0)
+        self.window = window
+        self.mean = mean  # of the window that begins at each row
+        self.change = mean[window:] - mean[:-window]  # from `window` rows before each row, the first of which is that
+        self.scatter = np.sqrt(0.5 * (variance[window:] + variance[:-window]))
+        self.least_step = float(np.ptp(mean))  # from one level to the next
+        self.colour = 0.0  # by how much means scatter, of the scatter of the rows in them
+
+    def estimate_colour(self, rounded: float) -> None:
+        """Estimate `colour`, the scatter of window means relative to that of rows, where no level changes."""
+        noisy = self.scatter > rounded
+        if not noisy.any():
+            return
+        ratios = np.abs(self.change) / np.maximum(self.scatter, rounded)
+        colour = float(np.quantile(ratios[noisy], CALM)) / CALM_NORMAL
+        for _ in range(MOST_ROUNDS):
+            changes = np.concatenate([[0], np.cumsum(ratios > CHANGE * colour)])
+            rows = np.arange(len(ratios))
+            low, high = np.maximum(rows - self.window, 0), np.minimum(rows + self.window + 1, len(ratios))
+            calm = ratios[noisy & (changes[high] == changes[low])]  # no change within a window of these
+            windows = max(len(calm) / self.window, 1.0)
+            before, colour = colour, math.sqrt(float(np.mean(calm**2))) if len(calm) else 0.0
+            colour *= 1.0 + UNSURE / math.sqrt(2.0 * windows)  # it is known from few windows
+            if colour == before:
+                break
+        self.colour = colour
+
+
+def window_means(values: Array, window: int) -> Array:
+    """Mean of each window of `window` rows, indexed by its first row."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
+
+
+def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[LevelHold]:
+    """Holds between changes of level, extended to all rows at the level."""
+    window = means.window
+    if len(values) < 2 * window:
+        return []
+    means.estimate_colour(rounded)
+    steps = np.abs(np.diff(values))
+    # a reading that flickers by a count now and then has no noise to go by: half a count is no change
+    count = float(steps[steps > rounded].min(initial=np.ptp(values))) + rounded
+    calm = np.abs(means.change) <= np.maximum(CHANGE * means.colour * means.scatter, 0.5 * count)
+    if calm.all() and np.ptp(values) > rounded:
+        raise NotDistinct("no change stands out of it")
+    runs = [(first + window, after + window) for first, after in runs_of(calm)]
+    if not (runs := [(first, after) for first, after in runs if after - first > window]):
+        return []
+    # where two runs meet, the level changed where the means differ most
+    edges = [
+        after + int(np.argmax(np.abs(means.change[after - window : first - window])))
+        for (_, after), (first, _) in pairwise(runs)
+    ]
+    sizes = np.abs(means.change[np.asarray(edges, int) - window])
+    means.least_step = float(sizes.min(initial=means.least_step))
+    bounds = pairwise([0, *edges, len(values)])
+    holds = [hold_around(values, run, part, window, count) for run, part in zip(runs, bounds, strict=True)]
+    return [hold for hold in holds if hold is not None]
+
+
+def hold_around(
+    values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float
+) -> LevelHold | None:
+    """Extend a run of rows without change to the neighbouring rows at its level; None if no row is at it."""
+    first, after = run
+    level = float(np.median(values[first:after]))
+    # without the rows whose windows reach into a change, where enough are left
+    inner = values[first + window // 2 : after - window // 2]
+    off = (inner if len(inner) >= window else values[first:after]) - level
+    near = max(BEYOND * float(np.quantile(np.abs(off), TAIL)), count)
+    sway = max(CHANGE * float(np.std(moving_mean(off, window // WINDOWS))), 0.5 * count)
+    by_row = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= near)
+    if not len(by_row):
+        return None
+    begin, end = int(by_row[0]), int(by_row[-1]) + 1
+    by_mean = begin + np.flatnonzero(np.abs(moving_mean(values[begin:end] - level, window // WINDOWS)) <= sway)
+    if not len(by_mean):
+        return None
+    start = int(by_mean[0])
+    return LevelHold(start, int(by_mean[-1]) + 1, level, level_before(values, start, level, near, window))
+
+
+def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """First row and row after the last of each run of True."""
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def moving_mean(values: Array, rows: int) -> Array:
+    """Moving mean over `rows` rows, centred."""
+    from scipy.ndimage import uniform_filter1d
+
+    return np.asarray(uniform_filter1d(values, rows, mode="nearest"), np.float64)
+
+
+def level_before(values: Array, first: int, level: float, near: float, window: int) -> float:
+    """Value before a level: the last row off it, else the mean of the rows before; NaN if there are none."""
+    before = values[max(first - window, 0) : first]
+    off = before[np.abs(before - level) > near]
+    if len(off):
+        return float(off[-1])
+    return float(before.mean()) if len(before) else math.nan
+
+
+def refuse_wandering(
+    holds: list[LevelHold], values: Array, means: WindowMeans, stamps: Array, settle_s: float, rounded: float
+) -> None:
+    """Refuse a level that drifts by more than its noise explains and by more than a share of the smallest step.
+
+    Raises
+    ------
+    NotDistinct : a level drifts too much; with its start.
+    """
+    for hold in holds:
+        first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))
+        inside = means.mean[first : max(hold.after - means.window, first)]
+        count = (hold.after - first) / means.window
+        if count < 2.0:
+            continue
+        rows = float(np.var(values[first : hold.after])) - float(np.var(inside))
+        expected = 0.5 * means.colour**2 * max(rows, 0.0)
+        beyond = float(np.var(inside)) - expected * (1.0 + CHANGE * math.sqrt(2.0 / count))
+        wander = 2.0 * math.sqrt(max(beyond, 0.0))
+        if wander > max(WANDERS * means.least_step, rounded):
+            begin = f"{stamps[hold.first]:.6g} s"
+            raise NotDistinct(f"from {begin} on it wanders by {wander:.3g} and shows no change of level")

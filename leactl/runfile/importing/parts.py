@@ -1,0 +1,113 @@
+"""Split one recording into several runs: by rows, by times, or by the direction of a sweep."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import ByDirection, Mapping
+from leactl.runfile.importing.streams import Stream
+from leactl.yamlfile import Document
+
+Array = npt.NDArray[np.float64]
+Streams = dict[str, Stream]
+
+
+def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Document) -> list[tuple[str, Streams]]:
+    """Split a recording; returns (suffix of the file name, streams) of each run, with suffix "" if nothing is split.
+
+    Raises
+    ------
+    InputError : a part lies outside the recording, or no sweep is long enough.
+    """
+    if mapping.by_direction:
+        return by_direction(path, streams, mapping.by_direction, document)
+    if not mapping.parts:
+        return [("", streams)]
+    faults, runs = [], []
+    for index, part in enumerate(mapping.parts):
+        if part.rows is not None:
+            first, last = part.rows
+            cut = {name: stream.rows(first, last) for name, stream in streams.items()}
+            reached = last <= min(len(stream.time) for stream in streams.values())
+        else:
+            begin, end = part.time_s or (0.0, 0.0)
+            cut = cut_to(streams, begin, end)
+            reached = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
+        if not reached or any(len(stream.time) < 2 for stream in cut.values()):
+            rows = ", ".join(f"{n} {len(s.time)} rows, {s.time[-1]:.6g} s" for n, s in streams.items())
+            faults.append(document.fault(("parts", index), f"{path}: reaches beyond the recording ({rows})"))
+        else:
+            runs.append((part.suffix, from_zero(cut)))
+    if faults:
+        raise InputError(faults)
+    return runs
+
+
+def by_direction(path: Path, streams: Streams, settings: ByDirection, document: Document) -> list[tuple[str, Streams]]:
+    """One run for each sweep, with suffix `forward`, `reverse`, `forward-2` and so on."""
+    name, channel = settings.channel.split("/")
+    stream = streams[name]
+    runs: list[tuple[str, Streams]] = []
+    counts = {"forward": 0, "reverse": 0}
+    for first, last, ahead in sweeps(stream.channel(channel), settings.least):
+        direction = "forward" if ahead else "reverse"
+        counts[direction] += 1
+        suffix = direction if counts[direction] == 1 else f"{direction}-{counts[direction]}"
+        end = stream.time[last - 1] + 0.5 * (stream.time[last - 1] - stream.time[last - 2])
+        runs.append((suffix, from_zero(cut_to(streams, float(stream.time[first]), float(end)))))
+    if not runs:
+        message = f"{path}: {settings.channel} never travels {settings.least:g} in one direction"
+        raise InputError([document.fault(("by_direction", "least"), message)])
+    return runs
+
+
+def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
+    """Stretches (first row, row after the last, ahead) between turning points that travel at least `least`.
+
+    A turning point is an extreme from which the channel then returns by `least`; jitter around a value is no turn.
+    """
+    turns: list[tuple[int, bool]] = []  # extreme, whether it ends a way ahead
+    finite_rows = np.flatnonzero(np.isfinite(values))
+    low = high = int(finite_rows[0])
+    ahead: bool | None = None
+    for index in finite_rows.tolist():
+        if values[index] > values[high]:
+            high = index
+        if values[index] < values[low]:
+            low = index
+        if ahead is not False and values[high] - values[index] >= least:
+            turns.append((high, True))
+            ahead, low = False, index
+            high = index
+        elif ahead is not True and values[index] - values[low] >= least:
+            turns.append((low, False))
+            ahead, high = True, index
+            low = index
+    if ahead is None:
+        return []
+    ends = [*turns, ((high if ahead else low), ahead)]
+    starts = [ends[0][0], *(turn + 1 for turn, _ in ends[1:-1])]  # a turning point ends its sweep and begins none
+    stretches = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
+    return [(first, last, up) for first, last, up in stretches if travel(values[first:last]) >= least]
+
+
+def travel(values: Array) -> float:
+    """Highest minus lowest value."""
+    return float(np.nanmax(values) - np.nanmin(values))
+
+
+def cut_to(streams: Streams, begin: float, end: float) -> Streams:
+    """Rows of every stream from time `begin` to before `end` [s]."""
+    return {
+        name: stream.rows(int(np.searchsorted(stream.time, begin)), int(np.searchsorted(stream.time, end)))
+        for name, stream in streams.items()
+    }
+
+
+def from_zero(streams: Streams) -> Streams:
+    """Shift all streams so that the earliest stamp is 0."""
+    start = min(float(stream.time[0]) for stream in streams.values() if len(stream.time))
+    return {name: replace(stream, time=stream.time - start) for name, stream in streams.items()}

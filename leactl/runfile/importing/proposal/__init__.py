@@ -1,0 +1,1 @@
+"""Propose a mapping for a file that has none (`--map auto`)."""

@@ -1,0 +1,370 @@
+"""Propose a channel for each column of a log; its unit is decided by evidence or left open among likely units.
+
+A unit is decided by the file's own declaration, by the documentation of the program that wrote it, by the column's
+header, by the range of its values, or by another column whose unit is known.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.runfile.importing.column_names import is_time, meaning_of, shaft_of
+from leactl.runfile.importing.mapping import PLACEHOLDER
+from leactl.runfile.importing.proposal.evidence import (
+    PAIR_GAIN_TOLERANCE,
+    UNIT_GAIN_TOLERANCE,
+    UNITS_LIKE_A_GEAR,
+    ColumnSeries,
+    are_counts,
+    equals_setpoint,
+    gain_of,
+    is_gear,
+    is_wide_for_rad,
+    unit_pairs_with_gain,
+    units_by_range,
+    units_of_time,
+)
+from leactl.runfile.importing.proposal.log_dialects import LogDialect
+from leactl.runfile.importing.proposal.survey import Survey, SurveyedTable
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
+from leactl.units import SECONDS, converter, known_units
+
+Array = npt.NDArray[np.float64]
+LEAVE_OUT: Final = "-"  # what a person answers of a channel or a stream that is not to be imported
+LIKELY_UNITS: Final[
+    dict[str, tuple[str, ...]]
+] = {  # by the unit of a run file, what is asked for; others can be written
+    "rad": ("rad", "deg", "turn", "m"),
+    "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "m/s"),
+    "N*m": ("N*m", "mN*m", "N"),
+    "A": ("A", "mA"),
+    "V": ("V", "mV"),
+    "degC": ("degC", "degF", "K"),
+    "1": ("1", "%"),
+}
+COUNTS: Final = "turns a count, 1/4096 where an encoder has 12 bits"  # shown to a person
+Answers = Mapping[tuple[str, ...], str]  # by keys of the mapping
+
+
+@dataclass
+class ProposedChannel:
+    """A channel of the proposed mapping, as far as it is decided."""
+
+    column: str | int
+    quantity: str
+    role: str
+    units: tuple[str, ...]  # a single unit once it is decided, else the likely ones
+    why: list[str]
+    scale: float | None = None
+    scale_of: str = ""
+    sign: int = 1
+    location: str = ""
+    is_settled: bool = False  # True: answered by a person, or left to one; numbers decide nothing more
+    values: list[Array] = field(default_factory=list)
+
+    def decide(self, units: str, why: str) -> None:
+        """Decide on one unit, with the reason."""
+        self.units = (units,)
+        self.why.append(why)
+
+
+@dataclass
+class ProposedStream:
+    """A stream of the proposed mapping: the channels of one table."""
+
+    name: str
+    table: ListedTable
+    time: ListedColumn | None
+    time_units: tuple[str, ...]
+    time_why: str
+    channels: dict[str, ProposedChannel]
+    left_out: dict[str | int, str]  # columns that are no channel, and why
+    stamps: list[Array]  # of each surveyed joint, in the units of the file
+    rate_Hz: float = 0.0  # of samples without stamps, 0 if unknown  # noqa: N815 (a unit keeps its letter)
+
+
+def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
+    """The proposed streams of a survey, with a person's answers applied."""
+    streams: list[ProposedStream] = []
+    for table in seen.tables:
+        stream = stream_of(table, {each.name for each in streams})
+        if stream.channels:
+            streams.append(stream)
+    for stream in streams:
+        apply_answers(stream, answers)
+    decide_by_numbers(streams)
+    streams = [stream for stream in streams if stream.channels]
+    add_locations(streams)
+    return streams
+
+
+def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
+    """Propose the channels of a table by declarations, documentation and names; `taken` are stream names in use."""
+    table, dialect = seen.table, seen.dialect
+    time, time_units, time_why = time_of(seen)
+    channels: dict[str, ProposedChannel] = {}
+    left_out: dict[str | int, str] = {}
+    for column in table.columns:
+        values = [each[column.name] for each in seen.columns if column.name in each]
+        if time is not None and column.name == time.name:
+            continue
+        if not any(np.isfinite(each).any() for each in values):
+            left_out[column.name] = "holds no number"
+            continue
+        proposed = channel_of(column, table, dialect)
+        if isinstance(proposed, str):
+            left_out[column.name] = proposed
+            continue
+        proposed.values = values
+        channels[free_name(slug(str(column.name)), channels)] = proposed
+    name = free_name(slug((table.records or "loop").replace(f"[{PLACEHOLDER}]", "")), taken)
+    stamps = [each[time.name] for each in seen.columns if time.name in each] if time else []
+    return ProposedStream(name, table, time, time_units, time_why, channels, left_out, stamps)
+
+
+def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
+    """Propose a channel for a column, or return why it is none."""
+    name = str(column.name)
+    if isinstance(column.name, int):
+        name = f"{table.records or ''}[{column.name}]"
+    if dialect is not None and (documented := dialect.channel(name)):
+        if not documented.quantity:
+            return f"{dialect.meaning} has it, and it is no channel of a run"
+        role = meaning_of(name).role or "test"
+        why = f"{' or '.join(documented.units)} by {dialect.meaning}"
+        channel = ProposedChannel(column.name, documented.quantity, role, documented.units, [why])
+        channel.scale, channel.scale_of, channel.sign = documented.scale, documented.scale_of, documented.sign
+        channel.location = documented.location
+        return channel
+    meaning = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name)
+    quantity = column.quantity or meaning.quantity
+    if not quantity:
+        return meaning.why_not
+    role = meaning.role or "test"
+    of_role = [f"role {role} by its name"] if meaning.role else []
+    if column.units and converter(column.units, quantity):
+        return ProposedChannel(
+            column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
+        )
+    if meaning.units:
+        return ProposedChannel(
+            column.name, quantity, role, (meaning.units,), [f"{meaning.units} stands in its name", *of_role]
+        )
+    likely = [units for units in LIKELY_UNITS[known_units(quantity)[0]] if converter(units, quantity)]
+    return ProposedChannel(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
+
+
+def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
+    """The column of stamps, its possible units, and the reason; None, () and the reason if there is none."""
+    table, dialect = seen.table, seen.dialect
+    if table.time is not None:
+        return table.time, (table.time.units,), table.time.declared_by
+    if dialect is not None and dialect.time is not None:
+        return ListedColumn(dialect.time.column), (dialect.time.units,), f"{dialect.time.units} by {dialect.meaning}"
+    for column in table.columns:
+        values = seen.columns[0].get(column.name)
+        if values is None or not is_time(str(column.name)) or not increases(values):
+            continue
+        units = column.units or meaning_of(str(column.name)).units
+        if units in SECONDS:
+            return (
+                column,
+                (units,),
+                f"{units} stands {'in its name' if not column.units else 'in ' + column.declared_by}",
+            )
+        likely, why = units_of_time(values)
+        return column, tuple(likely), why
+    return None, (), "no column of stamps by its name"
+
+
+def increases(values: Array) -> bool:
+    """Whether a column is finite and increases at more than half of its rows, as stamps do."""
+    steps = np.diff(values)
+    return len(steps) > 0 and bool(np.isfinite(values).all()) and float((steps > 0).mean()) > 0.5 and steps.sum() > 0
+
+
+def apply_answers(stream: ProposedStream, answers: Answers) -> None:
+    """Apply a person's answers to a stream; channels answered with `LEAVE_OUT` are removed."""
+    of_time = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
+    if LEAVE_OUT in of_time.values():
+        stream.channels.clear()
+        return
+    if of_time["units"]:
+        stream.time_units, stream.time_why = (of_time["units"],), "as answered"
+    if of_time["rate_Hz"]:
+        stream.rate_Hz, stream.time_why = float(Fraction(of_time["rate_Hz"])), "as answered"
+    for name, channel in list(stream.channels.items()):
+        key = ("streams", stream.name, "channels", name)
+        units = answers.get((*key, "units"))
+        if LEAVE_OUT in (units, answers.get((*key, "scale"))):
+            stream.left_out[channel.column] = "as answered"
+            del stream.channels[name]
+            continue
+        if units:
+            channel.decide(units, f"{units} as answered")
+            channel.is_settled = True
+        if scale := answers.get((*key, "scale")):
+            channel.scale, channel.scale_of = float(Fraction(scale)), ""
+
+
+def decide_by_numbers(streams: list[ProposedStream]) -> None:
+    """Decide units by ranges, then by pairs of channels, until no further unit follows."""
+    everything = [(stream, channel) for stream in streams for channel in stream.channels.values()]
+    for _, channel in everything:
+        if channel.values and not channel.is_settled:
+            decide_by_range(channel)
+    timed = [(stream, channel) for stream, channel in everything if stream.stamps and len(stream.time_units) == 1]
+    pairs = [(first, second) for first in timed for second in timed if are_of_one_shaft(first, second)]
+    while True:
+        before = [channel.units for _, channel in timed]
+        for (stream, channel), (other_stream, other) in pairs:
+            if (channel.quantity, other.quantity) == ("velocity", "angle"):
+                decide_by_travel(channel, series_of(stream, channel), other, series_of(other_stream, other))
+            elif other.quantity == f"{channel.quantity}_reference":
+                decide_by_setpoint(channel, series_of(stream, channel), other, series_of(other_stream, other))
+            elif (channel.quantity, other.quantity) == ("torque", "angle"):
+                decide_by_kind(channel, other)
+        if [channel.units for _, channel in timed] == before:
+            break
+    for _, channel in everything:
+        if len(channel.units) > 1 and channel.quantity.startswith("angle") and are_counts(channel.values):
+            channel.units, channel.scale_of = ("turn",), COUNTS if channel.scale is None else ""
+            channel.why.append("whole numbers, as an encoder counts")
+        elif len(channel.units) > 1 and channel.units[0] == "rad" and is_wide_for_rad(np.concatenate(channel.values)):
+            channel.units = tuple(dict.fromkeys(("deg", *channel.units)))
+            channel.why.append("its range is wide for rad")
+
+
+def decide_by_range(channel: ProposedChannel) -> None:
+    """Decide a unit by range and jumps of the values; if they contradict the name, leave it to a person."""
+    units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
+    agrees_with_name = is_same_unit(units, channel.units, channel.quantity)
+    if units and agrees_with_name and len(channel.units) > 1:
+        channel.decide(units, f"{units} by {why}")
+    elif units and not agrees_with_name and (len(channel.units) > 1 or channel.quantity.startswith("angle")):
+        channel.units, channel.is_settled = (units, *channel.units), True
+        channel.why.append(f"yet {why}")
+
+
+def are_of_one_shaft(
+    first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]
+) -> bool:
+    """Whether two channels have the same role and, by their names, the same shaft."""
+    if first[1].role != second[1].role:
+        return False
+    if first[0] is second[0]:
+        return shaft_of(str(first[1].column)) == shaft_of(str(second[1].column))
+    names = [f"{stream.table.records or ''}.{channel.column}" for stream, channel in (first, second)]
+    return shaft_of(names[0]) == shaft_of(names[1])
+
+
+def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
+    """Values of a channel with stamps in s, for each surveyed joint."""
+    factor = SECONDS[stream.time_units[0]]
+    by_joint = zip(stream.stamps, channel.values, strict=False)
+    return [ColumnSeries(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
+
+
+def decide_by_travel(
+    velocity: ProposedChannel,
+    velocity_series: list[ColumnSeries],
+    angle: ProposedChannel,
+    angle_series: list[ColumnSeries],
+) -> None:
+    """Decide units by the ratio of a velocity to the rate of change of its angle."""
+    if velocity.scale_of or angle.scale_of or velocity.is_settled:
+        return
+    by_joint = zip(angle_series, velocity_series, strict=False)
+    known = [gain for gain in (gain_of(of_angle, of_velocity) for of_angle, of_velocity in by_joint) if gain]
+    if not known:
+        return
+    best = min(known, key=lambda gain: gain.std / abs(gain.value))
+    gain = abs(best.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
+    factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
+    is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
+    pairs = unit_pairs_with_gain(gain, UNIT_GAIN_TOLERANCE if is_one else PAIR_GAIN_TOLERANCE)
+    fitting = [
+        pair
+        for pair in pairs
+        if is_same_unit(pair[0], angle.units, "angle") and is_same_unit(pair[1], velocity.units, "velocity")
+    ]
+    decided = [len(channel.units) == 1 for channel in (angle, velocity)]
+    if all(decided):
+        others = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
+        if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
+            velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
+            velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
+        return
+    alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
+    if alone and is_one and any(decided):
+        for channel, units in zip((angle, velocity), fitting[0], strict=True):
+            if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
+                channel.decide(units, f"{units}: {factor}")
+    by_gain = [of_velocity for of_angle, of_velocity in pairs if is_same_unit(of_angle, angle.units, "angle")]
+    if not fitting and decided[0]:
+        velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
+    for channel, at in ((angle, 0), (velocity, 1)):
+        fit = tuple(pair[at] for pair in fitting)
+        likely = [units for units in channel.units if is_same_unit(units, fit, channel.quantity)]
+        if len(channel.units) > 1:
+            channel.units = (*likely, *(units for units in channel.units if units not in likely))
+            channel.why += [factor] if factor not in channel.why else []
+
+
+def is_same_unit(units: str, among: tuple[str, ...], quantity: str) -> bool:
+    """Whether a unit is equivalent to one of `among`, for a quantity."""
+    return any(converter(units, quantity) == converter(each, quantity) for each in among)
+
+
+def decide_by_setpoint(
+    reading: ProposedChannel,
+    reading_series: list[ColumnSeries],
+    setpoint: ProposedChannel,
+    setpoint_series: list[ColumnSeries],
+) -> None:
+    """Decide a unit if a reading equals its setpoint in one common unit."""
+    decided, undecided = (reading, setpoint) if len(reading.units) == 1 else (setpoint, reading)
+    if len(decided.units) != 1 or len(undecided.units) == 1 or decided.units[0] not in undecided.units:
+        return
+    by_joint = zip(reading_series, setpoint_series, strict=False)
+    if any(equals_setpoint(measured, wanted, reading.quantity) for measured, wanted in by_joint):
+        undecided.decide(decided.units[0], f"{decided.units[0]}: {reading.column} follows {setpoint.column} one to one")
+
+
+def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
+    """Decide between torque and force if the unit of the angle shows a rotary or a linear axis."""
+    conversion = converter(angle.units[0], "angle")
+    if set(torque.units) == {"N*m", "N"} and len(angle.units) == 1 and conversion is not None:
+        units = "N*m" if conversion.target == "rad" else "N"
+        torque.decide(units, f"{units}: {angle.column} is in {angle.units[0]}")
+
+
+def add_locations(streams: list[ProposedStream]) -> None:
+    """Give channels of equal quantity, role and location distinct locations."""
+    by_quantity: dict[tuple[str, str, str], list[tuple[str, ProposedChannel]]] = {}
+    for stream in streams:
+        for name, channel in stream.channels.items():
+            key = (channel.quantity, channel.role, channel.location)
+            by_quantity.setdefault(key, []).append((f"{stream.name}_{name}" if len(streams) > 1 else name, channel))
+    for channels in by_quantity.values():
+        if len(channels) > 1:
+            for name, channel in channels:
+                channel.location = name
+                channel.why.append(f"location {name}: others measure the same by their names")
+
+
+def slug(text: str) -> str:
+    """Convert a text to a name that a mapping allows and that YAML reads as text."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
+    return name if name[:1].isalpha() and name.lower() not in ("null", "true", "false") else f"column_{name}".strip("_")
+
+
+def free_name(name: str, taken: Mapping[str, object] | set[str]) -> str:
+    """The name, with a number appended if it is taken or `time`."""
+    names = [name, *(f"{name}_{count}" for count in range(2, len(taken) + 3))]
+    return next(each for each in names if each not in taken and each != "time")

@@ -1,0 +1,77 @@
+"""Documented log formats of known programs: quantity and unit of each column, one file of `dialects/` per program."""
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib import resources
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from leactl import yamlfile
+from leactl.runfile.importing.mapping import Above, CsvForm, Text
+from leactl.runfile.importing.sources.source import ListedTable
+from leactl.yamlblock import Block
+
+
+class DialectTime(Block):
+    """The column of stamps."""
+
+    column: Text
+    units: Literal["s", "ms", "us", "ns"]
+
+
+class DialectChannel(Block):
+    """Quantity and units of a column."""
+
+    column: Text  # pattern with `*`; the first matching entry counts
+    quantity: str = ""  # empty: the column is no channel
+    units: tuple[Text, ...] = ()  # the documented unit, or several if it depends on the program's settings
+    scale: Above | None = None
+    scale_of: str = ""  # description of the scale, if a person has to give it
+    sign: Literal[1, -1] = 1
+    location: str = ""
+
+
+class LogDialect(Block):
+    """Log format of one program."""
+
+    meaning: Text  # name of the logs, used in the evidence
+    source: Text  # documentation of columns and units
+    kind: str = ""  # type of the messages by which it is recognised
+    has: tuple[Text, ...] = ()  # patterns of columns by which it is recognised
+    csv: CsvForm = CsvForm()
+    time: DialectTime | None = None
+    channels: Annotated[tuple[DialectChannel, ...], Field(min_length=1)]
+
+    def speaks(self, table: ListedTable) -> bool:
+        """Whether a table was written by this program."""
+        if self.kind:
+            return table.kind == self.kind
+        names = [str(column.name) for column in table.columns]
+        return all(any(fnmatchcase(name, pattern) for name in names) for pattern in self.has)
+
+    def channel(self, name: str) -> DialectChannel | None:
+        """The entry of a column; None if the format does not describe it."""
+        return next((channel for channel in self.channels if fnmatchcase(name, channel.column)), None)
+
+
+@cache
+def dialects() -> tuple[LogDialect, ...]:
+    """All dialects, in the order of their file names."""
+    folder = resources.files("leactl.runfile.importing.proposal") / "dialects"
+    texts = {
+        entry.name: entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".yaml")
+    }
+    return tuple(yamlfile.parse(texts[name], name).validate(LogDialect) for name in sorted(texts))
+
+
+def dialect_of(table: ListedTable) -> LogDialect | None:
+    """The dialect of a table; None if no program is recognised."""
+    return next((dialect for dialect in dialects() if dialect.speaks(table)), None)
+
+
+def csv_forms() -> Sequence[CsvForm]:
+    """CSV forms to try on a table of text: those of the dialects, then the usual delimiters."""
+    usual = [CsvForm(), CsvForm(delimiter=";"), CsvForm(delimiter="\t"), CsvForm(delimiter=";", decimal=",")]
+    return list(dict.fromkeys([*(dialect.csv for dialect in dialects()), *usual]))

@@ -1,0 +1,101 @@
+"""Survey a source without a mapping: all its columns of numbers, and the program that wrote it if it is recognised."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import PLACEHOLDER, CsvForm
+from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
+from leactl.runfile.importing.sources.registry import format_of, open_source
+from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
+
+Array = npt.NDArray[np.float64]
+MOST_JOINTS: Final = 4  # whose values are read
+
+
+@dataclass
+class SurveyedTable:
+    """A table with its values, for each surveyed joint."""
+
+    table: ListedTable
+    dialect: LogDialect | None
+    columns: list[dict[str | int, Array]]
+
+
+@dataclass
+class Survey:
+    """All tables of a source."""
+
+    path: Path
+    format: str
+    csv: CsvForm
+    tables: list[SurveyedTable]
+
+
+def survey(path: Path) -> Survey:
+    """Read every column of numbers of a source.
+
+    Raises
+    ------
+    InputError : unreadable, or without a column of numbers.
+    """
+    name = format_of(path)
+    form, tables = tables_of(path, name)
+    wanted = [
+        WantedColumn(*fill_joint(column.name, table.records, joint))
+        for table in tables
+        for joint in joints_surveyed(table)
+        for column in ((*table.columns, table.time) if table.time else table.columns)
+    ]
+    source = open_source(path, name, SourceRequest(wanted, csv=form))
+    seen = []
+    for table in tables:
+        by_joint: list[dict[str | int, Array]] = []
+        for joint in joints_surveyed(table):
+            by_joint.append({})
+            for column in (*table.columns, *([table.time] if table.time else [])):
+                try:
+                    values = source.column(*fill_joint(column.name, table.records, joint))
+                except MissingColumn:
+                    continue  # of this joint, or nowhere a number
+                if not isinstance(values, list):
+                    by_joint[-1][column.name] = values
+        seen.append(SurveyedTable(table, dialect_of(table), by_joint))
+    return Survey(path, name, form, seen)
+
+
+def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
+    """Tables of a source; a text file is read in the CSV form under which most columns are numbers.
+
+    Raises
+    ------
+    InputError : it has no table of numbers.
+    """
+    best: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
+    faults: list[str] = []
+    for form in csv_forms() if name == "csv" else [CsvForm()]:
+        try:
+            tables = open_source(path, name, SourceRequest(None, csv=form)).tables()
+        except InputError as fault:
+            faults += fault.faults
+            continue
+        if sum(len(table.columns) for table in tables) > sum(len(table.columns) for table in best[1]):
+            best = form, tables
+    if not any(table.columns for table in best[1]):
+        raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
+    return best
+
+
+def joints_surveyed(table: ListedTable) -> tuple[str, ...]:
+    """Names of the joints whose values are read; ("",) if a table has no joints."""
+    return table.joints[:MOST_JOINTS] or ("",)
+
+
+def fill_joint(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
+    """Name and records of a column with `{joint}` replaced by a joint's name."""
+    name = column.replace(PLACEHOLDER, joint) if isinstance(column, str) else column
+    return name, records.replace(PLACEHOLDER, joint) if records else None

@@ -1,0 +1,217 @@
+"""Parquet tables (Apache Parquet), by `pyarrow`; elements of lists are named `name[3]`, members of structs `a.b`.
+
+Timestamps become seconds since the first of their column. Units and quantity in the metadata of a field, as
+`leactl runs export` writes them, are taken as declared by the file.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.regular import open_regular
+from leactl.runfile.hdf5.tree import MOST_UNPACKED
+from leactl.runfile.importing.mapping import PLACEHOLDER
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest, reason_text
+from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
+
+ENDINGS = (".parquet", ".pq")
+VALUE_BYTES: Final = 8  # of a number once it is read
+PER_SECOND: Final = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+MOST_INFO_BYTES: Final = 1 << 24
+META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: data/chunk-000/episode_000000.parquet
+
+
+class ParquetSource(TreeSource):
+    """Source over a Parquet file, with the units and quantities that it declares."""
+
+    def __init__(self, path: Path, tree: dict[str, Any], began: datetime | None, table: ListedTable) -> None:
+        super().__init__(path, tree, began)
+        self._table = table
+
+    def tables(self) -> list[ListedTable]:
+        """One table."""
+        return [self._table]
+
+
+def modules() -> tuple[Any, Any]:
+    """`pyarrow` and `pyarrow.parquet`.
+
+    Raises
+    ------
+    InputError : they are not installed, or cannot be loaded.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError as fault:
+        raise InputError("Parquet needs pyarrow: pip install 'leactl[parquet]'") from fault
+    except ImportError as fault:  # installed, and for another NumPy
+        raise InputError(f"Parquet needs pyarrow, which cannot be loaded: {str(fault).splitlines()[0]}") from fault
+    return pyarrow, parquet
+
+
+def open_source(path: Path, request: SourceRequest) -> ParquetSource:
+    """Open a Parquet file.
+
+    Raises
+    ------
+    InputError : not Parquet, damaged, too large when decompressed, or pyarrow is missing.
+    """
+    arrow, parquet = modules()
+    with open_regular(path) as raw, readable(path, arrow):
+        file = parquet.ParquetFile(raw)
+        names = [field.name for field in file.schema_arrow if asked_for(field.name, request)]
+        refuse_swelling(path, file.metadata, names)
+        table = file.read(columns=names)
+        while any(arrow.types.is_struct(field.type) for field in table.schema):
+            table = table.flatten()
+        names_of = joint_names(path)
+        tree, listed, began = columns_of(table, arrow, names_of)
+    joints = tuple(dict.fromkeys(joint for name in names if name in names_of for joint in names_of[name]))
+    return ParquetSource(path, tree, began, ListedTable(None, tuple(listed), joints=joints))
+
+
+@contextmanager
+def readable(path: Path, arrow: Any) -> Iterator[None]:
+    """Convert pyarrow's errors on a damaged file to an InputError of one line."""
+    try:
+        yield
+    except (arrow.ArrowException, OSError, ValueError, MemoryError) as fault:
+        if isinstance(fault, InputError):
+            raise
+        raise InputError(f"{path}: not a Parquet file that can be read: {reason_text(fault)}") from None
+
+
+def asked_for(name: str, request: SourceRequest) -> bool:
+    """Whether a column, or an element of it, is wanted."""
+    if request.columns is None:
+        return True
+    return any(str(wanted.name).startswith(name) for wanted in (*request.columns, *request.labels))
+
+
+def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
+    """Refuse a file whose columns exceed `MOST_UNPACKED`; a repeated value takes almost no space in a Parquet file.
+
+    Raises
+    ------
+    InputError : the columns are too large.
+    """
+    wanted, values = set(names), 0
+    for group in range(metadata.num_row_groups):
+        for at in range(metadata.num_columns):
+            column = metadata.row_group(group).column(at)
+            if column.path_in_schema.split(".")[0] in wanted or column.path_in_schema in wanted:
+                values += max(column.num_values, 0)
+    times, extra = MOST_UNPACKED
+    size = path.stat().st_size
+    if VALUE_BYTES * values > times * size + extra:
+        most = (times * size + extra) // VALUE_BYTES
+        raise InputError(f"{path}: {values} values in a file of {size} bytes; at most {most} were expected")
+
+
+def columns_of(
+    table: Any, arrow: Any, elements: dict[str, list[str]]
+) -> tuple[dict[str, Any], list[ListedColumn], datetime | None]:
+    """Columns by name, their declarations, and the earliest timestamp of any column."""
+    tree: dict[str, Any] = {}
+    listed: list[ListedColumn] = []
+    began: list[datetime] = []
+    for field, column in zip(table.schema, table.columns, strict=True):
+        kind, about = field.type, {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
+        units = about.get("units", "")
+        declared = ListedColumn(field.name, units, "the file's metadata" if units else "", about.get("quantity", ""))
+        if arrow.types.is_timestamp(kind):
+            tree[field.name], first = seconds(column, kind.unit, arrow)
+            began += [first] if first else []
+            listed.append(ListedColumn(field.name, "s", "the type of its column"))
+        elif arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
+            tree[field.name] = texts(column)
+        elif is_list(kind, arrow):
+            columns = elements_of(column, arrow)
+            names = elements.get(field.name, [])
+            tree |= {f"{field.name}[{at}]": values for at, values in enumerate(columns)}
+            if columns and len(names) == len(columns):
+                tree |= {f"{field.name}[{name}]": values for name, values in zip(names, columns, strict=True)}
+                listed.append(ListedColumn(f"{field.name}[{PLACEHOLDER}]"))
+            else:
+                listed += [ListedColumn(f"{field.name}[{at}]") for at in range(len(columns))]
+        elif is_number(kind, arrow):
+            tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
+            listed.append(declared)
+    return tree, listed, min(began, default=None)
+
+
+def is_list(kind: Any, arrow: Any) -> bool:
+    """Whether a column holds lists of numbers."""
+    lists = (arrow.types.is_list, arrow.types.is_large_list, arrow.types.is_fixed_size_list)
+    return any(test(kind) for test in lists) and is_number(kind.value_type, arrow)
+
+
+def is_number(kind: Any, arrow: Any) -> bool:
+    """Whether a column holds numbers or booleans; dates and durations are none."""
+    types = arrow.types
+    return any(test(kind) for test in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal))
+
+
+def elements_of(column: Any, arrow: Any) -> list[Any]:
+    """A column for each element of lists of equal length; empty if the lengths differ."""
+    rows = len(column)
+    values = arrow.chunked_array([chunk.flatten() for chunk in column.chunks], column.type.value_type)
+    if not rows or column.null_count or len(values) % rows or not 0 < len(values) // rows <= MOST_COLUMNS:
+        return []
+    width = len(values) // rows
+    if any(length != width for chunk in column.chunks for length in lengths(chunk)):
+        return []
+    matrix = values.cast(arrow.float64(), safe=False).to_numpy().reshape(rows, width)
+    return [matrix[:, at] for at in range(width)]
+
+
+def lengths(chunk: Any) -> Any:
+    """The distinct lengths of the lists of a chunk."""
+    return [chunk.type.list_size] if hasattr(chunk.type, "list_size") else np.unique(np.diff(chunk.offsets.to_numpy()))
+
+
+def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
+    """Timestamps as seconds since the first, and the first timestamp."""
+    counts = column.cast(arrow.int64())
+    first = next((count.as_py() for count in counts if count.is_valid), None)
+    if first is None:
+        return np.full(len(column), np.nan), None
+    since = np.array([np.nan if value is None else (value - first) / PER_SECOND[unit] for value in counts.to_pylist()])
+    try:
+        return since, datetime.fromtimestamp(first / PER_SECOND[unit], UTC)
+    except (OverflowError, ValueError, OSError):
+        return since, None
+
+
+def texts(column: Any) -> list[str]:
+    """A column of text; equal texts share one str object, since few occur in millions of rows."""
+    encoded = column if hasattr(column.type, "value_type") else column.dictionary_encode()
+    out: list[str] = []
+    for chunk in encoded.chunks:
+        words = ["" if word is None else str(word) for word in chunk.dictionary.to_pylist()]
+        out += ["" if at is None else words[at] for at in chunk.indices.to_pylist()]
+    return out
+
+
+def joint_names(path: Path) -> dict[str, list[str]]:
+    """Names of the elements of lists, by `meta/info.json` of a LeRobot dataset; empty for other files."""
+    folders = path.resolve().parents
+    info = folders[min(META_DEPTH, len(folders)) - 1] / "meta" / "info.json"
+    try:
+        with open_regular(info, MOST_INFO_BYTES) as raw:
+            features = json.load(raw)["features"]
+        named = {str(name): about.get("names") for name, about in features.items()}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return {}  # no such dataset, and its elements go by number
+    # older ones have the list under a key of its own: {"motors": [...]}
+    lists = {name: next(iter(of.values()), None) if isinstance(of, dict) else of for name, of in named.items()}
+    return {
+        name: of for name, of in lists.items() if isinstance(of, list) and all(isinstance(each, str) for each in of)
+    }

@@ -1,0 +1,156 @@
+"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or a single `.db3`; read by `rosbags`.
+
+Types come from the definitions in the bag (since ROS 2 Iron), else from those that ROS 2 ships.
+"""
+
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.regular import open_regular
+from leactl.runfile.importing.sources.formats.mcap import LARGEST_RECORD, McapFile
+from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
+from leactl.runfile.importing.sources.ros_types import RosTypes, packages
+from leactl.runfile.importing.sources.source import SourceRequest, reason_text
+
+ENDINGS = (".db3",)
+METADATA: Final = "metadata.yaml"
+NEWEST: Final = 9  # version of the metadata
+SQLITE: Final = b"SQLite format 3\0"
+MOST_FILES: Final = 1000
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of a bag."""
+    return path.is_dir() and (path / METADATA).is_file()
+
+
+def open_source(path: Path, request: SourceRequest) -> MessageSource:
+    """Open a bag.
+
+    Raises
+    ------
+    InputError : not a bag, compressed as whole files, damaged, or the packages that read it are missing.
+    """
+    with packages(path), ExitStack() as stack:
+        files, unpack = files_of(path) if path.is_dir() else ([path], False)
+        opened = [open_file(file, unpack, stack) for file in files]
+        topics: dict[str, Topic] = {}
+        for each in opened:
+            for name, topic in each.topics.items():
+                known = topics.setdefault(name, topic)
+                if known.kind != topic.kind:
+                    topics[name] = topic._replace(
+                        unreadable=f"is of {known.kind} in one file and {topic.kind} in another"
+                    )
+
+        def messages(wanted: Collection[str]) -> Iterator[Message]:
+            for each in opened:
+                yield from each.messages(wanted)
+
+        return MessageSource(OpenLog(path, topics, messages), request)
+
+
+def files_of(folder: Path) -> tuple[list[Path], bool]:
+    """The files of a bag in their order, and whether each message is compressed.
+
+    Raises
+    ------
+    InputError : metadata that list no files, or files that are compressed or missing.
+    """
+    document = yamlfile.load(folder / METADATA)
+    about = document.data.get("rosbag2_bagfile_information") if isinstance(document.data, dict) else None
+    names = about.get("relative_file_paths") if isinstance(about, dict) else None
+    if not isinstance(about, dict) or not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
+        raise InputError(f"{folder / METADATA}: rosbag2_bagfile_information.relative_file_paths: files were expected")
+    if not isinstance(version := about.get("version"), int) or version > NEWEST:
+        raise InputError(f"{folder / METADATA}: version {version}; at most {NEWEST} is read")
+    mode = str(about.get("compression_mode") or "none").lower()
+    if mode not in ("none", "message", "storage"):
+        hint = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
+        raise InputError(f"{folder / METADATA}: compression_mode {mode!r}: {hint}")
+    files = [folder / PurePosixPath(str(name)).name for name in names]
+    if lacking := [file.name for file in files if not file.is_file()]:
+        raise InputError(f"{folder}: {', '.join(lacking)}: no such file, which {METADATA} names")
+    return files, mode == "message"
+
+
+def open_file(path: Path, unpack: bool, stack: ExitStack) -> "McapFile | BagFile":
+    """Open one file of a bag for as long as the stack lasts.
+
+    Raises
+    ------
+    InputError : neither SQLite nor MCAP, or the last messages are still in a write-ahead log beside it.
+    """
+    file = stack.enter_context(open_regular(path))
+    if path.suffix == ".mcap":
+        return McapFile(path, file)
+    if file.read(len(SQLITE)) != SQLITE:
+        raise InputError(f"{path}: neither SQLite nor MCAP, of which bags are")
+    aside = path.with_name(f"{path.name}-wal")
+    if aside.is_file() and aside.stat().st_size:
+        raise InputError(
+            f"{path}: was never closed, {aside.name} holds its last messages; `ros2 bag reindex` joins them"
+        )
+    return BagFile(path, unpack, stack)
+
+
+class BagFile:
+    """An open bag file of SQLite."""
+
+    def __init__(self, path: Path, unpack: bool, stack: ExitStack) -> None:
+        from rosbags.rosbag2 import Reader
+
+        self._path, self._unpack = path, unpack
+        self._types = RosTypes()
+        with self._readable():
+            self._reader: Any = stack.enter_context(Reader(path))
+            self.topics = {each.topic: self._announced(each) for each in self._reader.connections}
+
+    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
+        """Messages of these topics, in the order of the recorder's stamps."""
+        connections = [each for each in self._reader.connections if each.topic in wanted]
+        if not connections:
+            return
+        with self._readable():
+            for connection, stamp_ns, data in self._reader.messages(connections=connections):
+                decode = partial(self._decode, connection.msgtype, bytes(data))
+                yield Message(connection.topic, stamp_ns, stamp_ns, decode)
+
+    def _decode(self, kind: str, data: bytes) -> Any:
+        if self._unpack:
+            import zstandard
+
+            with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+                data = reader.read(LARGEST_RECORD)
+        return self._types.decode(kind, data)
+
+    def _announced(self, connection: Any) -> Topic:
+        from rosbags.interfaces import MessageDefinitionFormat
+
+        kind, definition = connection.msgtype, connection.msgdef
+        encodings = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+        if connection.ext.serialization_format != "cdr":
+            return Topic(connection.topic, kind, f"is in {connection.ext.serialization_format}; cdr was expected")
+        if definition.format in encodings:
+            why = self._types.learn(kind, encodings[definition.format], definition.data.encode())
+        else:
+            why = self._types.usual(kind)
+        return Topic(connection.topic, kind, why)
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Turn what the reader says of a damaged file into one line."""
+        import apsw
+        from rosbags.rosbag2 import ReaderError
+
+        try:
+            yield
+        except InputError:
+            raise
+        except (ReaderError, apsw.Error, ValueError, LookupError, TypeError, OSError) as error:
+            raise InputError(f"{self._path}: damaged, or no bag: {reason_text(error)}") from None

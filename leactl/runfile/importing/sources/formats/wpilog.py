@@ -1,0 +1,157 @@
+"""WPILib data logs (`.wpilog`): each entry is a topic with one field, `value`; stamps are the robot's microseconds.
+
+After the public specification, WPILib Data Log File Format 1.0 (allwpilib, wpiutil/doc/datalog.adoc). WPILib's own
+Python reader is not used because it neither reports a truncated file nor stops at the truncated record.
+"""
+
+import mmap
+import os
+import struct
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from leactl.errors import InputError
+from leactl.regular import open_regular
+from leactl.runfile.importing.column_names import units_named
+from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
+from leactl.runfile.importing.sources.source import SourceRequest
+
+ENDINGS = (".wpilog",)
+MAGIC: Final = b"WPILOG"
+MAJOR: Final = 1
+VALUE: Final = "value"  # name of an entry's only field
+START, FINISH, SET_METADATA = range(3)  # kinds of control records, which are those of entry 0
+LATEST_US: Final = 1 << 53  # 285 years
+LONGEST_TEXT: Final = 1 << 20  # bytes, of a name, a type or metadata
+NUMBERS: Final = {"boolean": "?", "int64": "q", "float": "f", "double": "d"}
+TEXTS: Final = ("string", "json")
+
+
+class WpiRecord(NamedTuple):
+    """Entry, stamp and payload range [bytes] of a record."""
+
+    entry: int
+    stamp_us: int
+    begins: int
+    ends: int
+
+
+def open_source(path: Path, request: SourceRequest) -> MessageSource:
+    """Open a WPILib data log.
+
+    Raises
+    ------
+    InputError : not one, of another major version, truncated or damaged.
+    """
+    with open_regular(path) as file, _mapped(path, file) as data:
+        opened = WpiLog(path, data)
+        return MessageSource(OpenLog(path, opened.topics, opened.messages), request)
+
+
+def _mapped(path: Path, file: BinaryIO) -> mmap.mmap:
+    if os.fstat(file.fileno()).st_size < len(MAGIC):
+        raise InputError(f"{path}: not a WPILib data log")
+    return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+class WpiLog:
+    """An open data log; each call of `messages` reads it from the beginning."""
+
+    def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
+        self._path, self._data = path, data
+        self.topics: dict[str, Topic] = {}
+        self._first = self._header()
+        for record in self._records():
+            if record.entry == 0 and data[record.begins] == START:
+                _, name, kind, metadata = self._started(record)
+                self._announce(name, kind, metadata)
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Values of these entries, in the order of the file."""
+        live: dict[int, tuple[str, Callable[[int, int], Any]]] = {}
+        for record in self._records():
+            if record.entry == 0:
+                control = self._data[record.begins]
+                if control == START:
+                    entry, name, kind, _ = self._started(record)
+                    live.pop(entry, None)
+                    if name in topics:
+                        live[entry] = name, partial(self._decode, kind)
+                elif control == FINISH:
+                    live.pop(self._number(record.begins + 1, 4, record.ends), None)
+            elif record.entry in live:
+                name, decode = live[record.entry]
+                ns = record.stamp_us * 1000
+                yield Message(name, ns, ns, partial(decode, record.begins, record.ends))
+
+    def _header(self) -> int:
+        """Check the header; returns the byte at which the first record begins."""
+        head = self._data[: len(MAGIC) + 6]
+        if not head.startswith(MAGIC):
+            raise InputError(f"{self._path}: not a WPILib data log")
+        version, extra = struct.unpack_from("<HI", head.ljust(12, b"\0"), len(MAGIC))
+        if version >> 8 != MAJOR:
+            raise InputError(f"{self._path}: data log of version {version >> 8}.{version & 0xFF}; {MAJOR} is read")
+        if len(head) + extra > len(self._data) or len(head) < len(MAGIC) + 6:
+            raise InputError(f"{self._path}: truncated: it ends within its header")
+        return len(head) + int(extra)
+
+    def _records(self) -> Iterator[WpiRecord]:
+        data, at, end = self._data, self._first, len(self._data)
+        while at < end:
+            lengths = data[at]
+            entry_at = at + 1
+            size_at = entry_at + (lengths & 3) + 1
+            stamp_at = size_at + (lengths >> 2 & 3) + 1
+            begins = stamp_at + (lengths >> 4 & 7) + 1
+            ends = begins + int.from_bytes(data[size_at:stamp_at], "little")
+            if begins > end or ends > end:
+                raise InputError(f"{self._path}: truncated: the record at byte {at} of {end} goes beyond the end")
+            entry = int.from_bytes(data[entry_at:size_at], "little")
+            stamp_us = int.from_bytes(data[stamp_at:begins], "little")
+            if lengths & 0x80 or (entry == 0 and begins == ends) or stamp_us > LATEST_US:
+                raise InputError(f"{self._path}: damaged: no record begins at byte {at}")
+            yield WpiRecord(entry, stamp_us, begins, ends)
+            at = ends
+
+    def _started(self, record: WpiRecord) -> tuple[int, str, str, str]:
+        """Number, name, type and metadata of an entry that a control record starts."""
+        at = record.begins + 1
+        entry = self._number(at, 4, record.ends)
+        texts, at = [], at + 4
+        for _ in range(3):
+            length = self._number(at, 4, record.ends)
+            if length > LONGEST_TEXT or at + 4 + length > record.ends:
+                raise InputError(f"{self._path}: damaged: a text at byte {at} of {length} bytes")
+            texts.append(self._data[at + 4 : at + 4 + length].decode("utf-8", "replace"))
+            at += 4 + length
+        return entry, texts[0], texts[1], texts[2]
+
+    def _number(self, at: int, size: int, ends: int) -> int:
+        if at + size > ends:
+            raise InputError(f"{self._path}: damaged: a control record at byte {at} is cut short")
+        return int.from_bytes(self._data[at : at + size], "little")
+
+    def _announce(self, name: str, kind: str, metadata: str) -> None:
+        known = self.topics.get(name)
+        why = ""
+        if kind.removesuffix("[]") not in NUMBERS and kind not in TEXTS:
+            why = f"is of type {kind}; {', '.join((*NUMBERS, *TEXTS))} or a list of numbers was expected"
+        elif known and known.kind != kind:
+            why = f"is of type {known.kind} first and of {kind} later"
+        if not (known and known.unreadable):
+            self.topics[name] = Topic(name, kind, why, VALUE, units_named(metadata))
+
+    def _decode(self, kind: str, begins: int, ends: int) -> dict[str, Any]:
+        payload = self._data[begins:ends]
+        if kind in TEXTS:
+            return {VALUE: payload.decode("utf-8", "replace")}
+        code = NUMBERS[kind.removesuffix("[]")]
+        values = [value for (value,) in struct.iter_unpack(f"<{code}", payload)]
+        if kind.endswith("[]"):
+            return {VALUE: values}
+        if len(values) != 1:
+            raise ValueError(f"{len(payload)} bytes of {kind}")
+        return {VALUE: values[0]}

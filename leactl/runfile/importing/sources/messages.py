@@ -1,0 +1,383 @@
+"""Source for logs of messages by topic, such as MCAP: columns are collected in one pass and no message is kept.
+
+A column is a path below its topic, `/drive/state.motor.current[2]`, or below `records: /drive/state`. `[NAME]` in place
+of an index takes the element that the message's own list of names gives it (`name` of a JointState, `joint_names` of
+controllers). A topic with `[NAME]` as records has the messages that name it alone, each list cut to that element.
+
+A `builtin_interfaces/Time` counts as seconds; `log_time` and `publish_time` are those of the recorder where a message
+has no such field. All three count from the first message of the log, so that nanoseconds survive.
+"""
+
+import re
+from array import array
+from collections.abc import Callable, Collection, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import as_label
+from leactl.runfile.importing.sources.source import (
+    ListedColumn,
+    ListedTable,
+    MissingColumn,
+    SourceRequest,
+    WantedColumn,
+    as_float,
+    reason_text,
+)
+
+Array = npt.NDArray[np.float64]
+NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, control_msgs of both generations
+STAMP_PARTS: Final = ("nanosec", "nanosecs", "nsec", "nsecs")  # ROS 2, ROS 1, and Foxglove's JSON
+SECONDS_PARTS: Final = ("sec", "secs")
+RECORDER: Final = (("log_time",), ("publish_time",))  # paths of its stamps
+MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one is an image or a cloud
+DEEPEST: Final = 8  # fields within fields that are listed
+LISTED_OF: Final = 50  # messages of a topic from which its fields and joints are listed
+_KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # asked for with every message
+NUMBERS = bool | int | float | np.number | np.bool_
+RESET_NS: Final = 10**9  # that a message may be late for its recorder's buffers
+EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000: clocks that begin with their computer show less
+LATEST_NS: Final = 4_102_444_800 * 10**9  # 2100
+_STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
+
+
+Names = list[str] | None
+
+
+class Topic(NamedTuple):
+    """A topic as its log announces it."""
+
+    name: str
+    kind: str  # of its messages
+    unreadable: str = ""  # reason why its messages cannot be decoded
+    only: str = ""  # its only field, which paths may leave out
+    units: str = ""  # of that field, as its log declares
+
+
+class Message(NamedTuple):
+    """One message, decoded on demand."""
+
+    topic: str
+    log_ns: int
+    publish_ns: int
+    decode: Callable[[], Any]
+
+
+class OpenLog(NamedTuple):
+    """A log that is open."""
+
+    path: Path
+    topics: dict[str, Topic]
+    messages: Callable[
+        [Collection[str]], Iterator[Message]
+    ]  # messages of given topics, in any order; raises InputError
+
+
+class ColumnPath(NamedTuple):
+    """Path of a column: topic, joint and fields below the message."""
+
+    topic: str
+    joint: str | None  # only messages that name it count, and lists give its element
+    steps: tuple[str | int, ...]
+
+
+class MessageSource:
+    """Source over a log of messages."""
+
+    def __init__(self, log: OpenLog, request: SourceRequest) -> None:
+        self.path, self._log = log.path, log
+        self.began: datetime | None = None
+        self._first_ns: int | None = None
+        self._columns: dict[ColumnPath, _Gathered] = {}
+        self._counts = dict.fromkeys(log.topics, 0)
+        self._samples: dict[str, list[Any]] = {}
+        if request.columns is None:
+            self._survey()
+            return
+        for wanted in (*request.columns, *request.labels):
+            try:
+                path = self._path(wanted)
+            except MissingColumn:
+                continue  # told where it is asked for
+            self._columns.setdefault(path, _Gathered())
+        self._read()
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column by its path, in the order of the recorder's stamps."""
+        path = self._path(WantedColumn(name, records))
+        column = self._columns[path]
+        if not column.rows:
+            raise MissingColumn(f"{self.path}: {self._nothing_of(path)}")
+        if column.error:
+            raise MissingColumn(column.error)
+        order = column.order()
+        if column.texts:
+            return [column.texts[at] for at in order]
+        return np.frombuffer(column.values, np.float64)[order]
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column by its path, as labels."""
+        return [as_label(value) for value in self.column(name, records)]
+
+    def field(self, name: str | int) -> float | str:
+        """The value of a column that never changes."""
+        values = self.column(name, None)
+        different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
+        if len(different) != 1:
+            raise MissingColumn(f"{self.path}: {name!r} holds {len(different)} values where one was expected")
+        only = different.pop()
+        return only if isinstance(only, str) else float(only)
+
+    def place(self, name: str | int, row: int) -> str:
+        """File, column and message (from 0) for messages."""
+        return f"{self.path}: {name!r} message {row}"
+
+    def tables(self) -> list[ListedTable]:
+        """A table for each topic that can be read, and for lists by joint."""
+        return [table for name, samples in self._samples.items() for table in _tables(self._log.topics[name], samples)]
+
+    def _survey(self) -> None:
+        readable = {name for name, topic in self._log.topics.items() if not topic.unreadable}
+        for message in self._log.messages(readable):
+            samples = self._samples.setdefault(message.topic, [])
+            if len(samples) < LISTED_OF:
+                samples.append(self._decoded(message))
+
+    def _read(self) -> None:
+        by_topic: dict[str, list[tuple[ColumnPath, _Gathered]]] = {}
+        for path, column in self._columns.items():
+            by_topic.setdefault(path.topic, []).append((path, column))
+        earliest: int | None = None
+        for message in self._log.messages(by_topic):
+            earliest = message.log_ns if earliest is None else min(earliest, message.log_ns)
+            if self._first_ns is None:
+                self._first_ns = message.log_ns
+            tree = self._decoded(message)
+            names = _names(tree)
+            self._counts[message.topic] += 1
+            for path, column in by_topic[message.topic]:
+                self._put(column, path, message, tree, names)
+        if earliest is not None and EARLIEST_NS < earliest < LATEST_NS:
+            self.began = datetime.fromtimestamp(earliest * 1e-9, UTC)
+
+    def _decoded(self, message: Message) -> Any:
+        try:
+            return message.decode()
+        except Exception as error:  # noqa: BLE001 (a decoder meets damaged bytes with whatever it stumbles over)
+            at = self._counts[message.topic]
+            raise InputError(
+                f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_text(error)}"
+            ) from None
+
+    def _put(self, column: "_Gathered", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
+        if column.error:
+            return
+        try:
+            if path.joint is not None:
+                index = _index_of(path.joint, names)
+                if index is None:
+                    return
+                value = _cut(self._value(tree, path, message, names), index, len(names or ()))
+            else:
+                value = self._value(tree, path, message, names)
+            column.put(value, message.log_ns)
+        except MissingColumn as lacking:
+            where = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
+            column.error, column.rows = f"{where} {lacking}", column.rows + 1
+
+    def _value(self, tree: Any, path: ColumnPath, message: Message, names: Names) -> Any:
+        assert self._first_ns is not None
+        if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
+            return ((message.log_ns if path.steps == RECORDER[0] else message.publish_ns) - self._first_ns) * 1e-9
+        node, path_so_far = tree, ""
+        for step in path.steps:
+            is_list = not isinstance(node, str | dict) and isinstance(node, Sequence | np.ndarray)
+            below = _element(node, step, names) if is_list else _child(node, step)
+            if below is None:
+                fields = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
+                raise MissingColumn(f"has no {step!r} in {path_so_far or 'it'}, which has {fields}")
+            node, path_so_far = below, f"{path_so_far}.{step}".strip(".")
+        stamp = _nanoseconds(node)
+        return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
+
+    def _path(self, wanted: WantedColumn) -> ColumnPath:
+        """Parse the path of a column.
+
+        Raises
+        ------
+        MissingColumn : no topic of the log begins its path, or the topic cannot be decoded.
+        """
+        if wanted.records is None:
+            text, joint = str(wanted.name), None
+            topic = self._topic(text)
+            rest = text[len(topic) :]
+        else:
+            topic = self._topic(wanted.records)
+            of_topic = _STEP.fullmatch(wanted.records[len(topic) :])
+            joint, rest = of_topic[2] if of_topic else None, str(wanted.name)
+        if why := self._log.topics[topic].unreadable:
+            raise MissingColumn(f"{self.path}: {topic} {why}")
+        steps = tuple(_step(match) for match in _STEP.finditer(rest))
+        only = self._log.topics[topic].only
+        if only and (not steps or isinstance(steps[0], int)):
+            steps = (only, *steps)
+        if not steps:
+            raise MissingColumn(f"{self.path}: {wanted.name!r} is a topic; a field of it was expected")
+        return ColumnPath(topic, joint, steps)
+
+    def _topic(self, text: str) -> str:
+        begins = [name for name in self._log.topics if text == name or text.startswith((f"{name}.", f"{name}["))]
+        if not begins:
+            has = ", ".join(sorted(self._log.topics)) or "none"
+            raise MissingColumn(f"{self.path}: no topic begins {text!r}; it has {has}")
+        return max(begins, key=len)
+
+    def _nothing_of(self, path: ColumnPath) -> str:
+        if path.joint is not None and self._counts[path.topic]:
+            return f"no message of {path.topic} names {path.joint!r}"
+        return f"topic {path.topic} has no message"
+
+
+class _Gathered:
+    """Values of one column in the order of reading, with the recorder's stamps."""
+
+    def __init__(self) -> None:
+        self.values, self.log_ns = array("d"), array("Q")
+        self.texts: list[str] = []
+        self.rows, self.error = 0, ""
+        self._latest_ns, self._was_reset = 0, False
+
+    def put(self, value: Any, log_ns: int) -> None:
+        """Add a row; NaN if a list has no such element."""
+        if isinstance(value, str) and self.rows == len(self.texts):
+            self.texts.append(value)
+        elif isinstance(value, NUMBERS) and not self.texts:
+            self.values.append(as_float(value))
+        else:
+            raise MissingColumn(f"holds {_described(value)} where a number was expected")
+        self.log_ns.append(log_ns)
+        self.rows += 1
+        self._was_reset |= log_ns < self._latest_ns - RESET_NS
+        self._latest_ns = max(self._latest_ns, log_ns)
+
+    def order(self) -> npt.NDArray[np.intp]:
+        """Order of the rows by the recorder's stamps, or as written if the recorder's clock was set back."""
+        stamps = np.frombuffer(self.log_ns, np.uint64)
+        return np.arange(len(stamps)) if self._was_reset else np.argsort(stamps, kind="stable")
+
+
+def _step(match: re.Match[str]) -> str | int:
+    inside = match[2]
+    return match[1] if inside is None else int(inside) if inside.isdigit() else inside
+
+
+def _fields(node: Any) -> Sequence[str]:
+    """Names of a message's fields."""
+    return [str(name) for name in node] if isinstance(node, dict) else _fields_of(type(node))
+
+
+def _fields_of(kind: type[Any]) -> tuple[str, ...]:
+    """Names of the fields of a message type; cached."""
+    if kind not in _KNOWN_FIELDS:
+        _KNOWN_FIELDS[kind] = tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if name != "__msgtype__")
+    return _KNOWN_FIELDS[kind]
+
+
+def _child(node: Any, name: str | int) -> Any:
+    """A field of a message; None if it has none of that name."""
+    if isinstance(node, dict):
+        return node.get(name)
+    return getattr(node, str(name)) if name in _fields_of(type(node)) else None
+
+
+def _element(node: Any, step: str | int, names: Names) -> Any:
+    """An element of a list by index or name; NaN if the list has no such element."""
+    index = step if isinstance(step, int) else _index_of(step, names)
+    return node[index] if index is not None and index < len(node) else np.nan
+
+
+def _names(tree: Any) -> Names:
+    """A message's list of names, by which elements of its other lists are addressed; None if it has none."""
+    for field in NAMES:
+        names = _child(tree, field)
+        if isinstance(names, list) and all(isinstance(text, str) for text in names):
+            return names
+    return None
+
+
+def _index_of(joint: str, names: Names) -> int | None:
+    if names is None:
+        raise MissingColumn(f"has no list of names ({', '.join(NAMES)}) that could have {joint!r}")
+    return names.index(joint) if joint in names else None
+
+
+def _cut(value: Any, index: int, length: int) -> Any:
+    """The element at `index` of a list with `length` elements; NaN of an empty list, as JointState allows."""
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        return value
+    if len(value) not in (0, length):
+        raise MissingColumn(f"has {len(value)} values for {length} names")
+    return value[index] if len(value) else np.nan
+
+
+def _nanoseconds(node: Any) -> int | None:
+    """Nanoseconds of a stamp of seconds and nanoseconds; None for any other value."""
+    if isinstance(node, float | int | np.number):
+        return None
+    fields = _fields(node)
+    if len(fields) == 2 and fields[0] in SECONDS_PARTS and fields[1] in STAMP_PARTS:
+        seconds, rest = (_child(node, name) for name in fields)
+        if isinstance(seconds, int | np.integer) and isinstance(rest, int | np.integer):
+            return int(seconds) * 1_000_000_000 + int(rest)
+    return None
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, str):
+        return f"the text {value[:40]!r}"
+    if isinstance(value, Sequence | np.ndarray):
+        return f"a list of {len(value)}"
+    return f"a group of {', '.join(_fields(value))}" if _fields(value) else f"a {type(value).__name__}"
+
+
+def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
+    """Tables of a topic: one by joint for lists along the names, one for all other numbers."""
+    joints = list(dict.fromkeys(name for tree in samples for name in _names(tree) or ()))
+    tree = samples[0]
+    has_stamp = any(path == "header.stamp" for path, _ in _leaves(tree, "", 0))
+    time = ListedColumn(
+        "header.stamp" if has_stamp else "log_time", "s", "a stamp of ROS" if has_stamp else "the recorder"
+    )
+    plain, by_joint = [], []
+    for path, value in _leaves(tree, "", 0):
+        if isinstance(value, Sequence | np.ndarray):
+            if joints and len(value) == len(_names(tree) or ()):
+                by_joint.append(ListedColumn(path))
+            elif not joints and len(value) <= MOST_ELEMENTS:
+                plain += [ListedColumn(f"{path}[{at}]") for at in range(len(value))]
+        elif not path.startswith("header."):
+            plain.append(ListedColumn(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
+    if by_joint:
+        yield ListedTable(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))
+    if plain:
+        yield ListedTable(topic.name, tuple(plain), topic.kind, time)
+
+
+def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
+    """Path and value of the numbers, stamps and lists of numbers in a message."""
+    for name in _fields(node):
+        below, value = f"{path}.{name}" if path else name, _child(node, name)
+        if _nanoseconds(value) is not None or isinstance(value, NUMBERS | np.ndarray) or _are_numbers(value):
+            yield below, value
+        elif depth < DEEPEST and _fields(value):
+            yield from _leaves(value, below, depth + 1)
+
+
+def _are_numbers(value: Any) -> bool:
+    """Whether a value is a non-empty list whose first elements are numbers."""
+    return isinstance(value, list) and bool(value) and all(isinstance(x, NUMBERS) for x in value[:MOST_ELEMENTS])

@@ -1,0 +1,127 @@
+"""Formats of foreign files by name: the shipped ones by their folder, others by entry point `leactl.log_formats`.
+
+A format is a module, or any object, with
+
+    ENDINGS = (".parquet",)                 endings of file names, in lower case
+    def open_source(path, request) -> Source
+    def recognises(path, head) -> bool      optional: by the first bytes of a file (empty for a folder)
+
+Its name in a mapping is that of the module or of the entry point. A format that needs another package imports it when a
+file is opened. A third-party format that fails to load is reported when a file of it is opened; others still work.
+"""
+
+import importlib
+import pkgutil
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from leactl.errors import InputError
+from leactl.regular import open_regular
+from leactl.runfile.importing.sources.source import LogSource, SourceRequest
+
+GROUP = "leactl.log_formats"
+ROOM = "leactl.runfile.importing.sources.formats"
+HEAD_BYTES = 64
+
+
+@cache
+def shipped() -> frozenset[str]:
+    """Names of the shipped formats: the modules of their folder."""
+    return frozenset(module.name for module in pkgutil.iter_modules(importlib.import_module(ROOM).__path__))
+
+
+def foreign() -> dict[str, EntryPoint]:
+    """Entry points of other packages by name; a shipped format has priority over one of the same name."""
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
+
+
+def names() -> list[str]:
+    """Names of all formats, without importing any."""
+    return sorted({*shipped(), *foreign()})
+
+
+def load(name: str) -> Any:
+    """Load a format.
+
+    Raises
+    ------
+    InputError : no format has this name, or it cannot be imported or used.
+    """
+    if name in shipped():
+        return importlib.import_module(f"{ROOM}.{name}")
+    point = foreign().get(name)
+    if point is None:
+        raise InputError(f"format '{name}' is not known; known: {', '.join(names())}")
+    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    try:
+        loaded = point.load()
+    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"format '{name}' of {source} cannot be used: {reason}") from None
+    if not callable(getattr(loaded, "open_source", None)) or not isinstance(getattr(loaded, "ENDINGS", None), tuple):
+        raise InputError(f"format '{name}' of {source} cannot be used: it has no tuple ENDINGS or no open_source")
+    return loaded
+
+
+def format_of(path: Path) -> str:
+    """Name of the format of a file: by its content, else by its ending; shipped formats first.
+
+    Raises
+    ------
+    InputError : no format knows it.
+    """
+    if name := recognised(path):
+        return name
+    for name, loaded in loadable().items():
+        if path.is_file() and path.name.lower().endswith(tuple(loaded.ENDINGS)):
+            return name
+    raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is a file, or a folder that a format recognises."""
+    return path.is_file() or (path.is_dir() and bool(recognised(path)))
+
+
+def recognised(path: Path) -> str:
+    """Name of the first format that recognises a path; empty if none does."""
+    head = head_of(path)
+    claims = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
+    return next((name for name, claim in claims if claim is not None and claim(path, head)), "")
+
+
+def loadable() -> dict[str, Any]:
+    """All formats that can be loaded, by name, shipped ones first."""
+    formats = {}
+    for name in (*sorted(shipped()), *sorted(foreign())):
+        try:
+            formats[name] = load(name)
+        except InputError:
+            continue  # told where a mapping asks for it by name
+    return formats
+
+
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file; empty for a folder or an unreadable file."""
+    try:
+        with open_regular(path) as file:
+            return file.read(HEAD_BYTES)
+    except OSError:
+        return b""  # told by the format that its ending tells
+
+
+def open_source(path: Path, name: str | None, request: SourceRequest) -> LogSource:
+    """Open a file in the named format, or in the format that `format_of` finds.
+
+    Raises
+    ------
+    InputError : unreadable, not of its format, or of an unknown format.
+    """
+    opened = load(name or format_of(path))
+    try:
+        source: LogSource = opened.open_source(path, request)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
+    return source

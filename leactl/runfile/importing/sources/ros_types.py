@@ -1,0 +1,121 @@
+"""Decode messages of ROS 2 by the definitions in their logs, with the package `rosbags`."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from leactl.errors import InputError
+from leactl.runfile.importing.sources.source import reason_text
+
+MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
+UNDERWAY: Final = 0  # mark of a type whose parts are being counted
+SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
+
+
+@contextmanager
+def packages(path: Path) -> Iterator[None]:
+    """Convert an ImportError in the block to a message that names the extra to install.
+
+    Raises
+    ------
+    InputError : a package is missing.
+    """
+    try:
+        yield
+    except ImportError as fault:
+        what = f"{path}: needs mcap and rosbags: pip install 'leactl[ros]' ({fault})"
+        raise InputError(what) from fault
+
+
+class RosTypes:
+    """Store of message types, each registered once."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self._store: Any = get_typestore(Stores.EMPTY)
+        self._usual: Any = None
+        self._learnt: dict[tuple[str, bytes], str] = {}
+
+    def learn(self, kind: str, encoding: str, text: bytes) -> str:
+        """Register a type and those it uses from their definition; returns the reason if that fails, else ""."""
+        if (kind, text) not in self._learnt:
+            self._learnt[kind, text] = self._refused(kind, encoding, text)
+        return self._learnt[kind, text]
+
+    def usual(self, kind: str) -> str:
+        """Use the definition that ROS 2 ships for a type; returns the reason if there is none, else ""."""
+        from rosbags.typesys import Stores, get_typestore
+
+        self._usual = self._usual or get_typestore(Stores.LATEST)
+        if kind not in self._usual.fielddefs:
+            return f"is of {kind}, of which neither the log nor ROS 2 itself has a definition"
+        return ""
+
+    def decode(self, kind: str, data: bytes) -> Any:
+        """Decode a message to an object with fields.
+
+        Raises
+        ------
+        Exception : of any kind, if the bytes are not of that type.
+        """
+        store = self._store if kind in self._store.fielddefs else self._usual
+        return store.deserialize_cdr(data, kind)
+
+    def _refused(self, kind: str, encoding: str, text: bytes) -> str:
+        from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+
+        if encoding not in ("ros2msg", "ros2idl"):
+            return f"is defined in {encoding or 'nothing'}; ros2msg or ros2idl was expected"
+        try:
+            written = text.decode()
+            types: dict[str, Any] = {}
+            if encoding == "ros2msg":
+                types = dict(get_types_from_msg(written, kind))
+            else:
+                for part in written.split(SEPARATOR):
+                    # what a file includes stands beside it, and rosbags knows no directives
+                    body = "\n".join(line for line in part.splitlines() if not line.startswith(("IDL: ", "#")))
+                    types |= get_types_from_idl(body) if body.strip() else {}
+            known = self._store.fielddefs
+            if parts_of(kind, {**known, **types}, {}) > MOST_PARTS:
+                return f"has a definition of more than {MOST_PARTS} parts; fewer were expected"
+            self._store.register({name: fields for name, fields in types.items() if name not in known})
+        except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
+            return f"has a definition that cannot be read: {reason_text(error)}"
+        return ""
+
+
+def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """Number of fields of a message type, nested ones included; an array of messages or texts counts by its length.
+
+    Raises
+    ------
+    TypesysError : a nested type is not defined, or a type contains itself.
+    """
+    from rosbags.typesys import TypesysError
+
+    if kind not in types:
+        raise TypesysError(f"{kind} is used and not defined")
+    if counted.get(kind) == UNDERWAY:
+        raise TypesysError(f"{kind} holds itself")
+    if kind not in counted:
+        counted[kind] = UNDERWAY
+        parts = 1 + sum(parts_of_field(field, types, counted) for _, field in types[kind][1])
+        counted[kind] = min(parts, MOST_PARTS + 1)
+    return counted[kind]
+
+
+def parts_of_field(field: Any, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """Number of fields that a field expands to."""
+    from rosbags.interfaces import Nodetype
+
+    node, about = field
+    if node == Nodetype.NAME:
+        return parts_of(about, types, counted)
+    if node == Nodetype.BASE:
+        return 1
+    inner, length = about
+    is_plain = inner[0] == Nodetype.BASE and inner[1][0] != "string"
+    return 1 if is_plain else parts_of_field(inner, types, counted) * (length if node == Nodetype.ARRAY else 1)

@@ -1,0 +1,103 @@
+"""Contract between the import and a file format: the columns and values that a source is asked for and returns.
+
+Numbers are float64, missing ones NaN, true and false 1 and 0. No text of a file is ever evaluated as code.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.runfile.importing.mapping import CsvForm
+
+Array = npt.NDArray[np.float64]
+LONGEST_REASON = 200  # characters
+
+
+class MissingColumn(Exception):
+    """The source has no such column or field; the message lists those that it has."""
+
+
+def reason_text(error: BaseException) -> str:
+    """Message of a library's error on one line, cut to `LONGEST_REASON` characters."""
+    return " ".join(str(error).split())[:LONGEST_REASON] or type(error).__name__
+
+
+def as_float(value: Any) -> float:
+    """Convert a number to float.
+
+    Raises
+    ------
+    Lacking : a whole number of more than 308 digits, as JSON may hold.
+    """
+    try:
+        return float(value)
+    except OverflowError:
+        raise MissingColumn("holds a number beyond any float") from None
+
+
+class WantedColumn(NamedTuple):
+    """A column or field that will be asked for."""
+
+    name: str | int
+    records: str | None = None
+
+
+@dataclass(frozen=True)
+class SourceRequest:
+    """Columns and labels that will be asked of a source, so that a large file keeps only those.
+
+    Parameters
+    ----------
+    columns : None for a survey: only `tables` will be called.
+    labels : columns that will be asked for as labels; they may also be in `columns`.
+    """
+
+    columns: Sequence[WantedColumn] | None
+    labels: Sequence[WantedColumn] = ()
+    csv: CsvForm = field(default_factory=CsvForm)
+
+
+class ListedColumn(NamedTuple):
+    """A column of numbers of a file, with the units that the file itself declares."""
+
+    name: str | int
+    units: str = ""
+    declared_by: str = ""  # where the file declares the units
+    quantity: str = ""  # that the file declares
+
+
+class ListedTable(NamedTuple):
+    """Columns with common rows, which can become one stream of a mapping."""
+
+    records: str | None
+    columns: tuple[ListedColumn, ...]
+    kind: str = ""  # type of the messages, if the file has one
+    time: ListedColumn | None = None  # the column of stamps, if the format defines one
+    joints: tuple[str, ...] = ()  # names that may replace `{joint}` in `records`
+
+
+class LogSource(Protocol):
+    """One opened file of another program."""
+
+    path: Path
+    began: datetime | None  # start of the recording, if the file has it
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column: numbers, or texts if it holds any text."""
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column as labels, whether it holds numbers or text."""
+
+    def field(self, name: str | int) -> float | str:
+        """A single value."""
+
+    def place(self, name: str | int, row: int) -> str:
+        """File, column and row for messages."""
+
+    def tables(self) -> list[ListedTable]:
+        """All tables that a mapping could use."""

@@ -1,0 +1,166 @@
+"""Source for nested names, lists and arrays, as JSON and MAT files hold them; columns are addressed by dotted paths."""
+
+import re
+from array import array
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import as_label
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, MissingColumn, as_float
+
+Array = npt.NDArray[np.float64]
+FEWEST_ROWS = 2  # of a table
+MOST_COLUMNS = 64  # of a matrix whose columns are listed
+SURVEYED = 200  # leading rows by which a column is judged to be numeric
+LONGEST_PATH = 200  # characters; deeper nodes are not listed
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+class TreeSource:
+    """Source over a tree of dicts, lists and arrays."""
+
+    def __init__(self, path: Path, tree: Any, began: datetime | None = None) -> None:
+        self.path, self._tree, self.began = path, tree, began
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column by its path, relative to `records` if given."""
+        base = self._walk(self._tree, records) if records else self._tree
+        node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
+        return self._as_column(node, name)
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column by path, as labels."""
+        return [as_label(value) for value in self.column(name, records)]
+
+    def field(self, name: str | int) -> float | str:
+        """A single value by path."""
+        value = self._walk(self._tree, str(name))
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.reshape(-1)[0].item()
+        if isinstance(value, str):
+            return value
+        if isinstance(value, bool | int | float | np.number):
+            return as_float(value)
+        raise MissingColumn(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
+
+    def place(self, name: str | int, row: int) -> str:
+        """File, column and row (from 0) for messages."""
+        return f"{self.path}: {name!r} row {row}"
+
+    def tables(self) -> list[ListedTable]:
+        """Tables of the tree: lists of records, matrices, and sibling columns of equal length."""
+        return list(_tables(self._tree, ""))
+
+    def _indexed(self, base: Any, index: int, records: str | None) -> Any:
+        where = records or "the file"
+        if isinstance(base, np.ndarray) and base.ndim == 2 and index < base.shape[1]:
+            return base[:, index]
+        if isinstance(base, list) and base and all(isinstance(row, list) and len(row) > index for row in base):
+            return [row[index] for row in base]
+        raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
+
+    def _walk(self, node: Any, path: str) -> Any:
+        if isinstance(node, dict) and path in node:
+            return node[path]
+        path_so_far = ""
+        for match in _STEP.finditer(path):
+            key: str | int = match[1] if match[1] is not None else int(match[2])
+            node = self._child(node, key, path_so_far)
+            path_so_far = path[: match.end()]
+        return node
+
+    def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
+        where = parent_path or "the file"
+        if isinstance(key, int):
+            if isinstance(node, list | np.ndarray) and key < len(node):
+                return node[key]
+            raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
+        if isinstance(node, dict):
+            if key in node:
+                return node[key]
+            raise MissingColumn(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
+        if isinstance(node, list) and all(isinstance(item, dict) for item in node):
+            if not any(key in item for item in node):
+                has = ", ".join(sorted({str(k) for item in node[:100] for k in item})) or "nothing"
+                raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {has}")
+            return [item.get(key) for item in node]  # None: that record lacks it
+        raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
+
+    def _as_column(self, node: Any, name: str | int) -> Array | list[str]:
+        if isinstance(node, np.ndarray) and node.dtype.kind in "fiub":
+            flat = node.reshape(-1) if node.size == max(node.shape, default=0) else node
+            if flat.ndim == 1:
+                return flat.astype(np.float64)
+        if isinstance(node, list) and node:
+            if all(isinstance(value, str) for value in node):
+                return node
+            numbers = array("d")
+            for row, value in enumerate(node):
+                if value is not None and not isinstance(value, bool | int | float | np.number):
+                    shown = repr(value) if isinstance(value, str) else _described(value)
+                    raise InputError(f"{self.place(name, row)}: {shown} is not a number")
+                try:
+                    numbers.append(np.nan if value is None else as_float(value))
+                except MissingColumn as lacking:
+                    raise InputError(f"{self.place(name, row)}: {lacking}") from None
+            return np.frombuffer(numbers, np.float64)
+        raise MissingColumn(f"{self.path}: {name!r} holds {_described(node)} where a column of numbers was expected")
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"a group of {', '.join(map(str, value)) or 'nothing'}"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} of {value.dtype}"
+    return f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"[:60]
+
+
+def _tables(node: Any, path: str) -> Iterator[ListedTable]:
+    """The tables at a node and below it."""
+    records = path or None
+    if isinstance(node, dict):
+        by_length: dict[int, list[ListedColumn]] = {}
+        for name, value in node.items():
+            if _is_column(value):
+                by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
+            elif len(path) < LONGEST_PATH:
+                yield from _tables(value, f"{path}.{name}" if path else str(name))
+        for columns in by_length.values():
+            yield ListedTable(records, tuple(columns))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
+        yield ListedTable(records, tuple(map(ListedColumn, _columns_of_records(node[:SURVEYED], ""))))
+    elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
+        yield ListedTable(records, tuple(map(ListedColumn, range(min(node.shape[1], MOST_COLUMNS)))))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
+        width = min(len(row) for row in node)
+        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
+        yield ListedTable(records, tuple(map(ListedColumn, numbers_at)))
+
+
+def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
+    """Paths of the numbers in records and their nested records."""
+    for name in dict.fromkeys(str(name) for item in items for name in item):
+        values = [item.get(name) for item in items]
+        below = f"{path}.{name}" if path else name
+        if all(map(_is_number, values)):
+            yield below
+        elif all(isinstance(value, dict) for value in values) and len(below) < LONGEST_PATH:
+            yield from _columns_of_records(values, below)  # type: ignore[arg-type]
+
+
+def _is_column(value: Any) -> bool:
+    """Whether a value is a column of numbers."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "fiub" and value.size == max(value.shape, default=0) >= FEWEST_ROWS
+    return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED]))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value may be in a column of numbers; None stands for a missing one."""
+    return value is None or isinstance(value, bool | int | float | np.number)

@@ -1,0 +1,256 @@
+"""Convert columns of a source to streams of a run: units converted, clocks aligned, stamps checked."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.runfile.align.alignment import Alignment, align_by_similarity
+from leactl.runfile.importing.mapping import (
+    ChannelMapping,
+    FieldOf,
+    Mapping,
+    StepsByColumn,
+    StreamMapping,
+    TimeBase,
+)
+from leactl.runfile.importing.sources.source import LogSource, MissingColumn
+from leactl.units import LINEAR, SECONDS, converter
+from leactl.yamlfile import Document
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class Stream:
+    """Channels with common stamps, not yet in a file."""
+
+    time: Array
+    specs: list[ChannelSpec]
+    values: list[Array]
+    aligned: str = ""  # method and uncertainty of an estimated clock offset
+    labels: list[str] | None = None  # label of each row, by which steps are named
+
+    def channel(self, name: str) -> Array:
+        """Values of one channel."""
+        return self.values[self.specs.index(self.spec(name))]
+
+    def spec(self, name: str) -> ChannelSpec:
+        """Specification of one channel."""
+        return next(spec for spec in self.specs if spec.name == name)
+
+    def rows(self, first: int, last: int) -> "Stream":
+        """Rows `first` to `last` (excluded)."""
+        labels = self.labels[first:last] if self.labels is not None else None
+        columns = [column[first:last] for column in self.values]
+        return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
+
+
+def build_streams(source: LogSource, mapping: Mapping, document: Document) -> dict[str, Stream]:
+    """Read every mapped channel of a source and put all streams on the run's clock.
+
+    Raises
+    ------
+    InputError : missing columns, impossible units, stamps that do not increase, or clocks that cannot be aligned.
+    """
+    faults: list[str] = []
+    streams: dict[str, Stream] = {}
+    for name, wanted in mapping.streams.items():
+        try:
+            by = mapping.steps_by_column
+            streams[name] = build_stream(source, name, wanted, by if by and by.stream == name else None, document)
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    for name, wanted in mapping.streams.items():
+        if wanted.clock is not None:
+            alignment = alignment_of(streams, name, wanted, document)
+            streams[name].time = streams[name].time + (alignment.offset if alignment else wanted.clock.offset_s or 0.0)
+            streams[name].aligned = alignment.describe() if alignment else ""
+    begins = {name: float(s.time[0]) for name, s in streams.items()}
+    ends = {name: float(s.time[-1]) for name, s in streams.items()}
+    late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
+    if begins[late] > ends[early]:
+        message = (
+            f"{source.path}: it begins at {begins[late]:.6g} s, after stream {early!r} has ended at {ends[early]:.6g} s"
+        )
+        raise InputError(document.fault(("streams", late), f"{message}; set clock.offset_s or clock.estimate"))
+    start = min(begins.values())
+    for stream in streams.values():
+        stream.time = stream.time - start
+    return streams
+
+
+def build_stream(
+    source: LogSource, name: str, settings: StreamMapping, by: StepsByColumn | None, document: Document
+) -> Stream:
+    """Read one stream on its own clock, with the labels that name its steps if `by` is given."""
+    faults: list[str] = []
+    specs, values, columns = [], [], []
+    for channel, mapped in settings.channels.items():
+        try:
+            spec, column = build_channel(source, name, channel, mapped, settings.records, document)
+        except InputError as error:
+            faults += error.faults
+            continue
+        specs.append(spec)
+        values.append(column)
+        columns.append(mapped.column)
+    if faults:
+        raise InputError(faults)
+    lengths = {len(column) for column in values}
+    if len(lengths) > 1:
+        counts = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
+        raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {counts}"))
+    time, keep = stamps(source, settings.time, settings.records, ("streams", name, "time"), lengths.pop(), document)
+    labels = labels_of(source, by, settings.records, time, keep, document) if by is not None else None
+    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+
+
+def labels_of(
+    source: LogSource,
+    by: StepsByColumn,
+    records: str | None,
+    time: Array,
+    keep: npt.NDArray[np.bool_],
+    document: Document,
+) -> list[str]:
+    """Label of each kept row: its own, or the latest label at its stamp; empty before the first label."""
+    try:
+        raw = source.labels(by.column, None if by.time else records)
+    except MissingColumn as lacking:
+        raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
+    if by.time is None:
+        if len(raw) != len(keep):
+            message = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
+            hint = "; give steps_by_column.time where labels have stamps of their own"
+            raise InputError(document.fault(("steps_by_column", "column"), message + hint))
+        return [label for label, kept in zip(raw, keep, strict=True) if kept]
+    since, kept = stamps(source, by.time, None, ("steps_by_column", "time"), len(raw), document)
+    in_force = ["", *(label for label, is_kept in zip(raw, kept, strict=True) if is_kept)]
+    return [in_force[row] for row in np.searchsorted(since[kept], time[keep], side="right")]
+
+
+def build_channel(
+    source: LogSource, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
+) -> tuple[ChannelSpec, Array]:
+    """Read one channel in the units of its quantity."""
+    keys = ("streams", stream, "channels", name)
+    try:
+        raw = source.column(mapped.column, records)
+    except MissingColumn as lacking:
+        raise InputError(document.fault((*keys, "column"), str(lacking))) from None
+    if isinstance(raw, list):
+        raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
+    scale = number_value(source, mapped.scale, (*keys, "scale"), document)
+    offset = number_value(source, mapped.offset, (*keys, "offset"), document)
+    conversion = converter(mapped.units or "", mapped.quantity)
+    units = conversion.target if conversion else ""
+    values = mapped.sign * (scale * raw + offset)
+    if conversion:
+        values = conversion.factor * (values - conversion.zero)
+    infinite = np.flatnonzero(np.isinf(values))
+    if len(infinite):
+        raise InputError(
+            [f"{source.place(mapped.column, int(infinite[0]))}: infinite; a missed sample is NaN or empty"]
+        )
+    if not np.isfinite(values).any():
+        raise InputError(f"{source.path}: column {mapped.column!r} holds no number at all")
+    spec = ChannelSpec(
+        name=name,
+        quantity=mapped.quantity,
+        role=mapped.role,
+        device=mapped.device or source.path.name,
+        long_name=mapped.long_name,
+        location=mapped.location,
+        sampling=mapped.sampling or "",
+        units=units if units in LINEAR else "",
+        dtype="f8",
+        scale_std=mapped.scale_std,
+    )
+    return spec, np.asarray(values, np.float64)
+
+
+def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | int, ...], document: Document) -> float:
+    """A number of the mapping, or the value of the source's field that the mapping names."""
+    if not isinstance(value, FieldOf):
+        return value
+    try:
+        field_value = source.field(value.field)
+    except MissingColumn as lacking:
+        raise InputError(document.fault((*keys, "field"), str(lacking))) from None
+    if isinstance(field_value, str) or not np.isfinite(field_value):
+        raise InputError(document.fault((*keys, "field"), f"{source.path}: {field_value!r} is not a number"))
+    return value.scale * field_value + value.offset
+
+
+def stamps(
+    source: LogSource, base: TimeBase, records: str | None, keys: tuple[str, ...], rows: int, document: Document
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Stamps of all rows [s], and a mask of the rows that are kept; the kept stamps increase strictly."""
+    every_row: npt.NDArray[np.bool_] = np.ones(rows, bool)
+    if base.column is None:
+        step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
+        return np.asarray(base.start_s + step * np.arange(rows), np.float64), every_row
+    try:
+        raw = source.column(base.column, records)
+    except MissingColumn as lacking:
+        raise InputError(document.fault((*keys, "column"), str(lacking))) from None
+    if len(raw) != rows:
+        raise InputError(document.fault((*keys, "column"), f"{len(raw)} stamps for {rows} rows"))
+    time = seconds(source, base, raw)
+    missing = np.flatnonzero(~np.isfinite(time))
+    if len(missing):
+        raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
+    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else every_row
+    kept = np.flatnonzero(keep)
+    wrong = np.flatnonzero(np.diff(time[kept]) <= 0)
+    if len(wrong):
+        row = int(kept[wrong[0] + 1])
+        before, here = time[kept[wrong[0]]], time[row]
+        finding = "stands twice" if here == before else f"goes back from {before:.9g} s"
+        hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
+        more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {finding}{more}{hint}")
+    return time, keep
+
+
+def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
+    """Convert stamps to seconds."""
+    assert base.column is not None
+    if base.units != "iso8601":
+        if isinstance(raw, list):
+            raise InputError(f"{source.place(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601")
+        return raw * SECONDS[base.units]
+    out = np.empty(len(raw))
+    for row, text in enumerate(raw):
+        try:
+            moment = datetime.fromisoformat(str(text))
+        except ValueError:
+            raise InputError(f"{source.place(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
+        out[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return out
+
+
+def alignment_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
+    """Estimate the alignment of a stream's clock with the run's; None if the mapping asks for no estimate."""
+    clock = wanted.clock
+    if clock is None or clock.estimate is None:
+        return None
+    other, channel = clock.estimate.against.split("/")
+    stream, reference = streams[name], streams[other]
+    what = f"{clock.estimate.channel} and {clock.estimate.against}"
+    try:
+        return align_by_similarity(
+            (stream.time, stream.channel(clock.estimate.channel)),
+            (reference.time, reference.channel(channel)),
+            within=clock.estimate.within_s,
+            what=what,
+        )
+    except InputError as fault:
+        hint = "clock.offset_s or another within_s decides"
+        raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{fault}; {hint}")) from None

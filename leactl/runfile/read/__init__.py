@@ -1,0 +1,1 @@
+"""Read a run: channels by quantity and role, steps, events and notes."""

@@ -1,0 +1,81 @@
+"""Buffer of rows between control loop and disk: the loop fills one array while the writer empties the other."""
+
+import math
+import struct
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+START_ROWS = 4096
+
+
+class RowBuffer:
+    """Rows of one stream, the stamp in column 0; the buffer grows until the rows are taken."""
+
+    def __init__(self, channels: int) -> None:
+        self._channels = channels
+        self._row = struct.Struct(f"={channels + 1}d")  # half the time of numpy assignments
+        self._rows = np.empty((START_ROWS, channels + 1))
+        self._spare = np.empty_like(self._rows)
+        self._count = 0
+        self._last = -math.inf
+        self._lock = threading.Lock()
+
+    def append_row(self, time: float, values: Sequence[float]) -> None:
+        """Add one row.
+
+        Raises
+        ------
+        ValueError : wrong number of values, or a stamp that is not after the last one.
+        """
+        if len(values) != self._channels:  # numpy would spread a single value over the whole row
+            raise ValueError(f"{len(values)} values for {self._channels} channels")
+        with self._lock:
+            if not self._last < time < math.inf:
+                raise ValueError(f"time {time!r} does not come after {self._last!r}")
+            count = self._count
+            if count == len(self._rows):
+                self._grow(count + 1)
+            self._row.pack_into(self._rows, count * self._row.size, time, *values)  # type: ignore[arg-type]
+            self._last = time
+            self._count = count + 1
+
+    def append(self, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
+        """Add rows, `times` (n,) and `block` (n, channels): all of them, or none if one is wrong.
+
+        Raises
+        ------
+        ValueError : wrong shapes, or stamps that do not increase.
+        """
+        stamps = np.asarray(times, "f8")
+        values = np.asarray(block, "f8")
+        if stamps.ndim != 1 or values.shape != (len(stamps), self._channels):
+            raise ValueError(f"block of shape {values.shape} for {stamps.shape} stamps and {self._channels} channels")
+        if not len(stamps):
+            return
+        with self._lock:
+            if not (np.isfinite(stamps).all() and stamps[0] > self._last and (stamps[1:] > stamps[:-1]).all()):
+                raise ValueError(f"times do not increase strictly after {self._last!r}")
+            end = self._count + len(stamps)
+            if end > len(self._rows):
+                self._grow(end)
+            self._rows[self._count : end, 0] = stamps
+            self._rows[self._count : end, 1:] = values
+            self._last = float(stamps[-1])
+            self._count = end
+
+    def take(self) -> np.ndarray[Any, Any]:
+        """Return the rows so far, (n, 1 + channels), and empty the buffer; the array is valid until the next call."""
+        with self._lock:
+            rows, self._rows = self._rows, self._spare
+            self._spare = rows
+            taken = rows[: self._count]
+            self._count = 0
+            return taken
+
+    def _grow(self, least: int) -> None:
+        rows = np.empty((max(least, 2 * len(self._rows)), self._channels + 1))
+        rows[: self._count] = self._rows[: self._count]
+        self._rows = rows

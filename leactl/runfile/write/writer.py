@@ -1,0 +1,373 @@
+"""Record a run: rows are put into memory at once and written to the disk about once a second.
+
+The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, so that others may read it and a kill
+leaves every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run in
+another thread.
+"""
+
+import errno
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import h5py
+import numpy as np
+from h5py import h5s
+
+from leactl.errors import InputError, SafetyTrip, Stopped
+from leactl.quantities import ChannelSpec
+from leactl.runfile import layout
+from leactl.runfile.hdf5.space import reserve, trim
+from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
+from leactl.runfile.summary import CLOSED_STATUSES, RECORDING
+from leactl.runfile.write.description import RunInfo, faults_of, new_run_id
+from leactl.runfile.write.repack import as_text, one_line, repack, text_bytes
+from leactl.runfile.write.row_buffer import RowBuffer
+
+__all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
+
+LIVE_CHUNK_ROWS = 1 << 12
+LIVE_TABLE_ROWS = 16
+COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
+
+
+class RecordingFailed(InputError):
+    """The run file cannot be written any more; rows that were flushed before stay readable."""
+
+
+class RunWriter:
+    """Writer of one run; use it as a context manager or call `close`.
+
+    `append`, `append_row`, `step` and `event` only touch memory and may be called from the control loop while another
+    thread flushes. Rows are recorded once `flush` has returned. `wait_for_disk` is called before each write; an
+    emulated bench emulates a slow disk there.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        info: RunInfo,
+        streams: Mapping[str, Sequence[ChannelSpec]],
+        wait_for_disk: Callable[[], None] = lambda: None,
+    ) -> None:
+        if faults := faults_of(info, streams):
+            raise InputError(faults)
+        self.path = directory / f"{info.run_id}.h5"
+        self.closed = False
+        self._streams, self._notes = streams, list[str]()
+        self._fault = ""  # message of the first failure, repeated by every later call
+        self._disk, self._wait_for_disk = threading.Lock(), wait_for_disk
+        self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
+        self._written = dict.fromkeys(streams, 0)
+        self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
+        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # listener for the rows of a table, by its name
+        self._tables_written = dict.fromkeys(layout.TABLES, 0)
+        partial = directory / f"{info.run_id}.h5.partial"
+        refuse_existing(self.path)
+        refuse_existing(partial)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            text = f"{directory}: cannot create the run file: {fault.strerror or fault}; choose another directory"
+            raise InputError(text) from None
+        try:
+            self._file = create(partial, info, streams)
+            self._datasets = {
+                name: opened_columns(self._file["streams"][name], specs) for name, specs in streams.items()
+            }
+            move_without_overwriting(partial, self.path)
+        except OSError as fault:
+            raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
+
+    def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
+        """Add one row; a few microseconds, whatever the disk does."""
+        if self.closed:
+            raise self._ended()
+        self._buffers[stream].append_row(time, values)
+
+    def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
+        """Add rows: `times` (n,) and `block` (n, channels)."""
+        if self.closed:
+            raise self._ended()
+        self._buffers[stream].append(times, block)
+
+    def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
+        """Record a step: its name, times [s] and parameters."""
+        times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
+        self._note("steps", {"name": str(name), **times, "parameters": dict(parameters)})
+
+    def event(self, time: float, level: str, source: str, message: str) -> None:
+        """Record an event at a time [s]."""
+        row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
+        self._note("events", row)
+
+    def _note(self, table: str, row: dict[str, Any]) -> None:
+        self._tables[table].append(row)
+        if table in self.heard:
+            self.heard[table](row)
+
+    def flush(self) -> None:
+        """Write everything so far to the file, where a reader or a recovery finds it."""
+        with self._disk:
+            self._on_disk(self._write_pending)
+            self._stay_in_place()
+
+    def notes(self) -> list[str]:
+        """Notes for people about the file since the last call, for example that it was moved."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def close(self, status: str, reason: str = "") -> None:
+        """Write the remaining rows, repack with compression and checksums, and replace the live file in one step."""
+        if status not in CLOSED_STATUSES:
+            raise ValueError(f"status {status!r} is none of {', '.join(CLOSED_STATUSES)}")
+        with self._disk:
+            if self._fault:
+                raise self._ended()
+            if not self.closed:
+                self._on_disk(self._write_pending)
+                self._stay_in_place()
+                self._on_disk(self._file.close)
+                self._on_disk(lambda: self._repack(status, reason))
+                self.closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if self.closed:
+            return
+        if error is None:
+            self.close("complete")
+        else:
+            stopped = isinstance(error, Stopped | KeyboardInterrupt)
+            status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
+            try:
+                self.close(status, str(error) or type(error).__name__)
+            except RecordingFailed as second:  # what ended the run matters more than the disk
+                error.add_note(str(second))
+
+    def _write_pending(self) -> None:
+        self._wait_for_disk()
+        tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
+        taken = {name: buffer.take() for name, buffer in self._buffers.items()}
+        self._reserve(taken, tables)
+        for name, rows in taken.items():
+            if len(rows):
+                write_rows(self._datasets[name], self._written[name], rows)
+                self._written[name] += len(rows)
+        for name, pending in tables.items():
+            if pending:
+                write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
+                self._tables_written[name] += len(pending)
+
+    def _stay_in_place(self) -> None:
+        """If the file or its folder was removed, moved or replaced, continue in a copy at a path that exists."""
+        open_file = os.fstat(self._file.id.get_vfd_handle())
+        with suppress(OSError):
+            file_at_path = os.lstat(self.path)
+            if (file_at_path.st_dev, file_at_path.st_ino) == (open_file.st_dev, open_file.st_ino):
+                return
+        self._on_disk(self._go_on_elsewhere)
+
+    def _go_on_elsewhere(self) -> None:
+        """Continue in a copy: in a new folder of the same name, else the working directory, else the temporary one."""
+        before = self.path
+        descriptor = os.dup(self._file.id.get_vfd_handle())
+        try:
+            self._file.close()
+            with os.fdopen(descriptor, "rb", closefd=False) as rows:
+                places = [before.parent, *working_directory(), Path(tempfile.gettempdir())]
+                self.path = copy_to_first(rows, before.name, places)
+        finally:
+            os.close(descriptor)
+        self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT)
+        self._file.swmr_mode = True
+        groups = self._file["streams"]
+        self._datasets = {name: opened_columns(groups[name], specs) for name, specs in self._streams.items()}
+        self._notes.append(
+            f"{before}: was removed or moved while it was written; every row of the run is in {self.path}"
+        )
+
+    def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
+        """Reserve disk space for the rows, one new chunk for each column, and the fixed-length texts of the tables."""
+        size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
+        for name, rows in tables.items():
+            size += (len(rows) + LIVE_TABLE_ROWS) * sum(width or 8 for width in layout.TABLES[name].values())
+        try:
+            reserve(self._file, size)
+        except OSError:
+            self._file.close()  # nothing failed inside HDF5 yet: the file closes in order
+            raise
+
+    def _repack(self, status: str, reason: str) -> None:
+        trim(self.path)
+        with h5py.File(self.path, "r") as live, replacement(self.path) as target:
+            repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
+
+    def _on_disk(self, action: Callable[[], None]) -> None:
+        """Run an action on the file; if it fails, abandon the file and raise RecordingFailed with one line."""
+        if self.closed:
+            raise self._ended()
+        try:
+            action()
+        # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
+        except (OSError, RuntimeError, NotWritten) as fault:
+            hint = f"{advice_for(fault)}, then run: leactl runs recover"
+            self._fault = f"{self.path}: recording failed: {one_line(str(fault))}; {hint}"
+            self._abandon()
+            raise RecordingFailed(self._fault) from fault
+
+    def _ended(self) -> RecordingFailed:
+        return RecordingFailed(self._fault or f"{self.path}: the recording has ended; start a new run")
+
+    def _abandon(self) -> None:
+        self.closed = True
+        if self._file:  # closing after a failed write crashes inside HDF5: keep it open, for good
+            KEPT_OPEN.append((self._file, self._datasets))
+
+
+KEPT_OPEN: list[Any] = []
+ADVICE = {
+    "free space on the disk": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    "raise the limit of open files (ulimit -n)": (errno.EMFILE, errno.ENFILE),
+    "let this user write there, or choose --out": (errno.EACCES, errno.EPERM, errno.EROFS),
+    "make the folder again, or choose --out": (errno.ENOENT, errno.ENOTDIR, errno.ESTALE),
+    "end other programs, for memory is short": (errno.ENOMEM,),
+}
+
+
+def advice_for(fault: BaseException) -> str:
+    """Advice for a failed write, by errno; HDF5 gives none, which is taken for a full disk."""
+    number = getattr(fault, "errno", None)
+    return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
+
+
+def working_directory() -> list[Path]:
+    """The working directory in a list; empty if it no longer exists."""
+    try:
+        return [Path.cwd()]
+    except OSError:
+        return []
+
+
+def copy_to_first(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
+    """Copy a file into the first folder in which it can be created; nothing is overwritten.
+
+    Raises
+    ------
+    OSError : it can be created in none of them.
+    """
+    fault = OSError("there is no folder for it")
+    for folder in folders:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (folder / name).open("xb") as copy:
+                rows.seek(0)
+                shutil.copyfileobj(rows, copy)
+                os.fsync(copy.fileno())
+        except OSError as refused:
+            fault = refused
+        else:
+            return folder / name
+    raise fault
+
+
+def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
+    """Create all groups and datasets of a run, since SWMR mode allows no new ones, and switch SWMR on."""
+    file = h5py.File(partial, "x", libver=layout.HDF5_FORMAT)
+    try:
+        columns = sum(1 + len(specs) for specs in streams.values())
+        reserve(file, columns * COLUMN_BYTES + sum(text_bytes(text) for text in info.sources.values()))
+    except OSError:
+        file.close()
+        partial.unlink()
+        raise
+    for name in layout.ROOT_ATTRIBUTES:
+        file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
+    if info.seed is not None:
+        file.attrs["seed"] = info.seed
+    setup = file.create_group("setup")
+    setup.attrs["mechanical"] = info.mechanical
+    for name, value in info.setup.items():
+        setup.attrs[name] = value
+    layout.describe(file, info.parameters, info.instruments)
+    for name, text in info.sources.items():
+        file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
+    group = file.create_group("streams")
+    # NaN as fill value: a stamp that was announced but never written shows as NaN and is cut
+    live = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
+    for stream, specs in streams.items():
+        layout.create_stream(group, stream, list(specs), **live)
+    for table, widths in layout.TABLES.items():
+        for column, width in widths.items():
+            dtype = "<f8" if width is None else h5py.string_dtype("utf-8", width)
+            file.create_dataset(f"{table}/{column}", (0,), dtype=dtype, maxshape=(None,), chunks=(LIVE_TABLE_ROWS,))
+    file.swmr_mode = True
+    return file
+
+
+def root_value(name: str, info: RunInfo) -> Any:
+    """Value of a root attribute at the start of the recording."""
+    start: dict[str, Any] = {
+        "format": layout.FORMAT,
+        "format_version": layout.VERSION,
+        "status": RECORDING,
+        "status_reason": "",
+        "simulated": int(info.simulated),
+    }
+    return start[name] if name in start else getattr(info, name)
+
+
+def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
+    """(column in a row, dataset, type) of a stream's datasets in the order of writing: channels before time.
+
+    With the stamp written last, a stamp in the file means that its whole row is in the file.
+    """
+    indices = {spec.name: index for index, spec in enumerate(specs, start=1)} | {"time": 0}
+    return [(index, stream[name].id, stream[name].dtype) for name, index in indices.items()]
+
+
+def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
+    """Append rows by HDF5's low-level calls: h5py's slices take three times as long for short blocks."""
+    memory, rows_in_file = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
+    rows_in_file.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
+    with np.errstate(over="ignore"):  # beyond float32 becomes inf
+        for index, dataset, dtype in columns:
+            extend(dataset, written + len(rows))
+            dataset.write(memory, rows_in_file, np.ascontiguousarray(rows[:, index], dtype))
+            dataset.flush()
+
+
+def write_live_table(
+    group: Any, columns: Mapping[str, int | None], written: int, rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Append to `/steps` or `/events`; texts are cut to the fixed length of the column."""
+    for column, width in columns.items():
+        dataset = group[column]
+        extend(dataset.id, written + len(rows))
+        values = [row[column] if width is None else cut_to_width(row[column], width) for row in rows]
+        dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
+        dataset.flush()
+
+
+def extend(dataset: Any, rows: int) -> None:
+    """Extend a dataset to `rows` rows; after an interrupted flush it may be longer, and SWMR forbids to shrink it."""
+    if dataset.shape[0] < rows:
+        dataset.set_extent((rows,))
+
+
+def cut_to_width(value: Any, width: int) -> bytes:
+    """Encode a text in at most `width` bytes; parameters lose whole entries from the end and stay valid JSON."""
+    if isinstance(value, Mapping):
+        entries = dict(value)
+        while len(encoded := layout.storable(as_text(entries)).encode()) > width:
+            entries.popitem()
+        return encoded
+    return layout.storable(value).encode()[:width].decode("utf-8", "ignore").encode()
