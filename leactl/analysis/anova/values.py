@@ -22,7 +22,7 @@ from leactl.analysis.analyze import (
     refuse_unknown,
     remarks_on,
 )
-from leactl.analysis.estimate import Estimate, listed
+from leactl.analysis.estimate import Estimate, Noted, joined, listed
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.regular import open_regular
@@ -125,17 +125,16 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
     trials: list[Trial] = []
-    notes: list[str] = []
     kinds: dict[str, Path] = {}
     taken: dict[Path, Path] = {}  # which answer is of a run
     for path in answers:
-        kind, found, own = _of_answer(path, len(trials))
+        kind, answer_trials, answered_runs = _of_answer(path, len(trials))
         kinds.setdefault(kind, path)
-        trials += found
-        for file in own:
+        trials += answer_trials
+        for file in answered_runs:
             if file in taken:
                 raise InputError(f"{path}: it is of {file.name}, as {taken[file]} is; give each run once")
-        taken |= dict.fromkeys(own, path)
+        taken |= dict.fromkeys(answered_runs, path)
     for path in files:
         if path.resolve() in taken:
             raise InputError(f"{path}: {taken[path.resolve()]} is an answer of it; give each run once")
@@ -146,21 +145,28 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
         for run in runs:
             kinds.setdefault(experiment_of(run), run.path)
         if len(kinds) > 1:
-            told = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
-            raise InputError(f"different experiments: {told}; give runs of one experiment")
-        whole, of_whole = list(trials), [""]
-        for number, run in enumerate(runs, start=len(trials)):
-            trials += _of_run(run, number, by_run, notes, options)
-        wanting = not by_run and any(len(_repeats(run)) > 1 for run in runs) and _lacking(trials, len(whole), len(runs))
-        for number, run in enumerate(runs if wanting else [], start=len(whole)):
-            whole += _of_run(run, number, True, of_whole, options)
+            files_by_kind = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
+            raise InputError(f"different experiments: {files_by_kind}; give runs of one experiment")
+        first = len(trials)  # number of the first run
+        single = joined(_of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first))
+        trials_lack_results = (
+            not by_run
+            and any(len(_repeats(run)) > 1 for run in runs)
+            and _lacking([*trials, *single.value], first, len(runs))
+        )
+        analysed_whole = enumerate(runs if trials_lack_results else [], start=first)
+        whole = joined(_of_run(run, number, True, options) for number, run in analysed_whole)
     experiment = next(iter(kinds))
-    if not trials and not (wanting and whole):
-        raise NotIdentifiable(f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(notes, 2)}")
+    every_trial, every_run = [*trials, *single.value], [*trials, *whole.value]
+    if not every_trial and not (trials_lack_results and every_run):
+        raise NotIdentifiable(
+            f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(single.notes, 2)}"
+        )
     partly = "single trials give no uncertainty of it, or not under every condition"
-    why = partly if trials else f"no single trial could be analysed ({notes[-1]})"
-    of_whole[0] = f"one value a run, its repeats together: {why}"
-    return Taken(experiment, _columns(trials, notes), _columns(whole, of_whole) if wanting else {})
+    reason = partly if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
+    run_notes = (f"one value a run, its repeats together: {reason}", *whole.notes)
+    by_trial = _columns(every_trial, single.notes)
+    return Taken(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
 def _lacking(trials: Sequence[Trial], first: int, count: int) -> bool:
@@ -175,7 +181,8 @@ def _repeats(run: Run) -> list[int]:
     return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
-def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
+def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Noted[list[Trial]]:
+    """Analyse each pass of a run's repeats, or the whole run; a note names the passes that give no result."""
     experiment = experiment_of(run)
     analysis = analysis_of(experiment, str(run.path))
     given = {name: value for name, value in options.items() if value is not None}
@@ -183,20 +190,20 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
-    notes += [*doubts_of(run), *remarks_on(run)]
+    notes = [*doubts_of(run), *remarks_on(run)]
     repeats = _repeats(run)
     parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
-    found, lost = [], []
+    trials, lost = [], []
     for repeat, part in zip(repeats or [1], parts, strict=False):
         try:
-            found.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
+            trials.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
         except NotIdentifiable as fault:
             lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if lost:
         which = listed(repeat for repeat, _ in lost)
         what = f"{len(lost)} of {len(parts)} trials gave nothing ({which})" if len(parts) > 1 else "it gave nothing"
         notes.append(f"{run.path}: {what}: {lost[0][1]}")
-    return found
+    return Noted(trials, tuple(notes))
 
 
 def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from leactl.analysis.efficiency.balance import SENSE, Calibration
 from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.estimate import Noted
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
@@ -54,36 +55,37 @@ def _wrong(products: np.ndarray) -> bool:
     return bool(len(known)) and float(np.mean(known < 0.0)) > MOST_WRONG
 
 
-def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list[str]) -> Points:
-    """The points with what a drift of the torque sensor adds to the uncertainty of its zero; notes where there is one.
+def with_drift(points: Points, runs: Sequence[Run], calibration: Calibration) -> Noted[Points]:
+    """Widen the uncertainty of the torque sensor's zero by its drift; a note says where a run has one.
 
     Each actuator's friction is Kt i less the torque that it gives. The two frictions add up to no torque reading at
     all; their difference is twice the torque's error and what the actuators differ by, which goes with the speed.
     """
-    if not all(("q_axis_current", role) in points.value for role in OTHER) or not np.isfinite(told.back_emf_constant):
-        return points
+    currents_known = all(("q_axis_current", role) in points.value for role in OTHER)
+    if not currents_known or not np.isfinite(calibration.back_emf_constant):
+        return Noted(points)
+    notes = []
     zero_std = points.zero_std.copy()
     for number, run in enumerate(runs):
-        own = points.where(points.run == number)
-        torque = own.value["torque", "test"]
-        by_current = (
-            sum(SENSE[role] * own.value["q_axis_current", role] for role in OTHER) * told.back_emf_constant / 2.0
-        )
-        speed = np.array([one.speed for one in own.holds])
-        time = np.array([one.hold.start for one in own.holds])
+        run_points = points.where(points.run == number)
+        torque = run_points.value["torque", "test"]
+        signed_currents = sum(SENSE[role] * run_points.value["q_axis_current", role] for role in OTHER)
+        by_current = signed_currents * calibration.back_emf_constant / 2.0
+        speed = np.array([grid_hold.speed for grid_hold in run_points.holds])
+        time = np.array([grid_hold.hold.start for grid_hold in run_points.holds])
         good = np.isfinite(torque) & np.isfinite(by_current)
         if good.sum() < FEWEST:
             continue
-        over = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
-        others = np.column_stack([torque, speed, np.ones_like(over)])[good]
-        left = over[good] - others @ np.linalg.lstsq(others, over[good], rcond=None)[0]
-        if np.std(left) < ALONE * np.std(over[good]):
+        run_time = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
+        others = np.column_stack([torque, speed, np.ones_like(run_time)])[good]
+        unexplained = run_time[good] - others @ np.linalg.lstsq(others, run_time[good], rcond=None)[0]
+        if np.std(unexplained) < ALONE * np.std(run_time[good]):
             notes.append(
                 f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
                 " currents cannot be told from them, and is in no interval"
             )
             continue
-        design = np.column_stack([over[good], others])
+        design = np.column_stack([run_time[good], others])
         try:
             fit = least_squares(design, (torque - by_current)[good], design, str(run.path))
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
@@ -101,4 +103,4 @@ def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list
                 f"{run.path}: torque is {gain:+.1%} off what the currents and the torque constant make of it;"
                 " the sensor's calibration or the current's convention may be wrong"
             )
-    return replace(points, zero_std=zero_std)
+    return Noted(replace(points, zero_std=zero_std), tuple(notes))

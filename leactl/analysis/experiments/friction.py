@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, tally
 from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.usable_readings import usable
@@ -82,29 +82,31 @@ def analyze(
     place = f"{place_of(runs)}: friction"
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
-    gathered = gather(runs, (CURRENT, VELOCITY), notes, lambda run, name: usable(run, name, notes))
-    levels = steady(runs, gathered, place, notes)
+    gathered = gather(runs, (CURRENT, VELOCITY), usable)
+    turning = steady(runs, gathered.value, place)
+    levels = turning.value
+    notes += [*gathered.notes, *turning.notes]
     sign = np.sign(levels.value[VELOCITY])
     torque = constants.values[levels.run] * levels.value[CURRENT]
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
     notes.append(constants.note)
 
-    each = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
+    single_lines = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
     if len(np.unique(sign)) == 2:
         line = together(levels, torque, sign, place)
         results = line_results(line, "", unit, constants.relative_std)
-        for name, found in each.items():
-            if isinstance(found, NotIdentifiable):
-                notes.append(f"{name} levels alone give no line: {str(found).removeprefix(place + ': ')}")
+        for name, single in single_lines.items():
+            if isinstance(single, NotIdentifiable):
+                notes.append(f"{name} levels alone give no line: {str(single).removeprefix(place + ': ')}")
             else:
-                results += line_results(found, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
+                results += line_results(single, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
     else:
         direction = float(sign[0])
         name = next(name for name, value in DIRECTIONS.items() if value == direction)
-        found = each[name]
-        if isinstance(found, NotIdentifiable):
-            raise found
-        line = found
+        single = single_lines[name]
+        if isinstance(single, NotIdentifiable):
+            raise single
+        line = single
         results = line_results(line, "", unit, constants.relative_std, direction)
         notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
     damping = line.slope("viscous_damping")
@@ -145,8 +147,8 @@ def torque_constants(
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 
-def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
-    """Only the levels at which the rotor turned steadily with its current; the others are named in the notes.
+def steady(runs: Sequence[Run], levels: Levels, place: str) -> Noted[Levels]:
+    """Keep the holds in which the rotor turned steadily with its current; notes name the others and why.
 
     The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
     last quarter more than the second half.
@@ -177,8 +179,11 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
         for index in np.flatnonzero(applies & kept):
             left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
         kept &= ~applies
-    for (number, reason), holds in sorted(left_out.items()):
-        notes += tally({reason: holds}, f"{runs[number].path}")
+    notes = [
+        note
+        for (number, reason), holds in sorted(left_out.items())
+        for note in tally({reason: holds}, f"{runs[number].path}")
+    ]
     distinct = len(np.unique(np.round(levels.setpoint[kept], 9)))
     if distinct < 2:
         why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
@@ -186,7 +191,7 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
             f"{place}: found {distinct} levels of current at which the rotor turned steadily"
             f"{f' ({why})' if why else ''}; two or more are needed"
         )
-    return levels.where(kept)
+    return Noted(levels.where(kept), tuple(notes))
 
 
 def regressors(levels: Levels, sign: Array) -> dict[str, Array]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
 from leactl.analysis.quality.current_convention import named
 from leactl.analysis.quality.sign_checks import refuse_below_zero
@@ -62,8 +62,10 @@ def analyze(
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
-    levels = of_one_kind(every, notes)
+    gathered = gather(runs, (CURRENT, TORQUE), usable)
+    directed = of_one_kind(gathered.value)
+    levels = directed.value
+    notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
 
@@ -82,8 +84,10 @@ def analyze(
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
     refuse_below_zero(results[0], place, "torque and current")
-    results += one_side_each(levels, place, both_stds, notes) if both else []
     if both:
+        single_sides = one_side_each(levels, place, both_stds)
+        results += single_sides.value
+        notes += single_sides.notes
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
     results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
@@ -92,24 +96,24 @@ def analyze(
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
 
 
-def convention(run: Run, found: float) -> list[str]:
-    """A note where the torque constant is off the model's by just what a wrong convention of current makes."""
+def convention(run: Run, torque_constant: float) -> list[str]:
+    """Return a note where torque constant and model differ by the factor of a wrong convention of current."""
     try:
-        ratio = found / torque_constant_of_model(run)
+        ratio = torque_constant / torque_constant_of_model(run)
     except InputError:  # a foreign run may carry none, or none that can be read
         return []
-    why = named(ratio)
-    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {why}"] if why else []
+    reason = named(ratio)
+    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {reason}"] if reason else []
 
 
-def of_one_kind(levels: Levels, notes: list[str]) -> Levels:
-    """Without the holds that do not say their direction, where others do."""
-    silent = levels.direction == 0
-    if not silent.any() or silent.all():
-        return levels
-    where = [hold for hold, left_out in zip(levels.holds, silent, strict=True) if left_out]
-    notes.append(f"left out {len(where)}: no direction, where other holds have one ({listed(where)})")
-    return levels.where(~silent)
+def of_one_kind(levels: Levels) -> Noted[Levels]:
+    """Leave out holds without a direction where other holds have one; a note names them."""
+    undirected = levels.direction == 0
+    if not undirected.any() or undirected.all():
+        return Noted(levels)
+    left_out = [hold for hold, drop in zip(levels.holds, undirected, strict=True) if drop]
+    note = f"left out {len(left_out)}: no direction, where other holds have one ({listed(left_out)})"
+    return Noted(levels.where(~undirected), (note,))
 
 
 def magnitude(signed: Estimate) -> Estimate:
@@ -119,21 +123,21 @@ def magnitude(signed: Estimate) -> Estimate:
     return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
 
 
-def one_side_each(levels: Levels, place: str, relative_std: float, notes: list[str]) -> list[Estimate]:
-    """Slopes of the rising and of the falling levels alone, where there are enough of them."""
-    found = []
+def one_side_each(levels: Levels, place: str, relative_std: float) -> Noted[list[Estimate]]:
+    """Estimate the slopes of the rising and of the falling levels alone; a note says which have too few levels."""
+    slopes, notes = [], []
     for name, sign in SIDES.items():
-        own = levels.where(levels.direction == sign)
-        columns = {"slope": own.value[CURRENT]}
+        side = levels.where(levels.direction == sign)
+        columns = {"slope": side.value[CURRENT]}
         try:
-            require_levels(place, "current", own.setpoint, own.value[CURRENT], own.std[CURRENT])
-            line = fit_lines(columns, own.value[TORQUE], own, place)
+            require_levels(place, "current", side.setpoint, side.value[CURRENT], side.std[CURRENT])
+            line = fit_lines(columns, side.value[TORQUE], side, place)
         except NotIdentifiable as fault:
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
             continue
         units = f"{levels.units[TORQUE]}/A"
-        found.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
-    return found
+        slopes.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
+    return Noted(slopes, tuple(notes))
 
 
 def plot_of(levels: Levels, line: LineFit) -> Plot:

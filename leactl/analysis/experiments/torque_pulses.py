@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.experiments.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind
 from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
@@ -97,7 +97,10 @@ def analyze(
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes, lambda run, name: usable(run, name, notes)), notes)
+    gathered = gather(runs, (CURRENT, TORQUE), usable)
+    directed = of_one_kind(gathered.value)
+    levels = directed.value
+    notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
     magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
@@ -130,16 +133,18 @@ def analyze(
     unit = levels.units[TORQUE]
     constant = line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)
     refuse_below_zero(constant, place, "torque and current")
+    straight = straight_up_to(bent)
+    notes += straight.notes
     results = [
         constant,
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
         at_peak(bent, unit, both_stds),
         loss_at_peak(bent, current_std),
-        straight_up_to(bent, notes),
+        straight.value,
     ]
     if "sticking_torque" in line.slopes:
-        found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}), torque_std)
-        results.append(found)
+        sticking = -weights(line, {"sticking_torque": 1.0})
+        results.append(line.fit.estimate("sticking_torque", unit, sticking, torque_std))
         notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
     notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
     paths = tuple(str(run.path) for run in runs)
@@ -214,8 +219,8 @@ def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
     return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
 
 
-def straight_up_to(bent: Bent, notes: list[str]) -> Estimate:
-    """The lowest current at which a share of `STRAIGHT` is missing."""
+def straight_up_to(bent: Bent) -> Noted[Estimate]:
+    """Estimate the lowest current at which a share `STRAIGHT` of the torque is missing; NaN where none is."""
     fit = bent.line.fit
     currents = np.linspace(0.0, bent.peak, 1001)[1:]
     losses, halves = np.empty_like(currents), np.empty_like(currents)
@@ -229,11 +234,11 @@ def straight_up_to(bent: Bent, notes: list[str]) -> Estimate:
 
     value, low, high = first(losses), first(losses + halves), first(losses - halves)
     if math.isinf(value):
-        notes.append(f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above")
-        return Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A")
+        note = f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above"
+        return Noted(Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A"), (note,))
     slope = (bent.loss(value * 1.01)[0] - bent.loss(value * 0.99)[0]) / (0.02 * value)
     std = float(halves[np.searchsorted(currents, value)]) / t_quantile(fit.dof) / abs(slope) if slope else NAN
-    return Estimate("straight_up_to", value, std, low, high, "A")
+    return Noted(Estimate("straight_up_to", value, std, low, high, "A"))
 
 
 def plot_of(levels: Levels, bent: Bent) -> Plot:

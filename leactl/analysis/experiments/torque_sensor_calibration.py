@@ -10,10 +10,11 @@ Welch and Satterthwaite.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.experiments.torque_constant import TORQUE
 from leactl.analysis.quality.usable_readings import usable
 from leactl.analysis.signals.levels import Held, Levels, gather
@@ -103,9 +104,11 @@ def analyze(
     InputError : a given number that makes no sense.
     """
     place = f"{place_of(runs)}: torque sensor calibration"
-    notes: list[str] = []
-    reference = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m, notes)
-    levels = gather(runs, (TORQUE,), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
+    reference = weighed.value
+    gathered = gather(runs, (TORQUE,), partial(usable, held=HELD), HELD)
+    levels = gathered.value
+    notes = [*weighed.notes, *gathered.notes]
     weights = np.unique(np.round(levels.setpoint, 9))
     if len(weights) < FEWEST_WEIGHTS:
         raise NotIdentifiable(
@@ -117,14 +120,15 @@ def analyze(
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
     notes += remarks(line, levels.std[TORQUE], "N*m")
-    own = line.estimate("sensitivity", "sensitivity", "1")
-    if abs(factor) < FOLLOWS * own.std:
+    factor_std = line.estimate("sensitivity", "sensitivity", "1").std
+    if abs(factor) < FOLLOWS * factor_std:
         raise NotIdentifiable(
             f"{place}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
         )
     notes += judged(line, levels, factor, highest)
-    parts = budget(runs, levels, line, own.std, highest, notes)
-    parts.append(Part("reference", highest * reference.whole_std))
+    measured = budget(runs, levels, line, factor_std, highest)
+    parts = [*measured.value, Part("reference", highest * reference.whole_std)]
+    notes += measured.notes
     results = [
         sensitivity(line, reference),
         line.fit.estimate("zero", "N*m", line.mean_intercept),
@@ -142,9 +146,8 @@ def reference_of(
     gravity_std: float | None,
     mass_relative_std: float | None,
     arm_std_m: float | None,
-    notes: list[str],
-) -> Reference:
-    """What is known of gravity, masses and arm; what is not given is taken wide, and said.
+) -> Noted[Reference]:
+    """Return factor and uncertainty of the weights' torque; a note names the defaults taken for what is not given.
 
     Raises
     ------
@@ -166,13 +169,13 @@ def reference_of(
         "arm_std_m": ARM_STD_M,
     }
     lacking = [f"{name} {taken[name]:.2g}" for name, number in stds.items() if number is None and taken[name]]
-    if lacking:
-        notes.append(f"not given and taken: {listed(lacking)}; gravity {gravity or WEIGHED_BY:g} m/s^2")
-    own = {name: taken[name] if number is None else number for name, number in stds.items()}
-    at_place = gravity or WEIGHED_BY
-    known = 0.0 if somewhere else own["gravity_std"] / at_place
-    relative = math.hypot(known, own["mass_relative_std"], own["arm_std_m"] / min(arms))
-    return Reference(at_place / WEIGHED_BY, relative, GRAVITY_WITHIN / at_place if somewhere else 0.0)
+    used = {name: taken[name] if number is None else number for name, number in stds.items()}
+    local_gravity = gravity or WEIGHED_BY
+    relative_gravity_std = 0.0 if somewhere else used["gravity_std"] / local_gravity
+    relative_std = math.hypot(relative_gravity_std, used["mass_relative_std"], used["arm_std_m"] / min(arms))
+    within = GRAVITY_WITHIN / local_gravity if somewhere else 0.0
+    note = f"not given and taken: {listed(lacking)}; gravity {local_gravity:g} m/s^2"
+    return Noted(Reference(local_gravity / WEIGHED_BY, relative_std, within), (note,) if lacking else ())
 
 
 def fitted(applied: Array, levels: Levels, place: str) -> LineFit:
@@ -228,10 +231,12 @@ def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list
     return notes
 
 
-def budget(
-    runs: Sequence[Run], levels: Levels, line: LineFit, slope_std: float, highest: float, notes: list[str]
-) -> list[Part]:
-    """What a straight line does not tell, as standard uncertainties of a torque [N*m]; NaN where it was not seen."""
+def budget(runs: Sequence[Run], levels: Levels, line: LineFit, slope_std: float, highest: float) -> Noted[list[Part]]:
+    """Return the budget's components that follow from the readings, as standard uncertainties [N*m].
+
+    A component that the runs do not show is NaN, and a note says so.
+    """
+    notes = []
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
     if LOOP in line.slopes:  # the loop is a part of the budget
@@ -254,7 +259,7 @@ def budget(
     straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
     zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
     steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
-    return [
+    parts = [
         Part("repeatability", repeat, dof or math.inf),
         Part("sensitivity", highest * slope_std / factor, line.fit.dof),
         Part("linearity", max(straight) / math.sqrt(3.0)),
@@ -262,6 +267,7 @@ def budget(
         Part("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
         Part("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
     ]
+    return Noted(parts, tuple(notes))
 
 
 def combined(parts: Sequence[Part]) -> list[Estimate]:

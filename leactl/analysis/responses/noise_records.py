@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.quality.saturation import saturated
 from leactl.analysis.signals.levels import Hold
 from leactl.analysis.statistics.regression import Array
@@ -46,8 +46,8 @@ class Record:
     answer: Array
 
 
-def records_of(run: Run, loop: Loop, notes: list[str]) -> list[Record]:
-    """Every stretch of noise of a run with data; what is left out goes into the notes.
+def records_of(run: Run, loop: Loop) -> Noted[list[Record]]:
+    """Return the usable records of noise of a run; notes say why others are left out.
 
     Raises
     ------
@@ -71,12 +71,11 @@ def records_of(run: Run, loop: Loop, notes: list[str]) -> list[Record]:
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
             found.append(record)
-    notes += tally(left_out, str(run.path))
     if not found:
         why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
         what = f"{len(steps)} stretches of noise, none of use ({why})" if steps else f"no noise with {loop.offset}"
         raise NotIdentifiable(f"{run.path}: found {what}; one with {FEWEST} samples in a row is needed")
-    return found
+    return Noted(found, tuple(tally(left_out, str(run.path))))
 
 
 def _is_noise(step: Step, offset: str) -> bool:

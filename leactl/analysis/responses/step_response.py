@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Plot, Result, Series
+from leactl.analysis.estimate import Plot, Result, Series, joined
 from leactl.analysis.quality.wrong_units import doubted
 from leactl.analysis.responses.step_curve import curve_of
 from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time, settling_time
@@ -34,9 +34,10 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     NotIdentifiable : a run has no step response that settles.
     """
     notes = expect_setup(runs, (setup,), "the response is that of another load")
-    every = [trial for run in runs for trial in trials_of(run, reference, response, key, notes)]
-    levels = [[trial for trial in every if trial.level == level] for level in sorted({trial.level for trial in every})]
-    notes += [*uneven(levels), *wandering(levels)]
+    every = joined(trials_of(run, reference, response, key) for run in runs)
+    setpoints = sorted({trial.level for trial in every.value})
+    levels = [[trial for trial in every.value if trial.level == setpoint] for setpoint in setpoints]
+    notes += [*every.notes, *uneven(levels), *wandering(levels)]
     units = runs[0].channel(response, role="test").units
     metrics: dict[str, tuple[str, Callable[[Sequence[Trial]], Reading]]] = {
         "rise_time": ("s", rise_time),

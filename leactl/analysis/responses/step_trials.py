@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.quality.saturation import piles_up, saturated
 from leactl.analysis.quality.wrong_units import asked
 from leactl.analysis.signals.levels import Hold, span
@@ -56,8 +56,8 @@ class Jump:
         return f"{self.target:g} at {self.step.start:.1f} s"
 
 
-def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str]) -> list[Trial]:
-    """Every usable trial of the test actuator; what is left out goes into the notes.
+def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[Trial]]:
+    """Return every usable trial of the test actuator; notes say why others are left out.
 
     Parameters
     ----------
@@ -83,12 +83,11 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
             left_out.setdefault(trial, []).append(str(jump))
         else:
             found.append(trial)
-    notes += tally(left_out, str(run.path))
     if not found:
         why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
         what = f"{len(jumps)} steps of {response}, none of use ({why})" if jumps else f"no step from and to a {key}"
         raise NotIdentifiable(f"{run.path}: found {what}; one response that settles is needed")
-    return found
+    return Noted(found, tuple(tally(left_out, str(run.path))))
 
 
 def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:

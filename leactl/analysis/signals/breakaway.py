@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.statistics.regression import Array
 from leactl.analysis.statistics.trial_means import Trial
 from leactl.errors import NotIdentifiable
@@ -30,18 +30,17 @@ class LettingGo:
     along: Array  # N*m
 
 
-def lettings_go(run: Run, number: int, torque: Channel, notes: list[str]) -> list[LettingGo]:
-    """Every breakaway of a run; why others cannot be used goes into the notes."""
+def lettings_go(run: Run, number: int, torque: Channel) -> Noted[list[LettingGo]]:
+    """Return every usable breakaway of run `number`; notes say why others cannot be used."""
     angle = run.channel("angle")
-    found: list[LettingGo] = []
+    breakaways: list[LettingGo] = []
     left_out: dict[str, list[str]] = {}
     for step in (step for step in run.steps if step.name == BREAKAWAY):
         try:
-            found.append(letting_go(number, step, angle, torque))
+            breakaways.append(letting_go(number, step, angle, torque))
         except NotIdentifiable as fault:
             left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
-    notes += tally(left_out, f"{run.path}")
-    return found
+    return Noted(breakaways, tuple(tally(left_out, f"{run.path}")))
 
 
 def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> LettingGo:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Series
 from leactl.analysis.run_model import rotor_inertia_of_model
 from leactl.analysis.statistics.regression import Array
 from leactl.analysis.statistics.trial_means import Trial, mean_of
@@ -53,12 +53,19 @@ class Rotor:
         return (self.damping + 1j * np.arange(len(ripple)) * speed * self.inertia) * ripple
 
 
-def turns_of(run: Run, number: int, torque: Channel, damping: float, notes: list[str]) -> list[Turn]:
-    """Every step `turn` of a run that is a whole turn; a note for each that is not."""
+def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[list[Turn]]:
+    """Return the steps `turn` of run `number` that cover a whole turn, and a note on each that does not.
+
+    Parameters
+    ----------
+    torque : of the sensor [N*m], NaN for readings that must not count.
+    damping : viscous damping of the rotor [N*m*s/rad].
+    """
     angle, velocity = run.channel("angle"), run.channel("velocity")
     seen, known = np.isfinite(angle.values), np.isfinite(velocity.values)
-    rotor = Rotor(inertia_of(run, notes), damping)
-    found = []
+    inertia = inertia_of(run)
+    rotor = Rotor(inertia.value, damping)
+    turns, notes = [], [*inertia.notes]
     for step in (step for step in run.steps if step.name == TURN):
         part = (torque.time >= step.start + step.settle) & (torque.time < step.stop) & np.isfinite(torque.values)
         time = torque.time[part]
@@ -71,17 +78,16 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float, notes: list
         whole = np.abs(way - way[0]) < WHOLE
         speed = np.interp(time[whole], velocity.time[known], velocity.values[known])
         read, ripple = taken_apart(way[whole], np.abs(speed), np.stack([torque.values[part][whole], speed]))
-        found.append(Turn(Trial(number, side), read + rotor.taken(float(speed.mean()), ripple), read))
-    return found
+        turns.append(Turn(Trial(number, side), read + rotor.taken(float(speed.mean()), ripple), read))
+    return Noted(turns, tuple(notes))
 
 
-def inertia_of(run: Run, notes: list[str]) -> float:
-    """Rotor inertia in the model that a run carries [kg*m^2]; zero and a note where there is none."""
-    found = rotor_inertia_of_model(run)
-    if math.isfinite(found):
-        return found
-    notes.append(f"{run.path}: no rotor_inertia in its model: what it takes of the cogging is not put back")
-    return 0.0
+def inertia_of(run: Run) -> Noted[float]:
+    """Return the rotor inertia in the model that a run carries [kg*m^2]; zero and a note where there is none."""
+    inertia = rotor_inertia_of_model(run)
+    if math.isfinite(inertia):
+        return Noted(inertia)
+    return Noted(0.0, (f"{run.path}: no rotor_inertia in its model: what it takes of the cogging is not put back",))
 
 
 def taken_apart(angle: Array, speed: Array, signals: Array) -> Parts:
@@ -99,10 +105,11 @@ def taken_apart(angle: Array, speed: Array, signals: Array) -> Parts:
     return found
 
 
-def cogging_of(turns: Sequence[Turn], gain: float, notes: list[str]) -> tuple[list[Estimate], Plot | None]:
-    """Periods a turn and amplitude of the largest part, and peak to peak of all parts that count.
+def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estimate], Plot | None]]:
+    """Estimate order and amplitude of the largest harmonic, and the peak to peak of all significant harmonics.
 
-    `gain` is the relative standard uncertainty of the torque's calibration.
+    `gain_std` is the relative standard uncertainty of the torque's calibration. There is no plot where no harmonic is
+    significant.
 
     Raises
     ------
@@ -121,32 +128,46 @@ def cogging_of(turns: Sequence[Turn], gain: float, notes: list[str]) -> tuple[li
     trials = [turn.trial for turn in turns]
     if not counts.any():
         bound = float(np.max((np.abs(mean) + 2.0 * error)[1:]))
-        notes.append(f"no part of the torque goes with the angle by more than noise: cogging is below {bound:.2g} N*m")
-        return [
+        bounds = [
             Estimate("cogging_order", NAN, NAN, NAN, NAN, "1"),
             Estimate("cogging_amplitude", NAN, NAN, 0.0, bound, "N*m"),
             Estimate("cogging_peak_to_peak", NAN, NAN, 0.0, 2.0 * bound, "N*m"),
-        ], None
+        ]
+        note = f"no part of the torque goes with the angle by more than noise: cogging is below {bound:.2g} N*m"
+        return Noted((bounds, None), (note,))
     largest = int(np.argmax(np.where(counts, np.abs(mean), 0.0)))
-    own, unmended = (
+    amplitudes, raw_amplitudes = (
         np.real(np.array([getattr(turn, name) for turn in turns])[:, largest] * np.exp(-1j * np.angle(mean[largest])))
         for name in ("parts", "read")
     )
     orders = np.flatnonzero(counts)
     angles = np.linspace(0.0, WHOLE, GRID, endpoint=False)
-    each, unmended_each = (
+    peak_to_peaks, raw_peak_to_peaks = (
         np.array([np.ptp(shape(getattr(turn, name), orders, angles)) for turn in turns]) for name in ("parts", "read")
     )
     results = [
         Estimate("cogging_order", float(largest), NAN, NAN, NAN, "1"),
-        mean_of(own.tolist(), trials, "cogging_amplitude", "N*m", math.hypot(gain, put_back(own, unmended))),
-        mean_of(each.tolist(), trials, "cogging_peak_to_peak", "N*m", math.hypot(gain, put_back(each, unmended_each))),
+        mean_of(
+            amplitudes.tolist(),
+            trials,
+            "cogging_amplitude",
+            "N*m",
+            math.hypot(gain_std, put_back(amplitudes, raw_amplitudes)),
+        ),
+        mean_of(
+            peak_to_peaks.tolist(),
+            trials,
+            "cogging_peak_to_peak",
+            "N*m",
+            math.hypot(gain_std, put_back(peak_to_peaks, raw_peak_to_peaks)),
+        ),
     ]
-    told = ", ".join(f"{order} ({abs(mean[order]):.2g} N*m)" for order in orders[np.argsort(-np.abs(mean[orders]))][:6])
-    notes.append(f"cogging, by periods a turn: {told}")
+    largest_first = orders[np.argsort(-np.abs(mean[orders]))][:6]
+    harmonics = ", ".join(f"{order} ({abs(mean[order]):.2g} N*m)" for order in largest_first)
     drawn = angles[:: GRID // SHOWN]
     line = Series("cogging", tuple(drawn.tolist()), tuple(shape(mean, orders, drawn).tolist()))
-    return results, Plot("angle [rad]", "torque that goes with the angle [N*m]", (), (line,))
+    plot = Plot("angle [rad]", "torque that goes with the angle [N*m]", (), (line,))
+    return Noted((results, plot), (f"cogging, by periods a turn: {harmonics}",))
 
 
 def put_back(mended: Array, unmended: Array) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate
+from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.run_model import model_of, positive
 from leactl.analysis.statistics.regression import Array, Fit, least_squares, one_column_each, t_quantile
 from leactl.errors import NotIdentifiable
@@ -41,52 +41,53 @@ class Limited:
     run: npt.NDArray[np.int64]
 
 
-def corner(runs: Sequence[Run], holds: Limited, notes: list[str], place: str) -> Estimate:
-    """The speed above which the current is not what was asked for."""
+def corner(runs: Sequence[Run], holds: Limited, place: str) -> Noted[Estimate]:
+    """Estimate the speed above which the voltage leaves less current than the setpoint.
+
+    The value is NaN, between the speeds of the neighbouring holds, where too few holds lie beyond the corner.
+    """
     speed, limited = holds.speed, holds.limited
     top = float(np.max(speed[holds.held], initial=0.0))
     if not limited.any():
-        notes.append(f"the current was as asked for up to {top:.4g} rad/s: the corner lies above")
-        return Estimate(NAME, NAN, NAN, top, np.inf, UNIT)
+        note = f"the current was as asked for up to {top:.4g} rad/s: the corner lies above"
+        return Noted(Estimate(NAME, NAN, NAN, top, np.inf, UNIT), (note,))
     if limited.all():
         low = float(speed.min())
-        notes.append(f"the current fell short at every speed: the corner lies below {low:.4g} rad/s")
-        return Estimate(NAME, NAN, NAN, 0.0, low, UNIT)
+        note = f"the current fell short at every speed: the corner lies below {low:.4g} rad/s"
+        return Noted(Estimate(NAME, NAN, NAN, 0.0, low, UNIT), (note,))
     between = sorted((top, float(speed[limited].min())))
     neighbours = Estimate(NAME, NAN, NAN, between[0], between[1], UNIT)
     if int(limited.sum()) < FEWEST_LIMITED:
-        notes.append(
-            f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
-        )
-        return neighbours
-    reactance = reactance_of(runs, notes)
+        note = f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
+        return Noted(neighbours, (note,))
+    reactance = reactance_of(runs)
     try:
-        value, own, dof = fitted(holds, reactance, place)
-        other = fitted(holds, reactance * (1.0 + REACTANCE_STD), place)[0]
+        value, scatter_std, dof = fitted(holds, reactance.value, place)
+        moved = fitted(holds, reactance.value * (1.0 + REACTANCE_STD), place)[0] - value
     except NotIdentifiable as fault:
-        notes.append(f"{fault}; the corner lies between its neighbours")
-        return neighbours
+        return Noted(neighbours, (*reactance.notes, f"{fault}; the corner lies between its neighbours"))
+    notes = reactance.notes
     if repeats_of(holds).max() == 0:
-        notes.append("each speed was driven once: how far the winding warms from repeat to repeat is not known")
-    std = math.hypot(own, other - value)
-    half = math.hypot(t_quantile(dof) * own, t_quantile(math.inf) * (other - value))
-    return Estimate(NAME, value, std, value - half, value + half, UNIT)
+        notes += ("each speed was driven once: how far the winding warms from repeat to repeat is not known",)
+    std = math.hypot(scatter_std, moved)
+    half = math.hypot(t_quantile(dof) * scatter_std, t_quantile(math.inf) * moved)
+    return Noted(Estimate(NAME, value, std, value - half, value + half, UNIT), notes)
 
 
-def reactance_of(runs: Sequence[Run], notes: list[str]) -> float:
-    """n L / Kb of the runs' model [1/A]; 0 and a note where it does not tell them."""
+def reactance_of(runs: Sequence[Run]) -> Noted[float]:
+    """Return n L / Kb of the first run's model [1/A]; 0 and a note where the model lacks one of them."""
     model = model_of(runs[0])
     poles, inductance, back_emf = (
         positive(model.get(name)) for name in ("pole_pairs", "phase_inductance", "back_emf_constant")
     )
-    found = poles * inductance / back_emf
-    if math.isfinite(found):
-        return found
-    notes.append(
+    reactance = poles * inductance / back_emf
+    if math.isfinite(reactance):
+        return Noted(reactance)
+    note = (
         f"{runs[0].path}: its model lacks pole_pairs, phase_inductance or back_emf_constant: corner_speed is as of no"
         " inductance, and off by some tenths of a percent"
     )
-    return 0.0
+    return Noted(0.0, (note,))
 
 
 def fitted(holds: Limited, reactance: float, place: str) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate, tally
+from leactl.analysis.estimate import Estimate, Noted, tally
 from leactl.analysis.signals.levels import Levels
 from leactl.analysis.statistics.linefit import LineFit, fit_lines
 from leactl.analysis.statistics.regression import Array, Fit
@@ -24,8 +24,8 @@ UNSTEADY = 0.02  # of the setpoint, between the quarters of a settled part
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
-def reached(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
-    """Only levels at which the shaft turned steadily at its setpoint; the others are named in the notes.
+def reached(runs: Sequence[Run], levels: Levels, place: str) -> Noted[Levels]:
+    """Keep the holds in which the shaft turned steadily at its setpoint; notes name the others and why.
 
     Raises
     ------
@@ -41,21 +41,20 @@ def reached(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -
         "the velocity was not steady": uneven,
     }
     kept = np.ones(len(levels), np.bool_)
-    told = []
+    notes = []
     for reason, applies in reasons.items():
         for number in np.unique(levels.run[applies & kept]):
-            of_it = np.flatnonzero(applies & kept & (levels.run == number))
-            told += tally({reason: [str(levels.holds[index]) for index in of_it]}, f"{runs[number].path}")
+            indices = np.flatnonzero(applies & kept & (levels.run == number))
+            notes += tally({reason: [str(levels.holds[index]) for index in indices]}, f"{runs[number].path}")
         kept &= ~applies
-    notes += told
     distinct = len(np.unique(np.round(np.abs(setpoint[kept]), 9)))
     if distinct < FEWEST_LEVELS:
-        why = f" ({'; '.join(told)})" if told else ""
+        why = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
             f"{place}: found {distinct} speeds at which the shaft turned steadily{why}; "
             f"{FEWEST_LEVELS} or more are needed"
         )
-    return levels.where(kept)
+    return Noted(levels.where(kept), tuple(notes))
 
 
 def fit_drag(levels: Levels, torque: Array, place: str) -> LineFit:

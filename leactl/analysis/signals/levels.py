@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
@@ -112,13 +112,16 @@ def held_levels(run: Run) -> list[Hold]:
 def gather(
     runs: Sequence[Run],
     quantities: Sequence[str],
-    notes: list[str],
-    read: Callable[[Run, str], Channel] = lambda run, quantity: run.channel(quantity, role="test"),
+    read: Callable[[Run, str], Noted[Channel]],
     held: Held = CURRENT_HELD,
-) -> Levels:
-    """Settled means of channels of the test actuator over every hold; what is left out goes into the notes.
+) -> Noted[Levels]:
+    """Average channels of the test actuator over the settled part of every hold; notes name the holds left out.
 
-    `read` gives the channel of a quantity; one that judges the readings returns NaN for those not to be used.
+    Parameters
+    ----------
+    quantities : of the channels; each has an entry in `value`, `std` and `quarters` of the answer.
+    read : returns the channel of a quantity, NaN for readings that must not count.
+    held : selects the holds.
 
     Raises
     ------
@@ -127,19 +130,23 @@ def gather(
     InputError : the runs measure one quantity in different units.
     """
     rows: list[tuple[int, Hold, list[Mean]]] = []
+    notes: list[str] = []
     units: dict[str, str] = {}
     for number, run in enumerate(runs):
         for quantity in quantities:
-            if not run.has(quantity):  # said before anything of the others is
+            if not run.has(quantity):  # a missing channel is reported before any fault of the others
                 run.channel(quantity)
-        channels = [read(run, quantity) for quantity in quantities]
+        readings = [read(run, quantity) for quantity in quantities]
+        channels = [reading.value for reading in readings]
         for channel in channels:
             if units.setdefault(channel.quantity, channel.units) != channel.units:
                 known = units[channel.quantity]
                 raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {known} in the runs before")
-        rows += _rows_of(run, number, channels, held, notes)
+        run_rows = _rows_of(run, number, channels, held)
+        rows += run_rows.value
+        notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
     columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
-    return Levels(
+    levels = Levels(
         run=np.array([number for number, _, _ in rows]),
         setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
         direction=np.array([hold.direction for _, hold, _ in rows]),
@@ -149,11 +156,12 @@ def gather(
         holds=tuple(hold for _, hold, _ in rows),
         units=units,
     )
+    return Noted(levels, tuple(notes))
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], held: Held, notes: list[str]
-) -> list[tuple[int, Hold, list[Mean]]]:
+    run: Run, number: int, channels: Sequence[Channel], held: Held
+) -> Noted[list[tuple[int, Hold, list[Mean]]]]:
     holds = held.levels(run)
     left_out: dict[str, list[str]] = {}
     rows = []
@@ -164,7 +172,7 @@ def _rows_of(
             left_out.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
         else:
             rows.append((number, hold, [mean for mean in means if mean is not None]))
-    notes += tally(left_out, f"{run.path}")
+    notes = tally(left_out, f"{run.path}")
     if not rows:
         what = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {held.key}"
         raise NotIdentifiable(f"{run.path}: found {what}; two held levels or more are needed")
@@ -175,7 +183,7 @@ def _rows_of(
             notes.append(
                 f"{run.path}: {share:.1%} of the samples of {channel.quantity} in the settled parts are missing"
             )
-    return rows
+    return Noted(rows, tuple(notes))
 
 
 def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leactl.analysis.estimate import Noted
 from leactl.analysis.voltage_waves.waves import Array, Complex, Record
 from leactl.runfile.reader import Channel, Run
 
@@ -32,9 +33,10 @@ class Pair:
     scale_std: float  # relative
 
 
-def pairs_of(run: Run, start: float, stop: float, notes: list[str]) -> dict[str, Pair]:
-    """The pairs that can be used between two moments, by name; what is wrong with the others goes into the notes."""
-    found: dict[str, Pair] = {}
+def pairs_of(run: Run, start: float, stop: float) -> Noted[dict[str, Pair]]:
+    """Return the usable pairs of leads from start to before stop [s] by name; notes say why others are unusable."""
+    pairs: dict[str, Pair] = {}
+    notes = []
     for name in PAIRS:
         channels = run.channels(f"phase_voltage_{name}", role="test")
         if len(channels) != 1:
@@ -44,15 +46,15 @@ def pairs_of(run: Run, start: float, stop: float, notes: list[str]) -> dict[str,
         if np.isfinite(record.values).sum() < 2:
             notes.append(f"{run.path}: pair {name} has no samples from {start:.2f} to {stop:.2f} s")
             continue
-        found[name] = Pair(record, resolution_of(record.values), channels[0].scale_std)
-    sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in found.items()}
+        pairs[name] = Pair(record, resolution_of(record.values), channels[0].scale_std)
+    sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
     largest = max(sizes.values(), default=0.0)
     for name, size in sizes.items():
-        why = unusable(found[name], size, largest)
-        if why:
-            notes.append(f"{run.path}: pair {name} from {start:.2f} s {why}; it does not count")
-            del found[name]
-    return found
+        reason = unusable(pairs[name], size, largest)
+        if reason:
+            notes.append(f"{run.path}: pair {name} from {start:.2f} s {reason}; it does not count")
+            del pairs[name]
+    return Noted(pairs, tuple(notes))
 
 
 def regular(channel: Channel, start: float, stop: float) -> Record:
