@@ -13,7 +13,7 @@ from leactl.runfile.catalog import run_files
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ExperimentComparison:
     """The results of one experiment over its conditions, and why others were not compared."""
 
     experiment: str
@@ -28,7 +28,7 @@ class Compared:
 
 def compare_each(
     given: Sequence[Path], names: Sequence[str] = (), by_run: bool = False, **options: Any
-) -> tuple[list[Compared], list[str], list[str]]:
+) -> tuple[list[ExperimentComparison], list[str], list[str]]:
     """Compare the conditions of each experiment; folders stand for their runs.
 
     Parameters
@@ -50,18 +50,18 @@ def compare_each(
         if path.suffix == ".json":
             groups.setdefault(experiment_of_answer(path), []).append(path)
     if len(groups) < 2 and not faults:
-        return [Compared(*compare_all(paths, names, by_run, **options))], [], []
+        return [ExperimentComparison(*compare_all(paths, names, by_run, **options))], [], []
     if faults and not groups:
         raise InputError(faults)
     told = {name: value for name, value in options.items() if value is not None}
     taken: set[str] = set()
-    compared: list[Compared] = []
+    compared: list[ExperimentComparison] = []
     without: list[str] = []
     for experiment, members in groups.items():
         try:
             own = {key: told[key] for key in options_of(analysis_of(experiment, str(members[0]))) if key in told}
             taken |= own.keys()
-            one = Compared(*compare_all(members, (), by_run, **own))
+            one = ExperimentComparison(*compare_all(members, (), by_run, **own))
         except NotIdentifiable as fault:
             without += [_of(experiment, line) for line in fault.faults]
         except InputError as fault:
@@ -74,7 +74,9 @@ def compare_each(
     if lines:
         raise InputError(lines)
     if names:
-        compared = [Compared(o.experiment, [r for r in o.found if r.name in names], o.refused) for o in compared]
+        compared = [
+            ExperimentComparison(o.experiment, [r for r in o.found if r.name in names], o.refused) for o in compared
+        ]
         compared = [one for one in compared if one.found]
     if not compared:
         raise InputError([*faults, *without])

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from leactl.analysis.anova.assumptions import Check, checks
-from leactl.analysis.anova.effect_size import Share, omega_squared
+from leactl.analysis.anova.effect_size import EffectSize, omega_squared
 from leactl.analysis.anova.one_way import Anova, FTest, anova
-from leactl.analysis.anova.pairs import SEEN, Pair, pairs
+from leactl.analysis.anova.pairs import SEEN, PairwiseDifference, pairs
 from leactl.analysis.anova.values import Values, of_runs
 from leactl.errors import InputError, NotIdentifiable
 
 
 @dataclass(frozen=True)
-class Group:
+class ConditionSummary:
     """Values under one condition as they are."""
 
     condition: str
@@ -31,10 +31,10 @@ class Comparison:
 
     name: str
     units: str
-    groups: tuple[Group, ...]
+    groups: tuple[ConditionSummary, ...]
     anova: Anova
-    effect: Share
-    pairs: tuple[Pair, ...]
+    effect: EffectSize
+    pairs: tuple[PairwiseDifference, ...]
     checks: tuple[Check, ...]
     notes: tuple[str, ...]
 
@@ -107,13 +107,13 @@ class Comparison:
             "notes": list(self.notes),
         }
 
-    def _ordered(self, pair: Pair) -> str:
+    def _ordered(self, pair: PairwiseDifference) -> str:
         low, high = sorted((abs(pair.low), abs(pair.high)))
         over, under = (pair.second, pair.first) if pair.difference > 0.0 else (pair.first, pair.second)
         limits = f"[{_digits(low, 2)}, {_digits(high, 2)}]"
         return f"{over} is above {under} by {_digits(abs(pair.difference), 3)} {limits} {self.units}"
 
-    def _seen(self, among: "tuple[Pair, ...] | list[Pair]") -> str:
+    def _seen(self, among: Sequence[PairwiseDifference]) -> str:
         least = max(pair.smallest_seen for pair in among)
         mean = abs(float(np.average([one.mean for one in self.groups], weights=[one.count for one in self.groups])))
         part = f" ({100.0 * least / mean:.2g} % of the mean)" if mean > least else ""
@@ -132,7 +132,7 @@ def compare(values: Values) -> Comparison:
     for condition in found.design.conditions:
         own = values.value[values.condition == condition]
         std = float(own.std(ddof=1)) if len(own) > 1 else float("nan")
-        groups.append(Group(condition, len(own), float(own.mean()), std))
+        groups.append(ConditionSummary(condition, len(own), float(own.mean()), std))
     checked = checks(values, found)
     return Comparison(
         values.name,
@@ -209,7 +209,7 @@ def in_words(test: FTest) -> str:
     return f"F({test.between:g}, {test.within:.4g}) = {test.f:.2f}, {p}"
 
 
-def _remarks(values: Values, found: Anova, groups: list[Group]) -> list[str]:
+def _remarks(values: Values, found: Anova, groups: list[ConditionSummary]) -> list[str]:
     notes = []
     if len({one.count for one in groups}) > 1:
         notes.append("numbers are unequal: " + ", ".join(f"{one.condition} {one.count}" for one in groups))

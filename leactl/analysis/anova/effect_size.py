@@ -13,7 +13,7 @@ MOST = 1e5  # of a noncentrality; beyond it the share is 1 to four digits for an
 
 
 @dataclass(frozen=True)
-class Share:
+class EffectSize:
     """A share of the variance with its 95 % interval."""
 
     value: float
@@ -21,7 +21,7 @@ class Share:
     high: float
 
 
-def omega_squared(test: FTest) -> Share:
+def omega_squared(test: FTest) -> EffectSize:
     """Omega squared of a test, partial where there is another factor; never below 0."""
     from scipy.stats import ncf
 
@@ -32,7 +32,7 @@ def omega_squared(test: FTest) -> Share:
         return float(ncf.cdf(test.f, test.between, test.within, noncentrality))
 
     low, high = (_where(below, part) for part in (0.975, 0.025))
-    return Share(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
+    return EffectSize(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
 
 
 def _where(below: Callable[[float], float], part: float) -> float:

@@ -64,7 +64,7 @@ class Anova:
 
     design: Design
     test: FTest  # of the conditions, by the error that `contrast` uses
-    error: "Error"
+    error: "ErrorTerm"
     actuator: FTest | None
     actuator_std: float | None  # between actuators
     interaction: FTest | None
@@ -79,7 +79,7 @@ class Anova:
 
 
 @dataclass(frozen=True)
-class Error:
+class ErrorTerm:
     """Mean squares that a difference is judged by: of the error, and of the interaction where that is shown."""
 
     mean_square: float
@@ -108,7 +108,7 @@ def anova(values: Values) -> Anova:
             f"{values.name}: {count} values of {_cells(design)} give no scatter to judge by; repeat one run or more"
             " under a condition, or measure a further actuator under each"
         )
-    error = Error(_squared(left) / (count - rank), count - rank)
+    error = ErrorTerm(_squared(left) / (count - rank), count - rank)
     if not error.mean_square > 1e-24 * float(np.max(np.abs(y))) ** 2:
         raise NotIdentifiable(
             f"{values.name}: the repeats are equal to the last digit; there is no scatter to judge by"
@@ -130,7 +130,7 @@ def anova(values: Values) -> Anova:
     together = (_squared(left) - _squared(cells)) / (cells_rank - rank)
     if count == cells_rank:
         return Anova(design, test, error, actuator, std, None, test, left, unequal)
-    pure = Error(
+    pure = ErrorTerm(
         _squared(cells) / (count - cells_rank),
         count - cells_rank,
         (together, cells_rank - rank, _trace(design.additive, design.cell, design.cell) / (cells_rank - rank)),
@@ -143,7 +143,7 @@ def anova(values: Values) -> Anova:
     return Anova(design, test, error, actuator, std, interaction, at_large, left, unequal)
 
 
-def combined(error: Error, own: float, of_interaction: float) -> tuple[float, float]:
+def combined(error: ErrorTerm, own: float, of_interaction: float) -> tuple[float, float]:
     """A variance own x error + of_interaction x interaction from mean squares, with Satterthwaite's dof."""
     if error.interaction is None:
         return own * error.mean_square, error.dof

@@ -14,7 +14,7 @@ SEEN = 0.8  # of such experiments, in which the smallest effect would have passe
 
 
 @dataclass(frozen=True)
-class Pair:
+class PairwiseDifference:
     """One condition against another, actuators alike; the interval holds for all pairs at once."""
 
     first: str
@@ -40,7 +40,7 @@ class Pair:
         return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
 
 
-def pairs(values: Values, found: Anova) -> list[Pair]:
+def pairs(values: Values, found: Anova) -> list[PairwiseDifference]:
     """Every pair of conditions."""
     design = found.design
     columns, count = design.additive, len(design.conditions)
@@ -56,7 +56,7 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
             std, difference = math.sqrt(variance), float(weights @ values.value)
             critical = _critical(count, round(dof, 6))
             compared.append(
-                Pair(
+                PairwiseDifference(
                     design.conditions[first],
                     design.conditions[second],
                     difference,

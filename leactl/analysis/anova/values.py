@@ -23,7 +23,7 @@ from leactl.analysis.analyze import (
     remarks_on,
 )
 from leactl.analysis.estimate import Estimate, Noted, joined, listed
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError, NotIdentifiable
 from leactl.regular import open_regular
 from leactl.runfile.reader import Run, Step
@@ -70,7 +70,7 @@ class Values:
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialResults:
     """What one trial gave."""
 
     actuator: str
@@ -124,7 +124,7 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
         raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given}; give runs")
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
-    trials: list[Trial] = []
+    trials: list[TrialResults] = []
     kinds: dict[str, Path] = {}
     taken: dict[Path, Path] = {}  # which answer is of a run
     for path in answers:
@@ -169,7 +169,7 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
     return Taken(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
-def _lacking(trials: Sequence[Trial], first: int, count: int) -> bool:
+def _lacking(trials: Sequence[TrialResults], first: int, count: int) -> bool:
     """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
     names = {item.name for trial in trials for item in trial.results}
     told = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
@@ -181,7 +181,7 @@ def _repeats(run: Run) -> list[int]:
     return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
-def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Noted[list[Trial]]:
+def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Noted[list[TrialResults]]:
     """Analyse each pass of a run's repeats, or the whole run; a note names the passes that give no result."""
     experiment = experiment_of(run)
     analysis = analysis_of(experiment, str(run.path))
@@ -190,13 +190,13 @@ def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Not
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
-    notes = [*doubts_of(run), *remarks_on(run)]
+    notes = [*channel_doubts(run), *remarks_on(run)]
     repeats = _repeats(run)
     parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
     trials, lost = [], []
     for repeat, part in zip(repeats or [1], parts, strict=False):
         try:
-            trials.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
+            trials.append(TrialResults(actuator, condition, number, _analysed(analysis, part, given)))
         except NotIdentifiable as fault:
             lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if lost:
@@ -210,7 +210,7 @@ def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple
     return analysis.answer([part], **options).results
 
 
-def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
+def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Path]]:
     """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
     try:
         with open_regular(path, MOST_BYTES) as stream:
@@ -228,7 +228,7 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
     pairs = enumerate(groups.items(), start=first)
-    trials = [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    trials = [TrialResults(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
@@ -242,7 +242,7 @@ def experiment_of_answer(path: Path) -> str:
     return _of_answer(path, 0)[0]
 
 
-def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> dict[str, Values]:
+def _columns(trials: Sequence[TrialResults], notes: Sequence[str]) -> dict[str, Values]:
     """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
     named: dict[str, str] = {}
     for trial in trials:

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.statistics.regression import Array
 
 SENSE = {"test": 1.0, "load": -1.0}  # of the shaft's torque: the sensor tells what the test actuator puts onto it
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PowerCalibration:
     """What turns readings into powers; `replace` one number to see what it does."""
 
     resistance: float  # ohm, of the q axis; NaN where not known
@@ -60,9 +60,9 @@ class Balance:
             return out / taken
 
 
-def balance(points: Points, role: str, driving: bool, told: Calibration) -> Balance:
+def balance(points: OperatingPoints, role: str, driving: bool, told: PowerCalibration) -> Balance:
     """Powers of one role's actuator at points at which it drives, or is driven."""
-    speeds = [points.value["velocity", one] for one in (role, OTHER[role]) if ("velocity", one) in points.value]
+    speeds = [points.value["velocity", one] for one in (role, OTHER_ROLE[role]) if ("velocity", one) in points.value]
     speed = np.where(np.isfinite(speeds[0]), speeds[0], speeds[-1])
     current = told.current_gain * points.value["q_axis_current", role]
     zero = np.array([(told.zero or {}).get(int(run), 0.0) for run in points.run])

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import SENSE, Calibration
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.balance import SENSE, PowerCalibration
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.estimate import Noted
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.statistics.regression import least_squares
@@ -21,7 +21,7 @@ SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
 GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
 
 
-def refuse_swapped(points: Points, place: str) -> None:
+def refuse_swapped(points: OperatingPoints, place: str) -> None:
     """Refuse readings whose signs say that the one that drives is driven.
 
     Raises
@@ -30,9 +30,9 @@ def refuse_swapped(points: Points, place: str) -> None:
     """
     driving = np.array([one.driving for one in points.holds])
     faults = []
-    for role in OTHER:
+    for role in OTHER_ROLE:
         wanted = np.where(driving == role, 1.0, -1.0)
-        speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER[role])))
+        speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER_ROLE[role])))
         current = points.value.get(("q_axis_current", role))
         if current is not None and speed is not None and _wrong(wanted * current * speed):
             faults.append(f"current and velocity of the {role} actuator")
@@ -43,7 +43,7 @@ def refuse_swapped(points: Points, place: str) -> None:
             slack = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
             if _wrong((voltage * speed)[slack]):
                 faults.append(f"voltage and velocity of the {role} actuator")
-    turned = next(points.value["velocity", role] for role in OTHER if ("velocity", role) in points.value)
+    turned = next(points.value["velocity", role] for role in OTHER_ROLE if ("velocity", role) in points.value)
     if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
         faults.append("torque and velocity")
     if faults:
@@ -55,13 +55,13 @@ def _wrong(products: np.ndarray) -> bool:
     return bool(len(known)) and float(np.mean(known < 0.0)) > MOST_WRONG
 
 
-def with_drift(points: Points, runs: Sequence[Run], calibration: Calibration) -> Noted[Points]:
+def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerCalibration) -> Noted[OperatingPoints]:
     """Widen the uncertainty of the torque sensor's zero by its drift; a note says where a run has one.
 
     Each actuator's friction is Kt i less the torque that it gives. The two frictions add up to no torque reading at
     all; their difference is twice the torque's error and what the actuators differ by, which goes with the speed.
     """
-    currents_known = all(("q_axis_current", role) in points.value for role in OTHER)
+    currents_known = all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     if not currents_known or not np.isfinite(calibration.back_emf_constant):
         return Noted(points)
     notes = []
@@ -69,7 +69,7 @@ def with_drift(points: Points, runs: Sequence[Run], calibration: Calibration) ->
     for number, run in enumerate(runs):
         run_points = points.where(points.run == number)
         torque = run_points.value["torque", "test"]
-        signed_currents = sum(SENSE[role] * run_points.value["q_axis_current", role] for role in OTHER)
+        signed_currents = sum(SENSE[role] * run_points.value["q_axis_current", role] for role in OTHER_ROLE)
         by_current = signed_currents * calibration.back_emf_constant / 2.0
         speed = np.array([grid_hold.speed for grid_hold in run_points.holds])
         time = np.array([grid_hold.hold.start for grid_hold in run_points.holds])

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Calibration, balance
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.balance import PowerCalibration, balance
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.estimate import Estimate, Noted
 from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile
@@ -14,7 +14,7 @@ from leactl.runfile.reader import Channel, Run
 FEWEST = 2
 
 
-def drives_loss(runs: Sequence[Run], points: Points, calibration: Calibration) -> Noted[list[Estimate]]:
+def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
     """Estimate the loss of both drives together [W], mean over the holds.
 
     The list is empty without measured q-axis voltages and DC link current. Holds in which the DC link shows no power
@@ -24,11 +24,11 @@ def drives_loss(runs: Sequence[Run], points: Points, calibration: Calibration) -
     if (
         not calibration.by_measured_voltage
         or not all(links)
-        or not all(("q_axis_current", role) in points.value for role in OTHER)
+        or not all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     ):
         note = "losses of the drives are not told: that takes q-axis voltages of both and the current of the DC link"
         return Noted([], (note,))
-    terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER], axis=0)
+    terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER_ROLE], axis=0)
     losses = []
     for grid_hold, terminal_power in zip(points.holds, terminal_powers, strict=True):
         channels = links[grid_hold.run]
@@ -46,7 +46,7 @@ def drives_loss(runs: Sequence[Run], points: Points, calibration: Calibration) -
 
 def link_of(run: Run) -> tuple[Channel, Channel] | None:
     """Voltage and current of the supply that feeds the drives, of one device; None where there is none."""
-    for role in ("bench", *OTHER):
+    for role in ("bench", *OTHER_ROLE):
         for current in run.channels("bus_current", role):
             for voltage in run.channels("bus_voltage", role):
                 if voltage.device == current.device:

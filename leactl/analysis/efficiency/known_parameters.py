@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Calibration
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.balance import PowerCalibration
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.estimate import Noted
 from leactl.analysis.run_model import model_of
 from leactl.errors import InputError, NotIdentifiable
@@ -15,7 +15,7 @@ from leactl.runfile.reader import Run
 
 
 @dataclass(frozen=True)
-class Told:
+class GivenParameters:
     """What the caller says of the actuators, in place of the model."""
 
     phase_resistance: float | None = None  # ohm
@@ -24,8 +24,8 @@ class Told:
 
 
 def calibration_of(
-    runs: Sequence[Run], points: Points, given: Told, relative: Mapping[str, float | None]
-) -> Noted[tuple[Calibration, dict[str, float]]]:
+    runs: Sequence[Run], points: OperatingPoints, given: GivenParameters, relative: Mapping[str, float | None]
+) -> Noted[tuple[PowerCalibration, dict[str, float]]]:
     """Return the numbers that turn readings into powers, and the standard uncertainties of those that have one.
 
     Parameters
@@ -47,14 +47,14 @@ def calibration_of(
     back_emf = _number(runs, "back_emf_constant", given.back_emf_constant)
     cold = _number(runs, "phase_resistance", given.phase_resistance)
     measured = all(
-        ("q_axis_voltage", role) in points.value for role in OTHER if ("q_axis_current", role) in points.value
+        ("q_axis_voltage", role) in points.value for role in OTHER_ROLE if ("q_axis_current", role) in points.value
     )
     if measured and given.winding_temperature is None:
         notes = []
         if math.isnan(back_emf):
             notes.append("no back-EMF constant is known: losses are not parted into copper and friction")
         notes.append("electrical power is measured voltage times current, at the temperature that the winding had")
-        return Noted((Calibration(cold, back_emf, True), _absolute(stds, cold, back_emf)), tuple(notes))
+        return Noted((PowerCalibration(cold, back_emf, True), _absolute(stds, cold, back_emf)), tuple(notes))
     if math.isnan(cold) or math.isnan(back_emf):
         raise NotIdentifiable(
             f"{runs[0].path}: no q-axis voltage was measured, and the run's model lacks phase_resistance or"
@@ -77,7 +77,7 @@ def calibration_of(
         f"no measured voltage: electrical power is that of windings of {warm:.4g} ohm{where} and a back-EMF constant of"
         f" {back_emf:g} V*s/rad, as the paper has it; warmer ones take more (--set winding_temperature=)"
     )
-    return Noted((Calibration(warm, back_emf, False), _absolute(stds, warm, back_emf)), (note,))
+    return Noted((PowerCalibration(warm, back_emf, False), _absolute(stds, warm, back_emf)), (note,))
 
 
 def sources_of(stds: Mapping[str, float]) -> str:

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Balance, Calibration, balance
-from leactl.analysis.efficiency.operating_points import Points
+from leactl.analysis.efficiency.balance import Balance, PowerCalibration, balance
+from leactl.analysis.efficiency.operating_points import OperatingPoints
 from leactl.analysis.estimate import NAN, Estimate, listed
 from leactl.analysis.statistics.regression import POOLED_ABOVE, Array, t_quantile
 
@@ -22,7 +22,9 @@ from leactl.analysis.statistics.regression import POOLED_ABOVE, Array, t_quantil
 class MapMeans:
     """One actuator's map, driving or driven: its points, their powers, and means over those that were held."""
 
-    def __init__(self, points: Points, role: str, driving: bool, told: Calibration, stds: Mapping[str, float]) -> None:
+    def __init__(
+        self, points: OperatingPoints, role: str, driving: bool, told: PowerCalibration, stds: Mapping[str, float]
+    ) -> None:
         self.points, self.role, self.driving = points, role, driving
         self._told, self._stds = told, stds
         self.balance = self._balance(points, told)
@@ -112,7 +114,7 @@ class MapMeans:
     def _weighed(self, column: Array) -> float:
         return float(np.sum(self.weights * np.where(self.held, column, 0.0)))
 
-    def _balance(self, points: Points, told: Calibration) -> Balance:
+    def _balance(self, points: OperatingPoints, told: PowerCalibration) -> Balance:
         return balance(points, self.role, self.driving, told)
 
     def _changes_of_one(self, what: str) -> list[Array]:

@@ -12,17 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Noted, tally
-from leactl.analysis.quality.usable_readings import fresh, within_range
-from leactl.analysis.signals.levels import Hold, Mean, settled_mean
+from leactl.analysis.quality.usable_readings import within_range, without_repeated_readings
+from leactl.analysis.signals.levels import Hold, SettledMean, settled_mean
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import MissingChannel, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
-OTHER = {"test": "load", "load": "test"}
+OTHER_ROLE = {"test": "load", "load": "test"}
 HELD = 0.02  # of the setpoint: how far a mean may be off it
 OPPOSITE = 0.5  # of the setpoint: what goes against it by more has its sign swapped
 STEADY = 0.02  # of the mean: how far the means of the quarters of a settled part may lie apart
-Key = tuple[str, str]  # quantity and role of a channel
+ChannelKey = tuple[str, str]  # quantity and role of a channel
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class GridHold:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class OperatingPoints:
     """Every hold of the grid; element k of each array belongs to one, NaN where the bench did not hold it."""
 
     holds: tuple[GridHold, ...]
-    value: Mapping[Key, Array]  # settled means; no entry where a run has no such channel
-    std: Mapping[Key, Array]  # their standard errors
+    value: Mapping[ChannelKey, Array]  # settled means; no entry where a run has no such channel
+    std: Mapping[ChannelKey, Array]  # their standard errors
     zero_std: Array  # N*m, of the torque sensor's zero in each run
 
     @property
@@ -54,11 +54,11 @@ class Points:
         """Number of each hold's run."""
         return np.array([grid_hold.run for grid_hold in self.holds])
 
-    def shifted(self, key: Key) -> "Points":
+    def shifted(self, key: ChannelKey) -> "OperatingPoints":
         """Return the points with the means of one channel moved by their standard errors."""
         return replace(self, value={**self.value, key: self.value[key] + self.std[key]})
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> "Points":
+    def where(self, kept: npt.NDArray[np.bool_]) -> "OperatingPoints":
         """Return the holds for which `kept`, of shape (holds,), is true."""
         return replace(
             self,
@@ -68,7 +68,7 @@ class Points:
         )
 
 
-def gather(runs: Sequence[Run]) -> Noted[Points]:
+def gather_grid(runs: Sequence[Run]) -> Noted[OperatingPoints]:
     """Average the channels over every hold of the runs' grids; notes say why a hold is left out.
 
     Raises
@@ -77,7 +77,7 @@ def gather(runs: Sequence[Run]) -> Noted[Points]:
     NotIdentifiable : a run has no such hold.
     """
     holds: list[GridHold] = []
-    columns: dict[Key, list[tuple[float, float]]] = {}
+    columns: dict[ChannelKey, list[tuple[float, float]]] = {}
     zero_stds = []
     notes: list[str] = []
     for number, run in enumerate(runs):
@@ -104,7 +104,7 @@ def gather(runs: Sequence[Run]) -> Noted[Points]:
     pairs = {key: np.array(rows) for key, rows in columns.items()}
     value = {key: rows[:, 0] for key, rows in pairs.items()}
     errors = {key: rows[:, 1] for key, rows in pairs.items()}
-    return Noted(Points(tuple(holds), value, errors, np.array(zero_stds)), tuple(notes))
+    return Noted(OperatingPoints(tuple(holds), value, errors, np.array(zero_stds)), tuple(notes))
 
 
 def grid_holds(run: Run, number: int = 0) -> list[GridHold]:
@@ -117,20 +117,22 @@ def grid_holds(run: Run, number: int = 0) -> list[GridHold]:
             for setpoint in setpoints
         ]
         role = step.parameters.get("role")
-        if step.name == "hold" and all(numeric) and role in OTHER:
+        if step.name == "hold" and all(numeric) and role in OTHER_ROLE:
             speed, current = (float(setpoint) for setpoint in setpoints)  # type: ignore[arg-type]
             hold = Hold(current, 0, step.start + step.settle, step.stop)
             repeat = step.parameters.get("repeat", 1)
-            holds.append(GridHold(number, speed, current, OTHER[str(role)], int(repeat), hold))
+            holds.append(GridHold(number, speed, current, OTHER_ROLE[str(role)], int(repeat), hold))
     return holds
 
 
-def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[Key, Channel]]:
+def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, Channel]]:
     """Return the channels of a run that powers follow from, NaN for saturated and repeated readings."""
     current_holds = [grid_hold.hold for grid_hold in holds]
     channels = {("torque", "test"): run.channel("torque", role="test")}
     for quantity in ("velocity", "q_axis_current", "q_axis_voltage"):
-        channels |= {(quantity, role): run.channel(quantity, role=role) for role in OTHER if run.has(quantity, role)}
+        channels |= {
+            (quantity, role): run.channel(quantity, role=role) for role in OTHER_ROLE if run.has(quantity, role)
+        }
     if not any(key[0] == "velocity" for key in channels):
         raise MissingChannel(f"{run.path}: no velocity of test or load")
     if not any(key[0] == "q_axis_current" for key in channels):
@@ -142,17 +144,17 @@ def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[Key, Channel]
         for value, reached in ends.items():
             where = f"{quantity} of {role} is saturated at {value:g} in {len(reached)} holds"
             notes.append(f"{run.path}: {where}, which do not count")
-        without_repeats = fresh(kept, current_holds, str(run.path))
+        without_repeats = without_repeated_readings(kept, current_holds, str(run.path))
         channels[quantity, role] = without_repeats.value
         notes += without_repeats.notes
-    absent = [role for role in OTHER if ("q_axis_current", role) not in channels]
+    absent = [role for role in OTHER_ROLE if ("q_axis_current", role) not in channels]
     notes += [f"{run.path}: no current of the {role} actuator, so there is no efficiency of it" for role in absent]
     return Noted(channels, tuple(notes))
 
 
 def means_of(
-    holds: Sequence[GridHold], channels: Mapping[Key, Channel]
-) -> list[tuple[GridHold, dict[Key, Mean | None]]]:
+    holds: Sequence[GridHold], channels: Mapping[ChannelKey, Channel]
+) -> list[tuple[GridHold, dict[ChannelKey, SettledMean | None]]]:
     """Average each channel over each hold; None for a channel with too few readings in it."""
     return [
         (
@@ -166,7 +168,7 @@ def means_of(
     ]
 
 
-def fault_of(grid_hold: GridHold, means: Mapping[Key, Mean | None]) -> str:
+def fault_of(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]) -> str:
     """Return why a hold does not count; empty where it counts."""
     lacking = sorted({key[0] for key, mean in means.items() if mean is None})
     if lacking:
@@ -174,7 +176,7 @@ def fault_of(grid_hold: GridHold, means: Mapping[Key, Mean | None]) -> str:
     known = {key: mean for key, mean in means.items() if mean is not None}
     for key, mean in known.items():
         setpoint = grid_hold.speed if key[0] == "velocity" else grid_hold.current
-        follows = key[0] == "velocity" or key == ("q_axis_current", OTHER[grid_hold.driving])
+        follows = key[0] == "velocity" or key == ("q_axis_current", OTHER_ROLE[grid_hold.driving])
         if follows and mean.value * setpoint < 0.0 and abs(mean.value) > OPPOSITE * abs(setpoint):
             return f"{key[0]} of {key[1]} has the opposite sign of its setpoint"
         if follows and abs(mean.value - setpoint) > HELD * abs(setpoint):

@@ -11,15 +11,15 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.experiments.torque_constant import TORQUE
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.breakaway import LettingGo, lettings_go
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.breakaway import Breakaway, breakaways_of
 from leactl.analysis.signals.cogging import cogging_of, turns_of
-from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
-from leactl.analysis.signals.levels import Held, Levels, gather
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
+from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.trial_means import mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -34,7 +34,7 @@ RESULTS = {
     "cogging_peak_to_peak": "N*m",
 }
 
-HELD = Held("velocity_rad_s", "rad/s", "load")
+HELD = HoldSelector("velocity_rad_s", "rad/s", "load")
 ENABLED = "drive_enabled"
 DRAWN = 40  # speeds of a line in the figure
 
@@ -57,31 +57,31 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
     InputError : an uncertainty below zero, or torque and motion of opposite senses.
     """
-    place = f"{place_of(runs)}: back-drive"
-    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
+    place = f"{paths_of(runs)}: back-drive"
+    notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
     gain = gain_std(runs, TORQUE, torque_gain_std)
     for run in runs:
         refuse_powered(run)
-    torques = {run.path: usable(run, TORQUE, HELD) for run in runs}
-    gathered = gather(
+    torques = {run.path: usable_channel(run, TORQUE, HELD) for run in runs}
+    gathered = gather_means(
         runs,
         (VELOCITY, TORQUE),
-        lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable(run, name, HELD),
+        lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, HELD),
         HELD,
     )
-    turning = reached(runs, gathered.value, place)
+    turning = at_setpoint(runs, gathered.value, place)
     levels = turning.value
     notes += [note for torque in torques.values() for note in torque.notes]
     notes += [*gathered.notes, *turning.notes]
     line = fit_drag(levels, -levels.value[TORQUE], place)
     fastest = float(np.max(np.abs(levels.setpoint)))
     refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
-    notes += remarks(line, levels.std[TORQUE], "N*m")
+    notes += fit_notes(line, levels.std[TORQUE], "N*m")
     if not both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
 
     numbered = [(number, run, torques[run.path].value) for number, run in enumerate(runs)]
-    breakaways = joined(lettings_go(run, number, torque) for number, run, torque in numbered)
+    breakaways = joined(breakaways_of(run, number, torque) for number, run, torque in numbered)
     damping = line.slope("viscous_damping")
     turns = joined(turns_of(run, number, torque, damping) for number, run, torque in numbered)
     notes += [*breakaways.notes, *turns.notes]
@@ -102,8 +102,8 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
             notes += cogging.notes
         except NotIdentifiable as fault:
             notes.append(str(fault))
-    notes += doubts({"the torque sensor": gain}, "all torques")
-    notes[:0] = doubted(runs, results, [TORQUE], [VELOCITY])
+    notes += calibration_notes({"the torque sensor": gain}, "all torques")
+    notes[:0] = unit_notes(runs, results, [TORQUE], [VELOCITY])
     paths = tuple(str(run.path) for run in runs)
     return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
 
@@ -124,7 +124,7 @@ def refuse_powered(run: Run) -> None:
             raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")
 
 
-def breakaway(breakaways: Sequence[LettingGo], gain_std: float) -> Noted[Estimate]:
+def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimate]:
     """Estimate the mean breakaway torque over both directions; it has no interval without a repeat."""
     trials, values = [each.trial for each in breakaways], [each.torque for each in breakaways]
     notes = []
@@ -138,7 +138,7 @@ def breakaway(breakaways: Sequence[LettingGo], gain_std: float) -> Noted[Estimat
     return Noted(estimate, tuple(notes))
 
 
-def plot_of_drag(levels: Levels, line: LineFit) -> Plot:
+def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
     """Torque against the motion over speed, each direction, and the fit."""
     velocity = levels.value[VELOCITY]
     zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]

@@ -13,15 +13,15 @@ import numpy as np
 
 from leactl.analysis.estimate import Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.quality import current_convention
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.analysis.voltage_waves.harmonics import harmonics_of
 from leactl.analysis.voltage_waves.line_voltages import PAIRS
-from leactl.analysis.voltage_waves.pole_pairs import counted, whole
-from leactl.analysis.voltage_waves.turning_holds import Part, parts_of
-from leactl.analysis.voltage_waves.wave_means import Shares, constant_of, drift_of
+from leactl.analysis.voltage_waves.pole_pairs import waves_per_turn, whole_pole_pairs
+from leactl.analysis.voltage_waves.turning_holds import TurningHold, turning_holds
+from leactl.analysis.voltage_waves.wave_means import CommonUncertainties, constant_of, drift_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -79,9 +79,9 @@ def analyze(
     NotIdentifiable : no pair with waves, too few of them, or a count of pole pairs that is no whole number.
     InputError : a torque constant that is no positive number.
     """
-    place = f"{place_of(runs)}: back-EMF"
-    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
-    every_hold = joined(parts_of(run) for run in runs)
+    place = f"{paths_of(runs)}: back-EMF"
+    notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
+    every_hold = joined(turning_holds(run) for run in runs)
     parts = every_hold.value
     notes += every_hold.notes
     if not parts:
@@ -93,7 +93,7 @@ def analyze(
 
     series = {name: [poles * part.sizes[name] for part in parts if name in part.sizes] for name in PAIRS}
     series = {name: found for name, found in series.items() if found}
-    shares = Shares(
+    shares = CommonUncertainties(
         scale=max(part.scale_std for part in parts),
         time_base=TIME_BASE,
         resolution=max(part.resolution for part in parts),
@@ -121,23 +121,23 @@ def analyze(
     results += [*ratio.value, *harmonics_of(parts)]
 
     notes += [*ratio.notes, *remarks(parts, series, shares, both)]
-    notes[:0] = doubted(runs, [kb], ["phase_voltage"])
+    notes[:0] = unit_notes(runs, [kb], ["phase_voltage"])
     paths = tuple(str(run.path) for run in runs)
     return Result(
         "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(parts, poles), plot_of_wave(parts, poles))
     )
 
 
-def pole_pairs_of(parts: Sequence[Part], place: str) -> Noted[tuple[Estimate, int]]:
+def pole_pairs_of(parts: Sequence[TurningHold], place: str) -> Noted[tuple[Estimate, int]]:
     """Estimate the waves a turn and the number of pole pairs; a note says where a run's model has another number.
 
     Raises
     ------
     NotIdentifiable : no whole number, or not the same in all holds.
     """
-    counts = [counted(len(part.angle.edges) - 1, part.shaft) for part in parts]
+    counts = [waves_per_turn(len(part.angle.edges) - 1, part.shaft) for part in parts]
     numbers = {
-        whole(value, std, f"{part.run.path} from {part.start:.2f} s")
+        whole_pole_pairs(value, std, f"{part.run.path} from {part.start:.2f} s")
         for part, (value, std) in zip(parts, counts, strict=True)
     }
     if len(numbers) > 1:
@@ -191,7 +191,7 @@ def covering(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estim
     return Noted(Estimate(line.name, line.value, std, line.value - half, line.value + half, UNITS), (note,))
 
 
-def unevenness(series: dict[str, list[np.ndarray]], shares: Shares) -> Estimate:
+def unevenness(series: dict[str, list[np.ndarray]], shares: CommonUncertainties) -> Estimate:
     """Largest less smallest pair over their mean; the scale that they share is in none of it."""
     own = [constant_of(name, UNITS, found, shares.between_pairs) for name, found in series.items()]
     values = [item.value for item in own]
@@ -224,7 +224,7 @@ def torque_constant_ratio(
     ratio = kt / kb.value
     relative = math.hypot(kb.std / kb.value, (std or 0.0) / kt)
     notes = []
-    reason = current_convention.named_by_voltages(ratio, given is not None)
+    reason = current_convention.reason_for_ratio(ratio, given is not None)
     if reason:
         notes.append(
             f"the torque constant {kt:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {reason}"
@@ -236,7 +236,9 @@ def torque_constant_ratio(
     return Noted([estimate], tuple(notes))
 
 
-def remarks(parts: Sequence[Part], series: dict[str, list[np.ndarray]], shares: Shares, complete: bool) -> list[str]:
+def remarks(
+    parts: Sequence[TurningHold], series: dict[str, list[np.ndarray]], shares: CommonUncertainties, complete: bool
+) -> list[str]:
     """What a reader must know of the channels, the pairs and the speed."""
     notes = [
         "uncertainties hold the scatter of the waves, the converter's steps and time base"
@@ -275,7 +277,7 @@ def remarks(parts: Sequence[Part], series: dict[str, list[np.ndarray]], shares: 
     return notes
 
 
-def plot_over_time(parts: Sequence[Part], poles: int) -> Plot:
+def plot_over_time(parts: Sequence[TurningHold], poles: int) -> Plot:
     """Kb line to line of every wave over the time of its middle."""
     points = []
     for name in PAIRS:
@@ -290,7 +292,7 @@ def plot_over_time(parts: Sequence[Part], poles: int) -> Plot:
     return Plot("time [s]", f"Kb line to line [{UNITS}]", tuple(points), (line,))
 
 
-def plot_of_wave(parts: Sequence[Part], poles: int) -> Plot:
+def plot_of_wave(parts: Sequence[TurningHold], poles: int) -> Plot:
     """The mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     points = []

@@ -15,13 +15,13 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined, tally
 from leactl.analysis.experiments.friction import TorqueConstants, torque_constants
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.levels import Held, settled_mean, span
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.levels import HoldSelector, settled_mean, span
 from leactl.analysis.statistics.intervals import rounding_of, step_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, least_squares
-from leactl.analysis.statistics.trial_means import Trial, mean_of
+from leactl.analysis.statistics.trial_means import TrialLabel, mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
@@ -36,7 +36,7 @@ RESULTS = {
 }
 
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
-HELD = Held("velocity_rad_s", "rad/s")
+HELD = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
 SLOWEST = 0.1  # of the speed before: below, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
@@ -50,7 +50,7 @@ DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_dr
 class RunOut:
     """One run-out: d + a w + q w^2 is its deceleration [rad/s^2] at speed w."""
 
-    trial: Trial
+    trial: TrialLabel
     before: float  # rad/s, magnitude of the speed that was held
     current: float  # A, that held it, along the motion
     rounding: float  # relative standard uncertainty of that by the steps of its readings, the same in every trial
@@ -93,8 +93,8 @@ def analyze(
     NotIdentifiable : fewer than two run-outs in a direction more than once.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
-    place = f"{place_of(runs)}: coast-down"
-    notes = expect_setup(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
+    place = f"{paths_of(runs)}: coast-down"
+    notes = setup_notes(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
     usable_run_outs = joined(run_outs_of(run, number) for number, run in enumerate(runs))
     run_outs = usable_run_outs.value
     notes += usable_run_outs.notes
@@ -121,12 +121,12 @@ def analyze(
     for index, (name, unit) in enumerate(OVER_INERTIA.items()):
         values = [run_out.fit[index] for run_out in run_outs]
         results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
-    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
     return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(run_outs),))
 
 
-def scaled(run_outs: Sequence[RunOut], trials: Sequence[Trial], constants: TorqueConstants) -> list[Estimate]:
+def scaled(run_outs: Sequence[RunOut], trials: Sequence[TrialLabel], constants: TorqueConstants) -> list[Estimate]:
     """Estimate the inertia, drag torque over deceleration at the held speed, and the coefficients of the drag."""
     inertias = [
         float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in run_outs
@@ -144,7 +144,7 @@ def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
     run_outs: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
-    velocity, current = (usable(run, name, HELD, least=1) for name in (VELOCITY, CURRENT))
+    velocity, current = (usable_channel(run, name, HELD, least=1) for name in (VELOCITY, CURRENT))
     for step in (step for step in steps if step.name == COAST):
         try:
             run_outs.append(run_out_of(run, number, step, velocity.value, current.value))
@@ -195,7 +195,9 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     held_current = current.values[span(current, before[-1].start, before[-1].stop)]
     rounding = rounding_of(held_current, step_of(current.values)) / abs(drive.value)
     along_motion = side * drive.value
-    run_out = RunOut(Trial(number, side), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit)
+    run_out = RunOut(
+        TrialLabel(number, side), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit
+    )
     if run_out.deceleration <= 0.0:
         raise NotIdentifiable("the rotor did not slow down")
     return run_out

@@ -11,12 +11,12 @@ import numpy as np
 
 from leactl.analysis.efficiency.checks import refuse_swapped, with_drift
 from leactl.analysis.efficiency.drive_losses import drives_loss
-from leactl.analysis.efficiency.known_parameters import Told, calibration_of, sources_of
+from leactl.analysis.efficiency.known_parameters import GivenParameters, calibration_of, sources_of
 from leactl.analysis.efficiency.maps import currents_and_voltages, grid_of, speeds_and_torques
 from leactl.analysis.efficiency.means import MapMeans
-from leactl.analysis.efficiency.operating_points import gather
+from leactl.analysis.efficiency.operating_points import gather_grid
 from leactl.analysis.estimate import NAN, Estimate, Grid, Result
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -105,14 +105,14 @@ def analyze(
     NotIdentifiable : no hold of a grid, none that was held, or no voltage and no resistance to work it out from.
     InputError : an uncertainty below zero, or readings whose signs contradict each other.
     """
-    place = f"{place_of(runs)}: efficiency"
-    notes = expect_setup(runs, ("coupled",), "another machine has to drive or to be driven")
-    given = Told(phase_resistance, back_emf_constant, winding_temperature)
+    place = f"{paths_of(runs)}: efficiency"
+    notes = setup_notes(runs, ("coupled",), "another machine has to drive or to be driven")
+    given = GivenParameters(phase_resistance, back_emf_constant, winding_temperature)
     relative = {
         "resistance": resistance_std, "back_emf_constant": back_emf_constant_std, "torque_gain": torque_gain_std,
         "current_gain": current_gain_std, "voltage_gain": voltage_gain_std,
     }  # fmt: skip
-    gathered = gather(runs)
+    gathered = gather_grid(runs)
     known = calibration_of(runs, gathered.value, given, relative)
     calibration, stds = known.value
     refuse_swapped(gathered.value, place)

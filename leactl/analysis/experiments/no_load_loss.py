@@ -15,11 +15,11 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.experiments.friction import torque_constants
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
-from leactl.analysis.signals.levels import Held, Levels, gather
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
+from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
@@ -35,7 +35,7 @@ RESULTS = {
 }
 
 CURRENT = "q_axis_current"
-HELD = Held("velocity_rad_s", "rad/s")
+HELD = HoldSelector("velocity_rad_s", "rad/s")
 IRON = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
 DRAWN = 40  # speeds of a line in the figure
 
@@ -79,20 +79,20 @@ def analyze(
     NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
     InputError : a given number that makes no sense, or current and velocity of opposite senses.
     """
-    place = f"{place_of(runs)}: no-load loss"
+    place = f"{paths_of(runs)}: no-load loss"
     alone = {
         "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
         "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
-    notes = expect_setup(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    gathered = gather(runs, (VELOCITY, CURRENT), partial(usable, held=HELD), HELD)
-    turning = reached(runs, gathered.value, place)
+    notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
+    gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, held=HELD), HELD)
+    turning = at_setpoint(runs, gathered.value, place)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
     torque = constants.values[levels.run] * levels.value[CURRENT]
     line = fit_drag(levels, torque, place)
-    notes += [constants.note, *remarks(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
+    notes += [constants.note, *fit_notes(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
     if not both_ways(levels):
         notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
     full = float(np.max(np.abs(levels.setpoint)))
@@ -103,7 +103,7 @@ def analyze(
     iron_losses = iron(results, alone)
     results += iron_losses.value
     notes += iron_losses.notes
-    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
     return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))
 
@@ -152,7 +152,7 @@ def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> No
     return Noted(losses, tuple(notes))
 
 
-def plot_of(levels: Levels, torque: Array, line: LineFit) -> Plot:
+def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
     """Loss over speed, each direction, and the fit with its three parts on top of one another."""
     velocity = levels.value[VELOCITY]
     zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from leactl.analysis.estimate import Covariance, Noted, Result, joined
-from leactl.analysis.heating.capability import carried
+from leactl.analysis.heating.capability import current_capability
 from leactl.analysis.heating.estimates import (
     LATE,
     LEAST_SEEN,
@@ -26,17 +26,17 @@ from leactl.analysis.heating.estimates import (
     resistance_results,
     slow_constants_seen,
     steadiness,
-    untold,
+    without_value,
 )
 from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
-from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, natural_covariance, uncertainty
+from leactl.analysis.heating.parameters import NAMES, Instruments, natural_covariance, thermal_parameters, uncertainty
 from leactl.analysis.heating.plots import plots_of
-from leactl.analysis.heating.record import frames_of, stretches
+from leactl.analysis.heating.record import frames_of, heating_records
 from leactl.analysis.heating.resistance import REFERENCE, resistance_line
 from leactl.analysis.quality.calibration_uncertainty import gain_std
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
@@ -116,7 +116,7 @@ def analyze(
     NotIdentifiable : no current, or no network of two bodies follows what was seen.
     InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
     """
-    place = f"{place_of(runs)}: thermal"
+    place = f"{paths_of(runs)}: thermal"
     supply = [
         gain_std(runs, name, given)
         for name, given in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
@@ -129,9 +129,9 @@ def analyze(
     limit = winding_limit if winding_limit is not None else limit_of(model)
     if limit <= ambient:
         raise InputError(f"{place}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC")
-    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
+    notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
     phase_of_line = phase_share(model)
-    records = joined(stretches(run) for run in runs)
+    records = joined(heating_records(run) for run in runs)
     notes += [*phase_of_line.notes, *records.notes]
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), place)
     fitted_frames = sum(len(record.time) for record in fit.stretches)
@@ -141,9 +141,9 @@ def analyze(
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, place)
     air = [float(np.mean(record.ambient)) for record in fit.stretches if record.ambient is not None]
-    widened = as_seen(instruments, fit)
+    widened = widened_by_offset(instruments, fit)
     instruments = widened.value
-    parameters = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
+    parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
 
     constants_seen = slow_constants_seen(fit)
     estimates = joined(
@@ -157,12 +157,12 @@ def analyze(
     )
     results = estimates.value
     notes += [*widened.notes, *estimates.notes]
-    notes[:0] = doubted(
+    notes[:0] = unit_notes(
         runs, [item for item in results if item.name == "phase_resistance"], ["line_voltage"], ["line_current"]
     )
-    currents = carried(parameters, phase_of_line.value, limit, ambient)
+    currents = current_capability(parameters, phase_of_line.value, limit, ambient)
     if constants_seen < LEAST_SEEN:
-        currents = [untold(current) if current.name in STEADY else current for current in currents]
+        currents = [without_value(current) if current.name in STEADY else current for current in currents]
     notes += remarks(parameters, fit.stretches, instruments)
     notes.append(
         f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"
@@ -177,7 +177,7 @@ def analyze(
     )
 
 
-def as_seen(instruments: Instruments, fit: NetworkFit) -> Noted[Instruments]:
+def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instruments]:
     """Widen the camera's uncertainties to the largest offset fitted against the ambient sensor, if it is clear."""
     offsets = [
         abs(float(fit.point[at]))

@@ -15,22 +15,22 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.experiments.torque_constant import CURRENT, TORQUE
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import SWAPPED
-from leactl.analysis.quality.usable_readings import usable, within_range
+from leactl.analysis.quality.usable_readings import usable_channel, within_range
 from leactl.analysis.run_model import rotor_inertia_of_model
-from leactl.analysis.signals.corner import Limited, Mask, corner, groups_of, repeats_of
+from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, groups_of, repeats_of
 from leactl.analysis.signals.drag import VELOCITY
-from leactl.analysis.signals.levels import CURRENT_HELD, Levels, gather
+from leactl.analysis.signals.levels import CURRENT_HOLDS, HoldMeans, gather_means
 from leactl.analysis.statistics.intervals import step_of
-from leactl.analysis.statistics.linefit import DRIFTS_BELOW, expect_setup, place_of
+from leactl.analysis.statistics.linefit import DRIFTS_BELOW, paths_of, setup_notes
 from leactl.analysis.statistics.regression import (
     Array,
-    departure,
-    judged_by,
+    indicator_columns,
     least_squares,
-    one_column_each,
+    partial_f_test,
     t_quantile,
+    widened_by,
 )
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
@@ -77,9 +77,9 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         its channel shows, or a torque or velocity that hangs.
     InputError : an uncertainty below zero, or a current against its setpoint.
     """
-    place = f"{place_of(runs)}: torque-speed envelope"
-    notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
-    gathered = gather(runs, (TORQUE, VELOCITY, CURRENT), readings)
+    place = f"{paths_of(runs)}: torque-speed envelope"
+    notes = setup_notes(runs, ("coupled",), "another machine has to hold the speed")
+    gathered = gather_means(runs, (TORQUE, VELOCITY, CURRENT), readings)
     driven = driving(gathered.value, place)
     levels = driven.value
     refuse_still(levels, place)
@@ -103,26 +103,26 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         *best("power", "W", speed, torque, limited, levels, shared),
     ]
     notes += [f"{item.name} without a repeat: how it scatters is not known" for item in highest if no_interval(item)]
-    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HELD.levels(run))[1]]
+    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.levels(run))[1]]
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
         highest = [above(estimate, max(stops)) for estimate in highest]
-    holds = Limited(speed, flowing, limit, limited, held, levels.run)
-    corner_speed = corner(runs, holds, place)
+    holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run)
+    at_corner = corner_speed(runs, holds, place)
     bus_voltage = bus(runs)
     results = [
         *highest,
-        corner_speed.value,
+        at_corner.value,
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus_voltage.value,
     ]
-    notes += [*corner_speed.notes, *drift_of(holds, corner_speed.value), *bus_voltage.notes]
-    notes += doubts({"the torque sensor": shared.gain}, "torque and power")
+    notes += [*at_corner.notes, *drift_of(holds, at_corner.value), *bus_voltage.notes]
+    notes += calibration_notes({"the torque sensor": shared.gain}, "torque and power")
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
 
-def driving(levels: Levels, place: str) -> Noted[Levels]:
+def driving(levels: HoldMeans, place: str) -> Noted[HoldMeans]:
     """Keep the holds in which the actuator gave mechanical power; a note names the others.
 
     Raises
@@ -141,7 +141,7 @@ def driving(levels: Levels, place: str) -> Noted[Levels]:
     return Noted(levels.where(gives), (note,) if braking else ())
 
 
-def refuse_still(levels: Levels, place: str) -> None:
+def refuse_still(levels: HoldMeans, place: str) -> None:
     """A torque or a velocity that never changes, whatever the hold, would leave a highest power without scatter.
 
     Raises
@@ -166,10 +166,10 @@ def readings(run: Run, quantity: str) -> Noted[Channel]:
     ------
     NotIdentifiable : the current is there in a hold, or the torque in all of them.
     """
-    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HELD.levels(run))[1]):
+    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.levels(run))[1]):
         at = ", ".join(f"{value:g} A" for value in ends)
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
-    return usable(run, quantity, least=1)
+    return usable_channel(run, quantity, least=1)
 
 
 def above(highest: Estimate, stop: float) -> Estimate:
@@ -185,7 +185,7 @@ def no_interval(item: Estimate) -> bool:
     return item.name.startswith("highest") and math.isnan(item.std)
 
 
-def by_inertia(runs: Sequence[Run], levels: Levels) -> Noted[Array]:
+def by_inertia(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
     """Return the torque that accelerated the rotor in each hold, along the motion [N*m]; negative where it slowed."""
     quarters = levels.quarters[VELOCITY] * np.sign(levels.value[VELOCITY])[:, np.newaxis]
     middles = (np.arange(4) - 1.5) / 4.0  # of the quarters, from the middle of the hold, over its length
@@ -231,7 +231,7 @@ class Shared:
 
 
 def best(
-    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: Levels, shared: Shared
+    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: HoldMeans, shared: Shared
 ) -> list[Estimate]:
     """The highest mean of torque times a factor over the repeats of one speed, and that speed.
 
@@ -244,12 +244,12 @@ def best(
     own = group == int(np.argmax(means))
     at = Estimate(f"speed_of_highest_{name}", float(speed[own].mean()), NAN, NAN, NAN, "rad/s")
     alike = kind == kind[np.flatnonzero(own)[0]]
-    speeds = one_column_each(group[alike])
+    speeds = indicator_columns(group[alike])
     try:
         fit = least_squares(speeds, torque[alike], speeds, name)
     except NotIdentifiable:
         return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), at]
-    fit = judged_by(fit, departure(speeds, torque[alike], one_column_each(levels.run[alike])))
+    fit = widened_by(fit, partial_f_test(speeds, torque[alike], indicator_columns(levels.run[alike])))
     weights = (np.unique(group[alike]) == group[own][0]) * float(factor[own].mean())
     value, scattered = fit.combined(weights)
     alike_std = value * math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
@@ -258,7 +258,7 @@ def best(
     return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), at]
 
 
-def drift_of(holds: Limited, found: Estimate) -> list[str]:
+def drift_of(holds: SpeedHolds, found: Estimate) -> list[str]:
     """A note where the corner moves from repeat to repeat by more than chance, and than its interval is wide.
 
     What a change of resistance does to the current goes with the current itself; over the fall of the current with the
@@ -269,10 +269,10 @@ def drift_of(holds: Limited, found: Estimate) -> list[str]:
     speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
     beyond = speed - found.value
     fall = float((holds.asked - current) @ beyond / (beyond @ beyond))  # A for each rad/s
-    speeds, repeats = one_column_each(groups_of(speed)), one_column_each(repeat)
+    speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
     shift = (speed + current / fall) * holds.asked / mean
-    if (departs := departure(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
+    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
     if abs(moved) < found.high - found.low:

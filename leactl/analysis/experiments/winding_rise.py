@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of, positive
 from leactl.analysis.statistics.intervals import half_width, rounding_limit, rounding_of, step_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
@@ -62,7 +62,7 @@ class Copper:
 
 
 @dataclass(frozen=True)
-class Known:
+class MeasuredResistance:
     """A resistance [ohm] and what it is known to."""
 
     value: float
@@ -98,11 +98,11 @@ def analyze(
     NotIdentifiable : more than one run, no current, too few readings, or no resistance coefficient in the model.
     InputError : an uncertainty below zero, or leads that are swapped.
     """
-    place = place_of(runs)
+    place = paths_of(runs)
     if len(runs) > 1:
         raise NotIdentifiable(f"{place}: one run at a time; each begins from a temperature of its own")
     run = runs[0]
-    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
+    notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
     copper, heating = copper_of(run), heating_of(run)
     gains = {
         "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
@@ -120,8 +120,8 @@ def analyze(
         winding_rise(cold, hot, per_ratio, temperature_std, copper),
         late_change.value,
     )
-    notes += [*ambient.notes, *late_change.notes, *doubts(gains, "the resistances and not on the rise")]
-    notes[:0] = doubted(runs, results[:1], ["line_voltage"], ["line_current"])
+    notes += [*ambient.notes, *late_change.notes, *calibration_notes(gains, "the resistances and not on the rise")]
+    notes[:0] = unit_notes(runs, results[:1], ["line_voltage"], ["line_current"])
     every = max(1, len(heating.time) // SHOWN)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
@@ -159,7 +159,7 @@ def heating_of(run: Run) -> Heating:
     return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
 
 
-def cold_resistance(heating: Heating, place: str) -> Known:
+def cold_resistance(heating: Heating, place: str) -> MeasuredResistance:
     """Resistance at the moment of switching on."""
     first = heating.time < COLD_S
     if int(np.sum(first)) < FEWEST:
@@ -173,14 +173,14 @@ def cold_resistance(heating: Heating, place: str) -> Known:
     limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
     if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
         own *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
-    return Known(value, own, fit.dof, limit, heating.of_current)
+    return MeasuredResistance(value, own, fit.dof, limit, heating.of_current)
 
 
-def hot_resistance(heating: Heating) -> Known:
+def hot_resistance(heating: Heating) -> MeasuredResistance:
     """Mean resistance of the last half minute."""
     last = heating.time >= heating.time[-1] - HOT_S
     value, own, limit = mean_of_part(heating, last)
-    return Known(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
+    return MeasuredResistance(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
 
 
 def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
@@ -200,7 +200,9 @@ def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -
     return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
 
 
-def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, copper: Copper) -> Estimate:
+def winding_rise(
+    cold: MeasuredResistance, hot: MeasuredResistance, per_ratio: float, at_first_std: float, copper: Copper
+) -> Estimate:
     """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio

@@ -13,14 +13,14 @@ from leactl.analysis.heating.parameters import (
     NAMES,
     UNITS,
     Instruments,
-    Known,
+    ThermalParameters,
     Uncertainty,
     correlation,
     natural,
     natural_covariance,
     parallel,
 )
-from leactl.analysis.heating.record import Array, Stretch
+from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import ResistanceLine
 from leactl.analysis.statistics.regression import t_quantile
 
@@ -38,7 +38,7 @@ STEADY = (
 )
 
 
-def network_results(parameters: Known, constants_seen: float) -> Noted[list[Estimate]]:
+def network_results(parameters: ThermalParameters, constants_seen: float) -> Noted[list[Estimate]]:
     """Estimate the network's five parameters and its thermal resistance from winding to air.
 
     `constants_seen` is the longest heating or cooling of the record in slow time constants. Below one, parameters that
@@ -51,7 +51,7 @@ def network_results(parameters: Known, constants_seen: float) -> Noted[list[Esti
     ]
     estimates.append(parameters.estimate("parallel_thermal_resistance", "K/W", parallel))
     if constants_seen < LEAST_SEEN:
-        estimates = [untold(estimate) if estimate.name in STEADY else estimate for estimate in estimates]
+        estimates = [without_value(estimate) if estimate.name in STEADY else estimate for estimate in estimates]
         notes.append(
             f"heating and cooling were followed for {constants_seen:.2g} time constants of the housing at the longest,"
             f" {LEAST_SEEN:g} is the least that tells a steady state"
@@ -73,7 +73,7 @@ def not_identifiable(estimates: Sequence[Estimate]) -> list[str]:
     ]
 
 
-def untold(estimate: Estimate) -> Estimate:
+def without_value(estimate: Estimate) -> Estimate:
     """Replace value and interval of an estimate by NaN."""
     return replace(estimate, value=NAN, std=NAN, low=NAN, high=NAN)
 
@@ -95,7 +95,9 @@ def slow_constants_seen(fit: NetworkFit) -> float:
     return longest * -float(np.max(fit.network.modes()[0]))
 
 
-def resistance_results(parameters: Known, line: ResistanceLine, phase_of_line: float) -> Noted[list[Estimate]]:
+def resistance_results(
+    parameters: ThermalParameters, line: ResistanceLine, phase_of_line: float
+) -> Noted[list[Estimate]]:
     """Estimate the resistance at 25 degC, of two leads and of a phase, and its temperature coefficient.
 
     `phase_of_line` is the resistance of a phase over that between two leads.
@@ -142,7 +144,7 @@ def noise_of(columns: Sequence[Array]) -> float:
     return math.sqrt(float(np.mean(bends**2)) / 6.0) if len(bends) else NAN
 
 
-def steadiness(records: Sequence[Stretch]) -> Noted[list[Estimate]]:
+def steadiness(records: Sequence[HeatingRecord]) -> Noted[list[Estimate]]:
     """Return the largest change of winding or housing in the last half hour of heating [K]; steady is up to 1 K."""
     changes = []
     for record in records:
@@ -200,7 +202,7 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
     return Noted(estimates if len(fit.stretches) == 1 else [], tuple(notes))
 
 
-def remarks(known: Known, stretches: Sequence[Stretch], instruments: Instruments) -> list[str]:
+def remarks(known: ThermalParameters, stretches: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
     """Correlations, what the instruments were taken to be, and how far the air went."""
     table, notes = correlation(natural_covariance(known)), []
     pairs = [(abs(table[i, k]), i, k) for i in range(5) for k in range(i) if abs(table[i, k]) > TELLING]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.heating.record import Array, Stretch
+from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.start import covered, guesses, starting_lag, thinned
 from leactl.errors import NotIdentifiable
 from leactl.model.thermal_network import Conductances, Drive, driven_at, left_of_start
@@ -29,7 +29,7 @@ class Unknowns:
     offset_std: float  # K, prior of the camera's offset from the sensor of the air; zero: there is none
     lag: float | None  # s, of the camera's clock as told; None: it is fitted
 
-    def of(self, stretch: Stretch) -> tuple[str, ...]:
+    def of(self, stretch: HeatingRecord) -> tuple[str, ...]:
         """Names of what is a stretch's own."""
         air = ("air",) if stretch.ambient is None else ("offset_winding", "offset_housing") if self.offset_std else ()
         lag = ("lag",) if self.lag is None else ()
@@ -42,7 +42,7 @@ class NetworkFit:
 
     point: Array  # all unknowns
     names: tuple[tuple[str, ...], ...]  # of each stretch's own, after the network's five
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[HeatingRecord, ...]
     fitted: tuple[Array, ...]  # degC of each stretch, winding and housing, shape (2, frames)
     columns: tuple[Array, ...]  # derivatives of these, shape (2, frames, unknowns)
     prior: Array  # weight of each unknown's prior, one over K^2 of noise
@@ -71,12 +71,12 @@ def network_of(point: Array) -> Conductances:
     return Conductances(float(point[0]), 1.0 / float(wh), 1.0 / float(ha), float(cw), float(ch))
 
 
-def measured(stretch: Stretch) -> Array:
+def measured(stretch: HeatingRecord) -> Array:
     """What the camera saw, shape (2, frames)."""
     return np.stack([stretch.winding, stretch.housing])
 
 
-def fit_network(stretches: Sequence[Stretch], unknowns: Unknowns, place: str) -> NetworkFit:
+def fit_network(stretches: Sequence[HeatingRecord], unknowns: Unknowns, place: str) -> NetworkFit:
     """Least squares over winding and housing at the same weight, every frame counted once.
 
     Raises
@@ -104,21 +104,23 @@ def fit_network(stretches: Sequence[Stretch], unknowns: Unknowns, place: str) ->
     return NetworkFit(point, names, tuple(records), fitted, columns, weight, late, rates)
 
 
-def residual(records: Sequence[Stretch], unknowns: Unknowns, point: Array, noise: float) -> Array:
+def residual(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array, noise: float) -> Array:
     """What least squares makes small [K]: every frame that was seen, then the offsets' priors."""
     parts = [_seen(measured(one) - _fitted(one, unknowns, *own), one) for one, own in _each(records, unknowns, point)]
     weight = priors(records, unknowns, noise)
     return np.concatenate([*parts, -(np.sqrt(weight) * point)[weight > 0.0]])
 
 
-def priors(records: Sequence[Stretch], unknowns: Unknowns, noise: float) -> Array:
+def priors(records: Sequence[HeatingRecord], unknowns: Unknowns, noise: float) -> Array:
     """Weight of each unknown's prior: only offsets have one, around nothing."""
     names = [name for one in records for name in unknowns.of(one)]
     weight = (noise / unknowns.offset_std) ** 2 if unknowns.offset_std else 0.0
     return np.array([0.0] * NETWORK + [weight if name.startswith("offset") else 0.0 for name in names])
 
 
-def _solved(records: Sequence[Stretch], unknowns: Unknowns, begin: Array, noise: float) -> tuple[Array, float] | None:
+def _solved(
+    records: Sequence[HeatingRecord], unknowns: Unknowns, begin: Array, noise: float
+) -> tuple[Array, float] | None:
     """The optimum from a start and its sum of squares; None where nothing comes of it."""
     from scipy.optimize import least_squares
 
@@ -141,7 +143,7 @@ def _solved(records: Sequence[Stretch], unknowns: Unknowns, begin: Array, noise:
     return (found.x, float(2.0 * found.cost)) if np.isfinite(found.x).all() else None
 
 
-def _begun(stretch: Stretch, unknowns: Unknowns, lag: float) -> list[float]:
+def _begun(stretch: HeatingRecord, unknowns: Unknowns, lag: float) -> list[float]:
     """A start of what is a stretch's own."""
     seen = measured(stretch)
     first = [float(row[np.isfinite(row)][0]) for row in seen]
@@ -151,8 +153,8 @@ def _begun(stretch: Stretch, unknowns: Unknowns, lag: float) -> list[float]:
 
 
 def _each(
-    records: Sequence[Stretch], unknowns: Unknowns, point: Array
-) -> list[tuple[Stretch, tuple[Conductances, dict[str, float]]]]:
+    records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array
+) -> list[tuple[HeatingRecord, tuple[Conductances, dict[str, float]]]]:
     """Each stretch with the network and its own unknowns by name."""
     network, found, at = network_of(point), [], NETWORK
     for one in records:
@@ -162,7 +164,7 @@ def _each(
     return found
 
 
-def _fitted(stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
+def _fitted(stretch: HeatingRecord, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
     """Temperatures [degC] as the camera would see them."""
     forced, _ = _forced(stretch, unknowns, network, own)
     return forced + _started(stretch, unknowns, network, own) + _offset(own)
@@ -173,22 +175,24 @@ def _offset(own: dict[str, float]) -> Array:
     return np.array([[own.get("offset_winding", 0.0) + air], [own.get("offset_housing", 0.0) + air]])
 
 
-def _forced(stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> tuple[Array, Array]:
+def _forced(
+    stretch: HeatingRecord, unknowns: Unknowns, network: Conductances, own: dict[str, float]
+) -> tuple[Array, Array]:
     return driven_at(network, drive_of(stretch), _stamps(stretch, unknowns, own))
 
 
-def _started(stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
+def _started(stretch: HeatingRecord, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
     after = _stamps(stretch, unknowns, own) - stretch.supply.time[0]
     start = np.array([own["winding_start"], own["housing_start"]])
     return np.asarray(np.einsum("nst,s->nt", left_of_start(network, after), start), np.float64)
 
 
-def _stamps(stretch: Stretch, unknowns: Unknowns, own: dict[str, float]) -> Array:
+def _stamps(stretch: HeatingRecord, unknowns: Unknowns, own: dict[str, float]) -> Array:
     """The camera's frames by the clock of the supply [s]."""
     return np.asarray(stretch.time - own.get("lag", unknowns.lag or 0.0))
 
 
-def drive_of(stretch: Stretch) -> Drive:
+def drive_of(stretch: HeatingRecord) -> Drive:
     """What drives the network: readings that are means hold over their interval, others are joined by straight lines.
 
     A current that is switched between two readings steps halfway; the lag of the clock takes up where it really does.
@@ -203,7 +207,7 @@ def drive_of(stretch: Stretch) -> Drive:
     return Drive(time, after[:-1], before[1:], ambient)
 
 
-def _columns(records: Sequence[Stretch], unknowns: Unknowns, point: Array) -> list[Array]:
+def _columns(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> list[Array]:
     """Derivatives of what each stretch's camera would see, shape (2, frames, unknowns)."""
     found, at, each = [], NETWORK, _each(records, unknowns, point)
     steps = np.full(NETWORK, STEP)
@@ -230,19 +234,19 @@ def _columns(records: Sequence[Stretch], unknowns: Unknowns, point: Array) -> li
     return found
 
 
-def _rate(stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
+def _rate(stretch: HeatingRecord, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> Array:
     """How fast the fitted temperatures change [K/s]."""
     rates, shapes, inverse = network.modes()
     started = _started(stretch, unknowns, network, own)
     return _forced(stretch, unknowns, network, own)[1] + (shapes * rates) @ inverse @ started
 
 
-def _seen(values: Array, stretch: Stretch) -> Array:
+def _seen(values: Array, stretch: HeatingRecord) -> Array:
     """Frames that were seen, winding first."""
     seen = np.isfinite(measured(stretch))
     return np.concatenate([values[node][seen[node]] for node in (0, 1)])
 
 
-def _noise_of(records: Sequence[Stretch], unknowns: Unknowns, point: Array) -> float:
+def _noise_of(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> float:
     left = residual(records, unknowns, point, 0.0)
     return math.sqrt(max(float(np.mean(left**2)), 1e-18))

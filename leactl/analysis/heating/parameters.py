@@ -13,9 +13,9 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.heating.network import NETWORK, NetworkFit
-from leactl.analysis.heating.record import Array, Stretch
+from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
-from leactl.analysis.heating.scatter import Scatter, parts_of, scatter_of, spread_of_sums
+from leactl.analysis.heating.scatter import Scatter, binned_residuals, covariance_of_sums, scatter_of
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.model.thermal_network import Conductances
 
@@ -45,7 +45,7 @@ class Instruments:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class UncertaintySource:
     """One source of uncertainty: its covariance, and the degrees of freedom that is known by."""
 
     covariance: Array
@@ -53,11 +53,11 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ThermalParameters:
     """Conductance past the housing [W/K], the other six of `NAMES`, and where their uncertainty comes from."""
 
     point: Array
-    sources: tuple[Source, ...]
+    sources: tuple[UncertaintySource, ...]
 
     @property
     def covariance(self) -> Array:
@@ -70,11 +70,11 @@ class Known:
         wa, wh, ha, cw, ch = self.point[:NETWORK].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
-    def moved(self, by: Array) -> "Known":
+    def moved(self, by: Array) -> "ThermalParameters":
         """The same somewhere else."""
-        return Known(self.point + by, self.sources)
+        return ThermalParameters(self.point + by, self.sources)
 
-    def estimate(self, name: str, units: str, figure: Callable[["Known"], float]) -> Estimate:
+    def estimate(self, name: str, units: str, figure: Callable[["ThermalParameters"], float]) -> Estimate:
         """A figure above zero that follows, with an interval even in its logarithm; NaN where it is not known."""
         value, slopes = figure(self), np.zeros(len(self.point))
         steps = STEP * self.point
@@ -92,18 +92,18 @@ class Known:
         return Estimate(name, value, std, value * math.exp(-half), value * math.exp(half), units)
 
 
-def parallel(known: Known) -> float:
+def parallel(known: ThermalParameters) -> float:
     """Rwa in parallel with Rwh and Rha in series [K/W]: the rise of the winding for each watt in the end."""
     n = known.network
     return 1.0 / (n.winding_ambient + 1.0 / (1.0 / n.winding_housing + 1.0 / n.housing_ambient))
 
 
-def natural(known: Known) -> Array:
+def natural(known: ThermalParameters) -> Array:
     """The point with the resistance past the housing in place of its conductance."""
     return np.concatenate([[1.0 / known.point[0]], known.point[1:]])
 
 
-def natural_covariance(known: Known) -> Array:
+def natural_covariance(known: ThermalParameters) -> Array:
     """Of `NAMES`, in their order and units."""
     turn = np.ones(len(known.point))
     turn[0] = -1.0 / known.point[0] ** 2
@@ -137,14 +137,16 @@ def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
     scaled = information * np.outer(scale, scale)
     inverse = np.linalg.inv(scaled + FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
     times = [one.time for one in fit.stretches]
-    parts = parts_of(times, fit.residuals, fit.columns)
+    parts = binned_residuals(times, fit.residuals, fit.columns)
     scatter = scatter_of(parts)
-    noise, drift = (sum(column) for column in zip(*(spread_of_sums(part, scatter) for part in parts), strict=True))
+    noise, drift = (sum(column) for column in zip(*(covariance_of_sums(part, scatter) for part in parts), strict=True))
     noise = noise + np.diag((fit.prior * offset_std) ** 2)
     return Uncertainty(inverse @ noise @ inverse, inverse @ drift @ inverse, scatter)
 
 
-def known_of(fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float) -> Known:
+def thermal_parameters(
+    fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
+) -> ThermalParameters:
     """Network and resistance together; `air` is that around the actuator [degC]."""
     network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK])])
     turn = np.diag([1.0, *network[1:]])
@@ -156,11 +158,11 @@ def known_of(fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instrume
         return out
 
     sources = [
-        Source(whole(turn @ found.noise[:NETWORK, :NETWORK] @ turn, 0), math.inf),
-        Source(whole(turn @ found.drift[:NETWORK, :NETWORK] @ turn, 0), found.scatter.dof),
-        Source(whole(line.noise, NETWORK), math.inf),
-        Source(whole(line.drift, NETWORK), line.dof),
-        Source(whole(line.timing, NETWORK), math.inf),
+        UncertaintySource(whole(turn @ found.noise[:NETWORK, :NETWORK] @ turn, 0), math.inf),
+        UncertaintySource(whole(turn @ found.drift[:NETWORK, :NETWORK] @ turn, 0), found.scatter.dof),
+        UncertaintySource(whole(line.noise, NETWORK), math.inf),
+        UncertaintySource(whole(line.drift, NETWORK), line.dof),
+        UncertaintySource(whole(line.timing, NETWORK), math.inf),
     ]
     wa, wh, ha, cw, ch, level, coefficient = point
     apart = coefficient * (REFERENCE - air)
@@ -173,18 +175,18 @@ def known_of(fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instrume
     amperes_std = math.hypot(instruments.current_gain, resolution_of(fit.stretches, "current"))
     stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.stretches)
     for std, slopes in zip(stds, (camera, offset, volts, amperes, scaled), strict=True):
-        sources.append(Source(std**2 * np.outer(slopes, slopes), math.inf))
-    return Known(point, tuple(sources))
+        sources.append(UncertaintySource(std**2 * np.outer(slopes, slopes), math.inf))
+    return ThermalParameters(point, tuple(sources))
 
 
-def noise_of_heat(stretches: Sequence[Stretch]) -> float:
+def noise_of_heat(stretches: Sequence[HeatingRecord]) -> float:
     """What the noise of the supply's readings leaves open of the mean heat, relative."""
     heat = np.concatenate([one.supply.heat[one.supply.on] for one in stretches])
     noise = math.sqrt(float(np.mean((heat[2:] - 2.0 * heat[1:-1] + heat[:-2]) ** 2)) / 6.0)
     return noise / math.sqrt(len(heat)) / float(np.mean(heat))
 
 
-def resolution_of(stretches: Sequence[Stretch], name: str) -> float:
+def resolution_of(stretches: Sequence[HeatingRecord], name: str) -> float:
     """What resolution leaves open of readings while on that neither noise nor drift moves over a step, relative.
 
     Readings that are the same throughout do not show their step, and count as exact.

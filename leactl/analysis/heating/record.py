@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Noted, listed
 from leactl.analysis.quality.gate import hanging
-from leactl.analysis.quality.hanging import longest_row
+from leactl.analysis.quality.hanging import longest_repeat
 from leactl.analysis.quality.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.model.thermal_network import ACTIVE_SHARE
@@ -35,7 +35,7 @@ SHORTEST_S, FEWEST = 60.0, 100  # of a stretch with heat and frames
 
 
 @dataclass(frozen=True, eq=False)
-class Supply:
+class SupplyRecord:
     """Current and voltage of the two leads on one clock, none missing."""
 
     time: Array  # s
@@ -53,13 +53,13 @@ class Supply:
         """Readings with the current switched on."""
         return np.asarray(np.abs(self.current) > FLOWS * np.max(np.abs(self.current)))
 
-    def within(self, part: slice) -> "Supply":
+    def within(self, part: slice) -> "SupplyRecord":
         """A part of it."""
         return replace(self, time=self.time[part], current=self.current[part], voltage=self.voltage[part])
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class HeatingRecord:
     """A part of a run whose heat is known throughout; NaN where the camera missed a frame."""
 
     place: str
@@ -67,11 +67,11 @@ class Stretch:
     winding: Array  # degC, equivalent
     housing: Array  # degC
     active: Array  # degC
-    supply: Supply
+    supply: SupplyRecord
     ambient: Array | None  # degC, at the stamps of the supply
 
 
-def stretches(run: Run) -> Noted[list[Stretch]]:
+def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
     """Return the parts of a run in which heat and temperatures are both known; notes say what is left out.
 
     Raises
@@ -103,7 +103,7 @@ def stretches(run: Run) -> Noted[list[Stretch]]:
             continue
         ambient = None if air.value is None else np.interp(heat.time, *air.value)
         temperatures = (camera.time[frames], winding[frames], housing[frames], active[frames])
-        records.append(Stretch(str(run.path), *temperatures, heat, ambient))
+        records.append(HeatingRecord(str(run.path), *temperatures, heat, ambient))
     if not records:
         raise NotIdentifiable(
             f"{run.path}: camera and supply never record together for {SHORTEST_S:g} s; both are needed"
@@ -116,7 +116,7 @@ def frames_of(run: Run) -> int:
     return len(run.channels(WINDING)[0].time)
 
 
-def supply_of(run: Run) -> Noted[Supply]:
+def supply_of(run: Run) -> Noted[SupplyRecord]:
     """Return current and voltage of the leads at the stamps of the voltage; a note counts the missing readings."""
     current, voltage = run.channel(CURRENT), run.channel(VOLTAGE)
     amperes, volts = np.isfinite(current.values), np.isfinite(voltage.values)
@@ -129,7 +129,7 @@ def supply_of(run: Run) -> Noted[Supply]:
     good = volts & (voltage.time >= current.time[amperes][0]) & (voltage.time <= current.time[amperes][-1])
     missing = int(np.sum(~np.isfinite(voltage.values))) + int(np.sum(~np.isfinite(current.values)))
     time = voltage.time[good]
-    supply = Supply(
+    supply = SupplyRecord(
         time,
         np.interp(time, current.time[amperes], current.values[amperes]),
         voltage.values[good],
@@ -185,7 +185,7 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
     channels, notes, columns = moving.value, [*moving.notes], []
     for channel in channels:
         refuse_not_celsius(run, channel)
-        unclipped = within_range(run, channel)
+        unclipped = without_clipped(run, channel)
         notes += unclipped.notes
         same = len(channel.time) == len(time) and np.array_equal(channel.time, time)
         columns.append(unclipped.value.values if same else onto(time, unclipped.value))
@@ -207,7 +207,7 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
 
 def without_hanging(run: Run, channels: Sequence[Channel]) -> Noted[list[Channel]]:
     """Leave out channels that hang; where all of them hang, replace only the repeated readings by NaN."""
-    rows = [longest_row(channel.values) for channel in channels]
+    rows = [longest_repeat(channel.values) for channel in channels]
     hung = [row is not None and bool(hanging(run, channel, row)) for channel, row in zip(channels, rows, strict=True)]
     if not any(hung):
         return Noted(list(channels))
@@ -267,7 +267,7 @@ def refuse_clipped(run: Run, channel: Channel) -> None:
         )
 
 
-def within_range(run: Run, channel: Channel) -> Noted[Channel]:
+def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
     """Replace readings at the end of a camera's range by NaN; a note says how many."""
     end = clipped(channel)
     if end is None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.heating.network import NetworkFit
-from leactl.analysis.heating.record import Array, Stretch
-from leactl.analysis.heating.scatter import parts_of, scatter_of, spread_of_sums
+from leactl.analysis.heating.record import Array, HeatingRecord
+from leactl.analysis.heating.scatter import binned_residuals, covariance_of_sums, scatter_of
 from leactl.errors import NotIdentifiable
 
 REFERENCE = 25.0  # degC, at which the resistance is told
@@ -62,11 +62,11 @@ def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
     left = resistance - design @ np.array([level, slope])
     edges = np.cumsum([0, *(len(one[0]) for one in found)])
     there = [slice(a, b) for a, b in itertools.pairwise(edges.tolist()) if b > a]
-    parts = parts_of(
+    parts = binned_residuals(
         [time[at] for at in there], [left[None, at] for at in there], [instruments[None, at] for at in there]
     )
     scatter = scatter_of(parts).weighed
-    sums = [spread_of_sums(part, scatter) for part in parts]
+    sums = [covariance_of_sums(part, scatter) for part in parts]
     # of (level, slope) first, then of the coefficient, which is slope over level
     turn = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
     noise, drift = (turn @ sum(one[k] for one in sums) @ turn.T for k in (0, 1))
@@ -86,7 +86,7 @@ def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
     )
 
 
-def while_on(stretch: Stretch, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
+def while_on(stretch: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Means: time [s], active windings, these by the means around [degC], winding's rate [K/s], resistance [ohm]."""
     supply, stamps = stretch.supply, stretch.time - lag
     changes = np.flatnonzero(np.diff(supply.on.astype(np.int8), prepend=0, append=0))

@@ -23,7 +23,7 @@ TRIES = (10.0, 200.0)  # s
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BinnedResiduals:
     """Residuals and columns of one stretch in bins: sums for the estimate, means for what it is held against."""
 
     pace: float  # s
@@ -56,7 +56,9 @@ class Scatter:
         return max(self.span / (2.0 * self.lasts) - 1.0, 1.0)
 
 
-def parts_of(times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]) -> list[Part]:
+def binned_residuals(
+    times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]
+) -> list[BinnedResiduals]:
     """Stretches in bins; residuals of shape (nodes, frames), NaN where missing, columns (nodes, frames, unknowns)."""
     found = []
     for time, left, column in zip(times, residuals, columns, strict=True):
@@ -72,11 +74,11 @@ def parts_of(times: Sequence[Array], residuals: Sequence[Array], columns: Sequen
             products[node] = column[node][seen].T @ column[node][seen] * np.mean(count[count > 0])
             for k in range(column.shape[2]):
                 sums[node, :, k] = np.bincount(bins[seen], column[node][seen, k], size)
-        found.append(Part(pace, means, sums, products))
+        found.append(BinnedResiduals(pace, means, sums, products))
     return found
 
 
-def scatter_of(parts: Sequence[Part]) -> Scatter:
+def scatter_of(parts: Sequence[BinnedResiduals]) -> Scatter:
     """Noise and drift by restricted maximum likelihood."""
     from scipy.optimize import minimize
 
@@ -114,7 +116,7 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
     return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span, without, seen)
 
 
-def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:
+def covariance_of_sums(part: BinnedResiduals, scatter: Scatter) -> tuple[Array, Array]:
     """Covariance of sums of residuals weighted by the columns, by noise and by drift: (unknowns, unknowns) each."""
     bins = part.columns.shape[1]
     padded = np.fft.rfft(part.columns, 2 * bins, axis=1)
@@ -152,7 +154,7 @@ class Spectrum:
     pace: float  # s
 
 
-def _spectra(parts: Sequence[Part], spread: Array) -> list[Spectrum]:
+def _spectra(parts: Sequence[BinnedResiduals], spread: Array) -> list[Spectrum]:
     columns = [part.columns / spread[:, None, None] for part in parts]
     length = np.sqrt(sum(np.sum(one**2, axis=(0, 1)) for one in columns))
     length[length == 0.0] = 1.0

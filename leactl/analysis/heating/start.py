@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import correlate, correlation_lags
 
-from leactl.analysis.heating.record import FEWEST, LONGEST_LAG_S, Array, Stretch, Supply
+from leactl.analysis.heating.record import FEWEST, LONGEST_LAG_S, Array, HeatingRecord, SupplyRecord
 from leactl.errors import NotIdentifiable
 
 THIN_S = 2.0  # pace of the record that the first fit goes by
@@ -18,7 +18,7 @@ LAG_EDGE = 6.0  # times what other lags give, by which one has to stand out
 MARGIN_S = 1.0  # that a lag may be off by after the search
 
 
-def covered(stretch: Stretch, lag: float) -> Stretch:
+def covered(stretch: HeatingRecord, lag: float) -> HeatingRecord:
     """The frames of a stretch at which its heat is known, where the camera's clock is late by a lag [s].
 
     Raises
@@ -38,12 +38,12 @@ def covered(stretch: Stretch, lag: float) -> Stretch:
     return found
 
 
-def thinned(stretch: Stretch) -> Stretch:
+def thinned(stretch: HeatingRecord) -> HeatingRecord:
     """Means over `THIN_S` of frames and heat."""
     supply = stretch.supply
     edges = np.arange(supply.time[0], supply.time[-1], THIN_S)
     heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_S
-    means = Supply(edges, heat, np.ones(len(edges)), True)
+    means = SupplyRecord(edges, heat, np.ones(len(edges)), True)
     ambient = None if stretch.ambient is None else np.interp(edges, supply.time, stretch.ambient)
     bins = ((stretch.time - stretch.time[0]) / THIN_S).astype(np.int64)
     columns = {name: _binned(bins, getattr(stretch, name)) for name in ("time", "winding", "housing", "active")}
@@ -52,14 +52,14 @@ def thinned(stretch: Stretch) -> Stretch:
     return replace(stretch, **kept, supply=means, ambient=ambient)
 
 
-def energy(supply: Supply) -> Array:
+def energy(supply: SupplyRecord) -> Array:
     """What went in up to each stamp [J]."""
     if supply.means:
         return np.concatenate([[0.0], np.cumsum(supply.heat[1:] * np.diff(supply.time))])
     return np.asarray(cumulative_trapezoid(supply.heat, supply.time, initial=0.0), np.float64)
 
 
-def guesses(thin: Sequence[Stretch]) -> list[Array]:
+def guesses(thin: Sequence[HeatingRecord]) -> list[Array]:
     """First tries of the five parameters of the network, from the hottest stretch."""
     hottest = max(thin, key=lambda one: float(np.nanmax(one.winding) - np.nanmin(one.winding)))
     housing, winding, supply = hottest.housing, hottest.winding, hottest.supply
@@ -79,7 +79,7 @@ def guesses(thin: Sequence[Stretch]) -> list[Array]:
     return found
 
 
-def starting_lag(stretch: Stretch) -> float:
+def starting_lag(stretch: HeatingRecord) -> float:
     """How late the camera's clock seems to be [s]: where its slopes change as the heat does; zero where none does."""
     supply = stretch.supply
     edges = np.arange(supply.time[0], supply.time[-1], LAG_PACE_S)

@@ -22,7 +22,7 @@ def gain_std(runs: Sequence[Run], quantity: str, told: float | None) -> float:
     return told
 
 
-def doubts(stds: Mapping[str, float], where: str) -> list[str]:
+def calibration_notes(stds: Mapping[str, float], where: str) -> list[str]:
     """What a reader must know of factors on results, by whose they are; one of 0 is not known."""
     told = {of: std for of, std in stds.items() if std}
     silent = [of for of in stds if of not in told]

@@ -19,20 +19,20 @@ VOLTAGES = {
 WITHIN = 0.02
 
 
-def named(ratio: float) -> str:
+def reason_for_torque_constant(ratio: float) -> str:
     """What a torque constant this many times too large says of its current; empty where it says nothing."""
-    why = of(ratio, CONVENTIONS)
+    why = reason_for_factor(ratio, CONVENTIONS)
     return f"{why}; check current_convention" if why else ""
 
 
-def named_by_voltages(ratio: float, measured: bool) -> str:
+def reason_for_ratio(ratio: float, measured: bool) -> str:
     """The same where it is too large for a back-EMF constant; in a model that has it no current was `measured`."""
-    why, volts = named(ratio), of(ratio, VOLTAGES)
+    why, volts = reason_for_torque_constant(ratio), reason_for_factor(ratio, VOLTAGES)
     if why and not measured:
         why = "the model's torque constant may be one per ampere of another current than that of the q axis"
     return "; or ".join(filter(None, (why, volts) if measured else (volts, why)))
 
 
-def of(ratio: float, reasons: Mapping[float, str]) -> str:
+def reason_for_factor(ratio: float, reasons: Mapping[float, str]) -> str:
     """The reason whose factor this is; empty where there is none."""
     return next((why for factor, why in reasons.items() if abs(ratio / factor - 1.0) < WITHIN), "")

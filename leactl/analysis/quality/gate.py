@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from leactl.analysis.quality.following import following
-from leactl.analysis.quality.hanging import Row, hangs, longest_row, stands_while
+from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_other_moves
 from leactl.analysis.quality.saturation import clipped
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
-from leactl.analysis.signals.levels import Held, span
+from leactl.analysis.signals.levels import HoldSelector, span
 from leactl.runfile.reader import Array, Channel, Run
 
 DEMANDS = {
@@ -52,7 +52,7 @@ CLEAR = 10.0  # counts of the encoder: below, the shaft may stand
 SURE = 5.0  # standard deviations of what a velocity's noise adds up to in a part: a chance of 1e-6 a part
 
 
-def doubts_of(run: Run) -> list[str]:
+def channel_doubts(run: Run) -> list[str]:
     """Notes on the channels of a run that cannot be believed; those that contradict their demand are condemned."""
     notes = beyond_limits([run], [name for name in LIMITS if run.channels(name)])
     notes += [note for role in ("test", "load") for note in contradicting_motion(run, role)]
@@ -64,14 +64,14 @@ def doubts_of(run: Run) -> list[str]:
             channel = run.channel_at(f"{stream}/{spec.name}")
             if not np.isfinite(channel.values).any():
                 continue
-            notes += judged(run, f"{stream}/{spec.name}", channel)
+            notes += notes_on_channel(run, f"{stream}/{spec.name}", channel)
     return notes
 
 
-def judged(run: Run, name: str, channel: Channel) -> Iterator[str]:
+def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
     """What is wrong with one channel, a note each."""
     opening = f"{run.path}: {label_of(channel)}"
-    row = longest_row(channel.values)
+    row = longest_repeat(channel.values)
     hint = hanging(run, channel, row) if row is not None else ""
     reason = contradiction(run, channel)
     if not reason and hint and channel.quantity in DEMANDS and row is not None:
@@ -125,11 +125,11 @@ def contradiction(run: Run, channel: Channel) -> str:
     return ""
 
 
-def hanging(run: Run, channel: Channel, row: Row) -> str:
+def hanging(run: Run, channel: Channel, row: RepeatedReading) -> str:
     """Where a channel repeats one reading that it should not; empty where it may."""
     if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, row):
         return ""  # the analysis says so, and does without those readings
-    moved = any(stands_while(row, other) for other in companions(run, channel))
+    moved = any(stands_while_other_moves(row, other) for other in companions(run, channel))
     resting = channel.quantity in AT_REST and row.value == 0.0
     if not moved and (resting or channel.quantity == "angle" or not hangs(channel.values, row)):
         return ""
@@ -141,7 +141,7 @@ def hanging(run: Run, channel: Channel, row: Row) -> str:
     )
 
 
-def standing(run: Run, channel: Channel, row: Row | None) -> str:
+def standing(run: Run, channel: Channel, row: RepeatedReading | None) -> str:
     """What else is to be told of a reading that stays as it is, or that no laboratory has; empty for most."""
     lasts = row is not None and row.value != 0.0 and row.length > STANDS * len(channel.values)
     if row is not None and lasts and channel.quantity == "line_voltage":
@@ -159,7 +159,7 @@ def standing(run: Run, channel: Channel, row: Row | None) -> str:
     return ""
 
 
-def leaves_its_range(channel: Channel, row: Row) -> bool:
+def leaves_its_range(channel: Channel, row: RepeatedReading) -> bool:
     """Whether a row is the end of a sensor's range, to which readings come and from which they go again."""
     return clipped(channel) == row.value and row.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
 
@@ -174,7 +174,7 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
     if reference is not None or quantity not in HELD:
         return reference
     demand = np.full(len(channel.time), np.nan)
-    for hold in Held(HELD[quantity], "", channel.role).levels(run):
+    for hold in HoldSelector(HELD[quantity], "", channel.role).levels(run):
         demand[span(channel, hold.start, hold.stop)] = hold.setpoint
     return demand if np.isfinite(demand).any() else None
 

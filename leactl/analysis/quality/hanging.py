@@ -19,7 +19,7 @@ STEPPED = 0.5  # of the whole span of what a channel follows, that this moves wh
 BOTH_SIDES = 5  # readings on each side of such a move: the first ones after a move may come late
 
 
-class Row(NamedTuple):
+class RepeatedReading(NamedTuple):
     """The longest row of equal readings."""
 
     first: int
@@ -32,7 +32,7 @@ class Row(NamedTuple):
         return self.last - self.first + 1
 
 
-def longest_row(values: Array) -> Row | None:
+def longest_repeat(values: Array) -> RepeatedReading | None:
     """The longest row of equal numbers; None of a record without two."""
     new, lengths = rows(values)
     starts = np.flatnonzero(new)
@@ -40,10 +40,10 @@ def longest_row(values: Array) -> Row | None:
     if not len(numbers) or numbers.max() < 2:
         return None
     at = int(np.argmax(numbers))
-    return Row(int(starts[at]), int(starts[at] + lengths[at] - 1), float(values[starts[at]]))
+    return RepeatedReading(int(starts[at]), int(starts[at] + lengths[at] - 1), float(values[starts[at]]))
 
 
-def hangs(values: Array, row: Row) -> bool:
+def hangs(values: Array, row: RepeatedReading) -> bool:
     """Whether a row is longer than the noise of the other readings lets it be by chance."""
     if row.length < max(FEWEST, LASTING * len(values)):
         return False
@@ -55,7 +55,7 @@ def hangs(values: Array, row: Row) -> bool:
     return share <= NOISY and (share == 0.0 or row.length >= math.ceil(math.log(IMPROBABLE) / math.log(share)))
 
 
-def stands_while(row: Row, other: Array) -> bool:
+def stands_while_other_moves(row: RepeatedReading, other: Array) -> bool:
     """Whether `other`, which the channel follows, moves far and stays there for readings within the row."""
     seen = other[np.isfinite(other)]
     within = other[row.first : row.last + 1]

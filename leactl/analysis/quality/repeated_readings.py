@@ -20,7 +20,7 @@ IMPROBABLE = 1e-9  # that noise alone makes so long a row of equal readings
 FEWEST = 5  # readings in such a row
 
 
-def without_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
+def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
     """The channel with readings that came again as missed, and how many those are in the holds' settled parts."""
     parts = [span(channel, hold.start, hold.stop) for hold in holds]
     seen = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from leactl.analysis.estimate import NAN, Noted, listed
-from leactl.analysis.quality.repeated_readings import without_repeats
+from leactl.analysis.quality.repeated_readings import mask_repeats
 from leactl.analysis.quality.saturation import saturated
-from leactl.analysis.signals.levels import CURRENT_HELD, Held, Hold, span
+from leactl.analysis.signals.levels import CURRENT_HOLDS, Hold, HoldSelector, span
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
 
-def usable(run: Run, quantity: str, held: Held = CURRENT_HELD, least: int = 2) -> Noted[Channel]:
+def usable_channel(run: Run, quantity: str, held: HoldSelector = CURRENT_HOLDS, least: int = 2) -> Noted[Channel]:
     """Return a channel of the test actuator with NaN for saturated and repeated readings, and a note on each kind.
 
     Parameters
@@ -33,8 +33,8 @@ def usable(run: Run, quantity: str, held: Held = CURRENT_HELD, least: int = 2) -
             needed = "two levels or more" if least > 1 else "one level or more"
             raise NotIdentifiable(f"{run.path}: {where}; {needed} within the sensor's range are needed")
         notes.append(f"{run.path}: {where}, which do not count")
-    without_repeats = fresh(unsaturated, holds, str(run.path))
-    return Noted(without_repeats.value, (*notes, *without_repeats.notes))
+    distinct = without_repeated_readings(unsaturated, holds, str(run.path))
+    return Noted(distinct.value, (*notes, *distinct.notes))
 
 
 def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict[float, list[Hold]]]:
@@ -52,8 +52,8 @@ def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict
     return channel, ends
 
 
-def fresh(channel: Channel, holds: Sequence[Hold], place: str) -> Noted[Channel]:
+def without_repeated_readings(channel: Channel, holds: Sequence[Hold], place: str) -> Noted[Channel]:
     """Replace repeated readings by NaN; a note opened by `place` says how many lie in the holds."""
-    kept, count = without_repeats(channel, holds)
+    kept, count = mask_repeats(channel, holds)
     what = f"{count} readings of {channel.quantity} came again in place of new ones and count as missed"
     return Noted(kept, (f"{place}: {what}",) if count else ())

@@ -57,7 +57,7 @@ BEYOND = 3.0  # times a limit of the bench
 NEARLY_ALL = 0.99  # of the readings, so that a spike is none
 
 
-def doubted(
+def unit_notes(
     runs: Sequence[Run],
     results: Sequence[Estimate],
     over: Sequence[str],
@@ -72,30 +72,30 @@ def doubted(
     given : the torque constant that a caller gave, which the results are in proportion to as well.
     """
     notes = []
-    model = carried(runs[0], "model")
+    model = source_in_run(runs[0], "model")
     own = positive(model.get("torque_constant"))
     limit = FIGURES["torque_constant"][0]
     if given is not None and not 1.0 / limit <= given / own <= limit and math.isfinite(own):
         notes.append(
             f"the torque constant {given:g} N*m/A, as given, is {given / own:.4g} times the model's {own:g} N*m/A:"
-            f" {asked(given / own, [GIVEN])}"
+            f" {unit_question(given / own, [GIVEN])}"
         )
     if given is not None:
         over = [*over, GIVEN]
     told: list[str] = []
     ratios: list[float] = []
     for item in results:
-        if (ratio := far_off(item, model)) is not None:
+        if (ratio := ratio_to_model(item, model)) is not None:
             whose = "its" if told else "the model's"
             told.append(f"{item.name} is {ratio:.4g} times {whose} {item.value / ratio:.4g} {item.units}")
             ratios.append(ratio)
     if told:
         telling = min(ratios, key=off_a_unit)  # one of them may be off by the machine as well
-        notes.append(f"{', '.join(told)}: {asked(telling, over, under)}")
+        notes.append(f"{', '.join(told)}: {unit_question(telling, over, under)}")
     return notes + beyond_limits(runs, [*over, *under])
 
 
-def far_off(item: Estimate, model: dict[str, Any]) -> float | None:
+def ratio_to_model(item: Estimate, model: dict[str, Any]) -> float | None:
     """How many times the model's figure a result is where its whole interval is beyond what may be; None elsewhere."""
     if item.name not in FIGURES:
         return None
@@ -107,7 +107,7 @@ def far_off(item: Estimate, model: dict[str, Any]) -> float | None:
     return ratio if above or below else None
 
 
-def asked(ratio: float, over: Sequence[str], under: Sequence[str] = ()) -> str:
+def unit_question(ratio: float, over: Sequence[str], under: Sequence[str] = ()) -> str:
     """The question by which a unit that makes this ratio is named where one does, and what to check."""
     power = round(math.log10(ratio) / 3.0)
     named = []
@@ -130,7 +130,7 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
     """A note for each quantity of the test actuator whose readings are beyond the limit in the run's bench file."""
     notes = []
     for quantity in quantities:
-        far = [(run, *found) for run in runs if (found := beyond(run, quantity)) is not None]
+        far = [(run, *found) for run in runs if (found := reading_beyond_limit(run, quantity)) is not None]
         if far:
             _, most, limit = max(far, key=lambda item: item[1] / item[2])
             unit = VOCABULARY[quantity]
@@ -141,9 +141,9 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
     return notes
 
 
-def beyond(run: Run, quantity: str) -> tuple[float, float] | None:
+def reading_beyond_limit(run: Run, quantity: str) -> tuple[float, float] | None:
     """The highest reading of a run but for spikes, and the limit, where it is far beyond."""
-    limits = carried(run, "bench").get("limits")
+    limits = source_in_run(run, "bench").get("limits")
     limit = positive(limits.get(LIMITS.get(quantity, ""))) if isinstance(limits, dict) else math.nan
     if not math.isfinite(limit):
         return None
@@ -152,7 +152,7 @@ def beyond(run: Run, quantity: str) -> tuple[float, float] | None:
     return (most, limit) if most > BEYOND * limit else None
 
 
-def carried(run: Run, name: str) -> dict[str, Any]:
+def source_in_run(run: Run, name: str) -> dict[str, Any]:
     """The model or the bench file in a run; empty where a foreign run has none, or none that can be read."""
     try:
         if name == "model":

@@ -12,7 +12,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
-from leactl.analysis.statistics.jackknife import LevelValue, Reading, mean_of_levels, over_trials
+from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
 from leactl.analysis.statistics.regression import Array
 
 HALF_POWER = math.sqrt(0.5)
@@ -94,10 +94,10 @@ def _crossing_over(
 ) -> LevelValue:
     whole = together(spectra)
 
-    def crossing(kept: Sequence[int]) -> Reading:
+    def crossing(kept: Sequence[int]) -> TrialFigure:
         left = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
         response = method.response(whole.plus(together(left), -1) if left else whole)
         (low, high), (first, _), (_, last) = (within(response, known, gain) for gain in gains)
-        return Reading(low, shared=(max(low - first, last - low),)) if low == high else Reading(NAN)
+        return TrialFigure(low, shared=(max(low - first, last - low),)) if low == high else TrialFigure(NAN)
 
     return over_trials(len(spectra), crossing)

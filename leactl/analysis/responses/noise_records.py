@@ -23,7 +23,7 @@ EVEN = 0.2  # of an interval that stamps may be off
 
 
 @dataclass(frozen=True)
-class Loop:
+class NoiseExperiment:
     """What a noise experiment looks at."""
 
     experiment: str
@@ -35,7 +35,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class NoiseRecord:
     """Reference and response over one stretch of noise, without gaps."""
 
     level: float
@@ -46,7 +46,7 @@ class Record:
     answer: Array
 
 
-def records_of(run: Run, loop: Loop) -> Noted[list[Record]]:
+def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     """Return the usable records of noise of a run; notes say why others are left out.
 
     Raises
@@ -61,10 +61,10 @@ def records_of(run: Run, loop: Loop) -> Noted[list[Record]]:
     holds = [Hold(float(step.parameters[loop.offset]), 0, step.start + step.settle, step.stop) for step in steps]
     value, clipped = saturated(measured, holds)
     at_end = {hold.start for hold in clipped}
-    found: list[Record] = []
+    found: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
-        record: Record | str = f"{loop.response} is clipped at {value:g} {measured.units}"
+        record: NoiseRecord | str = f"{loop.response} is clipped at {value:g} {measured.units}"
         if hold.start not in at_end:
             record = _record(str(run.path), asked, measured, step, loop)
         if isinstance(record, str):
@@ -84,7 +84,7 @@ def _is_noise(step: Step, offset: str) -> bool:
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
 
 
-def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loop) -> Record | str:
+def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: NoiseExperiment) -> NoiseRecord | str:
     """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
     from scipy.signal import butter, sosfilt
 
@@ -114,7 +114,7 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
         return "the reference does not move"
     seed = step.parameters.get("seed", f"{place} {step.start:g}")
     level = float(step.parameters[loop.offset])
-    return Record(level, seed, interval, reach, *columns)
+    return NoiseRecord(level, seed, interval, reach, *columns)
 
 
 def _cut(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:

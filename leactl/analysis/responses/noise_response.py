@@ -14,8 +14,8 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.responses.bandwidth import HALF_POWER, bandwidth_of
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
-from leactl.analysis.responses.noise_records import Loop, Record, records_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.responses.noise_records import NoiseExperiment, NoiseRecord, records_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -26,7 +26,7 @@ SAMPLED = 0.1  # of the record's rate, above which holding and sampling show
 SHOWN = 80  # points of a level in a plot
 
 
-def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
+def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     """Bandwidth of the test actuator's loop.
 
     `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it does not in the band that
@@ -38,8 +38,8 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     MissingChannel : a run has no reference or no response of the test actuator.
     NotIdentifiable : no noise with data, no band of enough coherence, or a response against its reference.
     """
-    place = f"{place_of(runs)}: {loop.experiment}"
-    notes = expect_setup(runs, (loop.setup,), "the response is that of another load")
+    place = f"{paths_of(runs)}: {loop.experiment}"
+    notes = setup_notes(runs, (loop.setup,), "the response is that of another load")
     every_record = joined(records_of(run, loop) for run in runs)
     records = every_record.value
     notes += every_record.notes
@@ -76,7 +76,7 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     return Result(loop.experiment, tuple(str(run.path) for run in runs), results, tuple(notes), plots)
 
 
-def spectra_of(records: Sequence[Record], method: BlackmanTukey) -> dict[float, list[Spectra]]:
+def spectra_of(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
     """Spectra by level, one for each noise: records of the same noise are no trials of their own."""
     found: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):

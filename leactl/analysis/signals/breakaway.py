@@ -10,7 +10,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.statistics.regression import Array
-from leactl.analysis.statistics.trial_means import Trial
+from leactl.analysis.statistics.trial_means import TrialLabel
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
@@ -21,29 +21,29 @@ FEWEST = 20  # readings of torque in it
 
 
 @dataclass(frozen=True, eq=False)
-class LettingGo:
+class Breakaway:
     """One breakaway: its torque, against the motion, and what is around it."""
 
-    trial: Trial
+    trial: TrialLabel
     torque: float  # N*m, against the motion, the sensor's zero in it
     time: Array  # s, since the shaft moved
     along: Array  # N*m
 
 
-def lettings_go(run: Run, number: int, torque: Channel) -> Noted[list[LettingGo]]:
+def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakaway]]:
     """Return every usable breakaway of run `number`; notes say why others cannot be used."""
     angle = run.channel("angle")
-    breakaways: list[LettingGo] = []
+    breakaways: list[Breakaway] = []
     left_out: dict[str, list[str]] = {}
     for step in (step for step in run.steps if step.name == BREAKAWAY):
         try:
-            breakaways.append(letting_go(number, step, angle, torque))
+            breakaways.append(breakaway_of(number, step, angle, torque))
         except NotIdentifiable as fault:
             left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
     return Noted(breakaways, tuple(tally(left_out, f"{run.path}")))
 
 
-def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> LettingGo:
+def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Breakaway:
     """One breakaway.
 
     Raises
@@ -57,7 +57,7 @@ def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> Lett
     time, along = torque.time[part] - moment, -side * torque.values[part]
     if len(time) < FEWEST:
         raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
-    return LettingGo(Trial(number, side), corner(time, along), time, along)
+    return Breakaway(TrialLabel(number, side), corner(time, along), time, along)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Series
 from leactl.analysis.run_model import rotor_inertia_of_model
 from leactl.analysis.statistics.regression import Array
-from leactl.analysis.statistics.trial_means import Trial, mean_of
+from leactl.analysis.statistics.trial_means import TrialLabel, mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
@@ -36,13 +36,13 @@ SHOWN = 512  # angles in the figure
 class Turn:
     """Torque over one whole turn, taken apart: element n belongs to n periods a turn."""
 
-    trial: Trial
+    trial: TrialLabel
     parts: Parts  # N*m, amplitudes
     read: Parts  # N*m, as the sensor has them, without what inertia and damping take
 
 
 @dataclass(frozen=True)
-class Rotor:
+class RotorDynamics:
     """What a rotor takes of the torque when its speed ripples."""
 
     inertia: float  # kg*m^2
@@ -64,7 +64,7 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
     angle, velocity = run.channel("angle"), run.channel("velocity")
     seen, known = np.isfinite(angle.values), np.isfinite(velocity.values)
     inertia = inertia_of(run)
-    rotor = Rotor(inertia.value, damping)
+    rotor = RotorDynamics(inertia.value, damping)
     turns, notes = [], [*inertia.notes]
     for step in (step for step in run.steps if step.name == TURN):
         part = (torque.time >= step.start + step.settle) & (torque.time < step.stop) & np.isfinite(torque.values)
@@ -78,7 +78,7 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
         whole = np.abs(way - way[0]) < WHOLE
         speed = np.interp(time[whole], velocity.time[known], velocity.values[known])
         read, ripple = taken_apart(way[whole], np.abs(speed), np.stack([torque.values[part][whole], speed]))
-        turns.append(Turn(Trial(number, side), read + rotor.taken(float(speed.mean()), ripple), read))
+        turns.append(Turn(TrialLabel(number, side), read + rotor.taken(float(speed.mean()), ripple), read))
     return Noted(turns, tuple(notes))
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.run_model import model_of, positive
-from leactl.analysis.statistics.regression import Array, Fit, least_squares, one_column_each, t_quantile
+from leactl.analysis.statistics.regression import Array, LeastSquaresFit, indicator_columns, least_squares, t_quantile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -30,7 +30,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Limited:
+class SpeedHolds:
     """Holds by speed [rad/s] and current [A], which of them the voltage limited, and their runs."""
 
     speed: Array
@@ -41,7 +41,7 @@ class Limited:
     run: npt.NDArray[np.int64]
 
 
-def corner(runs: Sequence[Run], holds: Limited, place: str) -> Noted[Estimate]:
+def corner_speed(runs: Sequence[Run], holds: SpeedHolds, place: str) -> Noted[Estimate]:
     """Estimate the speed above which the voltage leaves less current than the setpoint.
 
     The value is NaN, between the speeds of the neighbouring holds, where too few holds lie beyond the corner.
@@ -90,7 +90,7 @@ def reactance_of(runs: Sequence[Run]) -> Noted[float]:
     return Noted(0.0, (note,))
 
 
-def fitted(holds: Limited, reactance: float, place: str) -> tuple[float, float, float]:
+def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, float, float]:
     """The corner [rad/s], its standard error by the scatter of the holds, and the degrees of freedom of that.
 
     Raises
@@ -98,12 +98,12 @@ def fitted(holds: Limited, reactance: float, place: str) -> tuple[float, float, 
     NotIdentifiable : speeds that do not tell the unknowns.
     """
     speed, current = holds.speed[holds.limited], holds.current[holds.limited]
-    repeats = one_column_each(repeats_of(holds)[holds.limited])
+    repeats = indicator_columns(repeats_of(holds)[holds.limited])
     apart = repeats[:, 1:] - repeats[:, :1]  # zero in the mean over repeats
     share = (current / holds.asked) ** 2
     unknowns = [float((speed + current * (speed.max() / holds.asked)).mean()), 0.5 * float(speed.max()) / holds.asked]
     theta = np.array([*unknowns, *np.zeros(1 + apart.shape[1])])
-    fit: Fit | None = None
+    fit: LeastSquaresFit | None = None
     for _ in range(ROUNDS):
         root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, LEAST_ROOT * theta[0] ** 2))
         resistance = np.column_stack([np.ones_like(share), share, apart])
@@ -133,7 +133,7 @@ def groups_of(speed: Array) -> npt.NDArray[np.int64]:
     return group
 
 
-def repeats_of(holds: Limited) -> npt.NDArray[np.int64]:
+def repeats_of(holds: SpeedHolds) -> npt.NDArray[np.int64]:
     """How often the same speed was driven before, in order of the holds."""
     group = groups_of(holds.speed)
     return np.array([int(np.sum(group[:k] == group[k])) for k in range(len(group))])

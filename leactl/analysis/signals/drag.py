@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import Estimate, Noted, tally
-from leactl.analysis.signals.levels import Levels
+from leactl.analysis.signals.levels import HoldMeans
 from leactl.analysis.statistics.linefit import LineFit, fit_lines
-from leactl.analysis.statistics.regression import Array, Fit
+from leactl.analysis.statistics.regression import Array, LeastSquaresFit
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -24,7 +24,7 @@ UNSTEADY = 0.02  # of the setpoint, between the quarters of a settled part
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
-def reached(runs: Sequence[Run], levels: Levels, place: str) -> Noted[Levels]:
+def at_setpoint(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMeans]:
     """Keep the holds in which the shaft turned steadily at its setpoint; notes name the others and why.
 
     Raises
@@ -57,7 +57,7 @@ def reached(runs: Sequence[Run], levels: Levels, place: str) -> Noted[Levels]:
     return Noted(levels.where(kept), tuple(notes))
 
 
-def fit_drag(levels: Levels, torque: Array, place: str) -> LineFit:
+def fit_drag(levels: HoldMeans, torque: Array, place: str) -> LineFit:
     """The torque that keeps the shaft turning, fitted over velocity; each run has a zero of its own.
 
     Where the shaft turned one way alone, that zero is part of the Coulomb friction and is no term of the fit.
@@ -69,7 +69,7 @@ def fit_drag(levels: Levels, torque: Array, place: str) -> LineFit:
     return fit_lines(columns, torque, levels, place)
 
 
-def both_ways(levels: Levels) -> bool:
+def both_ways(levels: HoldMeans) -> bool:
     """Whether the shaft turned in both directions."""
     return len(np.unique(np.sign(levels.value[VELOCITY]))) == 2
 
@@ -95,6 +95,6 @@ def weights_at(line: LineFit, speed: float) -> Array:
     return weights
 
 
-def drag_at(fit: Fit, line: LineFit, speeds: Array) -> Array:
+def drag_at(fit: LeastSquaresFit, line: LineFit, speeds: Array) -> Array:
     """Drag torque at these speeds [N*m]."""
     return np.array([fit.combined(weights_at(line, float(speed)))[0] for speed in speeds])

@@ -40,7 +40,7 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Mean:
+class SettledMean:
     """Mean of a channel over a part of a run."""
 
     value: float
@@ -51,7 +51,7 @@ class Mean:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class HoldMeans:
     """Settled means of every hold of some runs; element k of each array belongs to one hold."""
 
     run: npt.NDArray[np.int64]
@@ -66,7 +66,7 @@ class Levels:
     def __len__(self) -> int:
         return len(self.run)
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> "Levels":
+    def where(self, kept: npt.NDArray[np.bool_]) -> "HoldMeans":
         """Only some of the holds."""
         return replace(
             self,
@@ -81,7 +81,7 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Held:
+class HoldSelector:
     """What the holds of an experiment are told by: the key of their setpoint, and whose it is."""
 
     key: str
@@ -101,20 +101,20 @@ class Held:
         return found
 
 
-CURRENT_HELD = Held("current_A", "A")
+CURRENT_HOLDS = HoldSelector("current_A", "A")
 
 
 def held_levels(run: Run) -> list[Hold]:
     """Holds of the test actuator's current, in order."""
-    return CURRENT_HELD.levels(run)
+    return CURRENT_HOLDS.levels(run)
 
 
-def gather(
+def gather_means(
     runs: Sequence[Run],
     quantities: Sequence[str],
     read: Callable[[Run, str], Noted[Channel]],
-    held: Held = CURRENT_HELD,
-) -> Noted[Levels]:
+    held: HoldSelector = CURRENT_HOLDS,
+) -> Noted[HoldMeans]:
     """Average channels of the test actuator over the settled part of every hold; notes name the holds left out.
 
     Parameters
@@ -129,7 +129,7 @@ def gather(
     NotIdentifiable : a run has no hold with data.
     InputError : the runs measure one quantity in different units.
     """
-    rows: list[tuple[int, Hold, list[Mean]]] = []
+    rows: list[tuple[int, Hold, list[SettledMean]]] = []
     notes: list[str] = []
     units: dict[str, str] = {}
     for number, run in enumerate(runs):
@@ -146,7 +146,7 @@ def gather(
         rows += run_rows.value
         notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
     columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
-    levels = Levels(
+    levels = HoldMeans(
         run=np.array([number for number, _, _ in rows]),
         setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
         direction=np.array([hold.direction for _, hold, _ in rows]),
@@ -160,8 +160,8 @@ def gather(
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], held: Held
-) -> Noted[list[tuple[int, Hold, list[Mean]]]]:
+    run: Run, number: int, channels: Sequence[Channel], held: HoldSelector
+) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
     holds = held.levels(run)
     left_out: dict[str, list[str]] = {}
     rows = []
@@ -186,7 +186,7 @@ def _rows_of(
     return Noted(rows, tuple(notes))
 
 
-def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
+def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | None:
     """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon."""
     part = span(channel, start, stop)
     values, time = channel.values[part], channel.time[part]
@@ -199,7 +199,7 @@ def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
     with np.errstate(invalid="ignore"):
         quarters = np.bincount(quarter, values[good], minlength=4) / counts
     value = float(values[good].mean())
-    return Mean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
+    return SettledMean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
 
 
 def span(channel: Channel, start: float, stop: float) -> slice:

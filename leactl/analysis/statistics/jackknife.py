@@ -18,7 +18,7 @@ from leactl.analysis.statistics.intervals import half_width
 SHOWN = 4.0  # by which trials that round each by itself may scatter less than that makes them
 
 
-class Reading(NamedTuple):
+class TrialFigure(NamedTuple):
     """A figure of one level, and the limits of errors, evenly spread, that more trials do not make smaller."""
 
     value: float
@@ -30,12 +30,12 @@ class Reading(NamedTuple):
 class LevelValue:
     """A figure of one level with its uncertainties."""
 
-    reading: Reading
+    reading: TrialFigure
     scatter: float  # standard error from the trials; NaN with one
     dof: int
 
 
-def over_trials(trials: int, figure: Callable[[Sequence[int]], Reading]) -> LevelValue:
+def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> LevelValue:
     """Figure of these many trials, with its standard error from the figures that each trial left out gives.
 
     `figure` takes the trials to use by their places; NaN where it has no value for them.

@@ -18,16 +18,16 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import Estimate, listed
-from leactl.analysis.signals.levels import Levels
+from leactl.analysis.signals.levels import HoldMeans
 from leactl.analysis.statistics.regression import (
     Array,
-    Departure,
-    Fit,
-    departure,
-    excess_over,
-    judged_by,
+    LeastSquaresFit,
+    PartialFTest,
+    indicator_columns,
     least_squares,
-    one_column_each,
+    partial_f_test,
+    scatter_over_noise,
+    widened_by,
 )
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -42,9 +42,9 @@ FOLLOWS_BELOW = 1e-3  # probability under which a regressor goes with the setpoi
 class LineFit:
     """A fit whose coefficients are slopes by name, then one intercept a run."""
 
-    fit: Fit
+    fit: LeastSquaresFit
     slopes: tuple[str, ...]
-    levels: Levels
+    levels: HoldMeans
 
     @property
     def mean_intercept(self) -> Array:
@@ -59,11 +59,11 @@ class LineFit:
         """One slope as an estimate of this name; where runs differ in it, its uncertainty is that of their mean."""
         common, between = self.common_to_runs(slope)
         weights = np.eye(len(common.coefficients))[0]
-        return judged_by(common, between).estimate(name, units, weights, relative_std)
+        return widened_by(common, between).estimate(name, units, weights, relative_std)
 
-    def common_to_runs(self, slope: str) -> tuple[Fit, Departure | None]:
+    def common_to_runs(self, slope: str) -> tuple[LeastSquaresFit, PartialFTest | None]:
         """The fit with this slope first, common to the runs, all else each run's own; how far they lie apart in it."""
-        runs, index = one_column_each(self.levels.run), self.slopes.index(slope)
+        runs, index = indicator_columns(self.levels.run), self.slopes.index(slope)
         column = self.fit.projected[:, [index]]
         others = [self.fit.projected[:, [k]] for k in range(len(self.slopes)) if k != index]
         try:
@@ -72,20 +72,22 @@ class LineFit:
         except NotIdentifiable:  # a run that cannot tell the others by itself shares them
             design = np.hstack([column, *others, runs])
             common = least_squares(design, self.fit.explained, design, slope)
-        judged = judged_by(common, departure(design, self.fit.explained, one_column_each(cells_of(self.levels))))
-        return judged, departure(design, self.fit.explained, runs * column)
+        judged = widened_by(
+            common, partial_f_test(design, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
+        )
+        return judged, partial_f_test(design, self.fit.explained, runs * column)
 
     @property
-    def lack_of_fit(self) -> Departure | None:
+    def lack_of_fit(self) -> PartialFTest | None:
         """How far the means of levels lie from the fit, against the scatter of their repeats."""
-        return departure(self.fit.projected, self.fit.explained, one_column_each(cells_of(self.levels)))
+        return partial_f_test(self.fit.projected, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
 
     @property
     def _intercepts(self) -> int:
         return len(self.fit.coefficients) - len(self.slopes)
 
 
-def fit_lines(columns: dict[str, Array], response: Array, levels: Levels, place: str) -> LineFit:
+def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, place: str) -> LineFit:
     """Fit response = sum(slope * column) + intercept of the run, judged by level means where those depart from it.
 
     The first column is measured, with the setpoint as its instrument; the others are free of error.
@@ -94,29 +96,29 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: Levels, place:
     ------
     NotIdentifiable : columns that the levels do not tell apart, or no degree of freedom left.
     """
-    ones = one_column_each(levels.run)
+    ones = indicator_columns(levels.run)
     design = np.column_stack([*columns.values(), ones])
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
     fit = least_squares(design, response, instruments, place)
-    follows = departure(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
+    follows = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
     if follows is not None and follows.probability > FOLLOWS_BELOW:
         raise NotIdentifiable(
             f"{place}: the means of {len(levels)} holds do not follow their setpoints by more than chance; levels "
             "further apart are needed"
         )
     raw = LineFit(fit, tuple(columns), levels)
-    return replace(raw, fit=judged_by(fit, raw.lack_of_fit))
+    return replace(raw, fit=widened_by(fit, raw.lack_of_fit))
 
 
-def remarks(line: LineFit, expected: Array, units: str) -> list[str]:
+def fit_notes(line: LineFit, expected: Array, units: str) -> list[str]:
     """What the reader of a fit must know; `expected` are the standard errors of the points by noise alone."""
     notes = []
-    if ratio := excess_over(line.fit, expected):
+    if ratio := scatter_over_noise(line.fit, expected):
         notes.append(
             f"levels scatter about the fit {ratio:.1f} times as much as the noise within them explains: "
             "something other than noise moves them, such as sticking friction"
         )
-    notes += drifts(line, units)
+    notes += drift_notes(line, units)
     found = line.lack_of_fit
     if found is not None and found.clear:
         notes.append(
@@ -134,7 +136,7 @@ def remarks(line: LineFit, expected: Array, units: str) -> list[str]:
     return notes
 
 
-def drifts(line: LineFit, units: str) -> list[str]:
+def drift_notes(line: LineFit, units: str) -> list[str]:
     """A note for each run in which what the fit leaves goes with time, or in which time cannot be told from levels."""
     notes, levels, design = [], line.levels, line.fit.projected
     start = np.array([hold.start for hold in levels.holds])
@@ -146,7 +148,7 @@ def drifts(line: LineFit, units: str) -> list[str]:
         if np.std(left) < TIME_ALONE * np.std(time):
             notes.append(f"levels{which} were visited in the order of time: a drift cannot be told from the slope")
             continue
-        found = departure(design, line.fit.explained, time[:, np.newaxis])
+        found = partial_f_test(design, line.fit.explained, time[:, np.newaxis])
         moved = float(left @ line.fit.residuals) / float(left @ left) * float(np.ptp(start[own]))
         if found is None or found.probability > DRIFTS_BELOW or abs(moved) < WORTH * float(np.ptp(line.fit.explained)):
             continue
@@ -157,25 +159,25 @@ def drifts(line: LineFit, units: str) -> list[str]:
     return notes
 
 
-def cells_of(levels: Levels) -> npt.NDArray[np.int64]:
+def setpoint_groups(levels: HoldMeans) -> npt.NDArray[np.int64]:
     """A number for each hold, the same for repeats of one setpoint from one side, in whichever run."""
     keys = np.column_stack([np.round(levels.setpoint, 9), levels.direction])
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def place_of(runs: Sequence[Run]) -> str:
+def paths_of(runs: Sequence[Run]) -> str:
     """The runs, as messages begin."""
     return listed((run.path for run in runs), most=2)
 
 
-def expect_setup(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[str]:
+def setup_notes(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[str]:
     """A note for each run whose shaft was not connected as the experiment takes it to be."""
     odd = [run for run in runs if run.mechanical and run.mechanical not in setups]
     return [f"{run.path}: setup is '{run.mechanical}', {' or '.join(setups)} was expected: {why}" for run in odd]
 
 
-def _furthest(fit: Fit, levels: Levels) -> str:
-    cells = cells_of(levels)
+def _furthest(fit: LeastSquaresFit, levels: HoldMeans) -> str:
+    cells = setpoint_groups(levels)
     means = np.bincount(cells, fit.residuals) / np.bincount(cells)
     worst = int(np.argmax(np.abs(means)))
     index = int(np.flatnonzero(cells == worst)[0])

@@ -30,7 +30,7 @@ def t_quantile(dof: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LeastSquaresFit:
     """A least-squares fit: response = design @ coefficients + residuals."""
 
     coefficients: Array
@@ -65,7 +65,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Departure:
+class PartialFTest:
     """How far the means of groups lie from a fit, against the scatter within groups."""
 
     probability: float  # of as much from scatter alone
@@ -78,7 +78,7 @@ class Departure:
         return self.probability < DEPARTS_BELOW
 
 
-def least_squares(design: Array, response: Array, instruments: Array, place: str) -> Fit:
+def least_squares(design: Array, response: Array, instruments: Array, place: str) -> LeastSquaresFit:
     """Fit in two stages with every point at the same weight; `place` opens the message of a failure.
 
     `instruments` has a column for each of the design's: the column itself where it is free of error, else one that goes
@@ -106,10 +106,10 @@ def least_squares(design: Array, response: Array, instruments: Array, place: str
     rest, dof = float(residuals @ residuals), points - unknowns
     about_mean = float(np.sum((response - response.mean()) ** 2))
     r_squared = 1.0 - rest / about_mean if about_mean > 0.0 else math.nan
-    return Fit(coefficients, inverse @ inverse.T, projected, residuals, rest / dof, dof, r_squared)
+    return LeastSquaresFit(coefficients, inverse @ inverse.T, projected, residuals, rest / dof, dof, r_squared)
 
 
-def departure(design: Array, response: Array, extra: Array) -> Departure | None:
+def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest | None:
     """F test of columns that the design lacks; None where the points leave nothing to test or fit exactly.
 
     With one column a level it is the test of lack of fit.
@@ -128,10 +128,10 @@ def departure(design: Array, response: Array, extra: Array) -> Departure | None:
     lack, scatter = (narrow - wide) / (rank - unknowns), wide / (points - rank)
     ratio = lack / scatter if scatter > 0.0 else math.inf
     probability = float(fdtrc(rank - unknowns, points - rank, ratio)) if math.isfinite(ratio) else 0.0
-    return Departure(probability, lack, rank - unknowns)
+    return PartialFTest(probability, lack, rank - unknowns)
 
 
-def judged_by(fit: Fit, groups: Departure | None) -> Fit:
+def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquaresFit:
     """The fit with its uncertainty from the scatter of group means about it, unless that is plainly mere scatter.
 
     What belongs to a level (a sensor's curve, the place on the circumference) comes back in every repeat, and what
@@ -142,7 +142,7 @@ def judged_by(fit: Fit, groups: Departure | None) -> Fit:
     return replace(fit, variance=groups.variance, dof=groups.dof)
 
 
-def excess_over(fit: Fit, expected: Array) -> float:
+def scatter_over_noise(fit: LeastSquaresFit, expected: Array) -> float:
     """Scatter about the fit over what the standard errors of the points explain; 0 unless clearly more.
 
     Clearly: more than twice, and with a probability under 0.001 by chi squared.
@@ -157,7 +157,7 @@ def excess_over(fit: Fit, expected: Array) -> float:
     return ratio if ratio > 2.0 and chdtrc(dof, rest / mean) < 1e-3 else 0.0
 
 
-def one_column_each(labels: npt.NDArray[np.generic]) -> Array:
+def indicator_columns(labels: npt.NDArray[np.generic]) -> Array:
     """Columns of ones and zeros, one for each distinct label."""
     columns: Array = (labels[:, np.newaxis] == np.unique(labels)[np.newaxis, :]).astype(np.float64)
     return columns

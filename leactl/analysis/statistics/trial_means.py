@@ -9,11 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.statistics.regression import Fit, departure, judged_by, least_squares, one_column_each
+from leactl.analysis.statistics.regression import (
+    LeastSquaresFit,
+    indicator_columns,
+    least_squares,
+    partial_f_test,
+    widened_by,
+)
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialLabel:
     """Whose a number is: the run's place among the runs, and the side (direction, sign) that it was taken from."""
 
     run: int
@@ -21,7 +27,7 @@ class Trial:
 
 
 def mean_of(
-    values: Sequence[float], trials: Sequence[Trial], name: str, units: str, relative_std: float = 0.0
+    values: Sequence[float], trials: Sequence[TrialLabel], name: str, units: str, relative_std: float = 0.0
 ) -> Estimate:
     """The mean over the sides, each the mean of its trials; `relative_std` is of a factor that they share.
 
@@ -29,15 +35,15 @@ def mean_of(
     ------
     NotIdentifiable : no more trials than sides.
     """
-    fit, weights = fitted(values, trials, name)
+    fit, weights = fit_sides(values, trials, name)
     return fit.estimate(name, units, weights, relative_std)
 
 
-def fitted(values: Sequence[float], trials: Sequence[Trial], place: str) -> tuple[Fit, np.ndarray]:
+def fit_sides(values: Sequence[float], trials: Sequence[TrialLabel], place: str) -> tuple[LeastSquaresFit, np.ndarray]:
     """One constant a side, judged by the runs where they differ by more than scatter; and the weights of their mean."""
     response = np.asarray(values, np.float64)
-    sides = one_column_each(np.array([trial.side for trial in trials]))
+    sides = indicator_columns(np.array([trial.side for trial in trials]))
     cells = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
     fit = least_squares(sides, response, sides, place)
-    judged = judged_by(fit, departure(sides, response, one_column_each(cells)))
+    judged = widened_by(fit, partial_f_test(sides, response, indicator_columns(cells)))
     return judged, np.full(sides.shape[1], 1.0 / sides.shape[1])

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
-from leactl.analysis.voltage_waves.turning_holds import Part
+from leactl.analysis.voltage_waves.turning_holds import TurningHold
 
 SHOWN = (2, 3, 5, 7, 11, 13)
 CLEAR = 3.5  # standard uncertainties, below which an amplitude may be nothing
 
 
-def harmonics_of(parts: Sequence[Part]) -> list[Estimate]:
+def harmonics_of(parts: Sequence[TurningHold]) -> list[Estimate]:
     """Total harmonic distortion up to the 13th order, then the harmonics that machines have."""
     most = min(len(waves.linkage) for part in parts for waves in part.waves.values())
     relative = {order: relative_to_first(parts, order) for order in range(2, most + 1)}
@@ -27,7 +27,7 @@ def harmonics_of(parts: Sequence[Part]) -> list[Estimate]:
     ]
 
 
-def relative_to_first(parts: Sequence[Part], order: int) -> tuple[complex, float]:
+def relative_to_first(parts: Sequence[TurningHold], order: int) -> tuple[complex, float]:
     """A harmonic over the fundamental, phase by the definition above, and the standard uncertainty of either part."""
     found, variance = [], 0.0
     for part in parts:

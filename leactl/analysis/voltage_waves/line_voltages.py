@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Noted
-from leactl.analysis.voltage_waves.waves import Array, Complex, Record
+from leactl.analysis.voltage_waves.waves import Array, Complex, VoltageRecord
 from leactl.runfile.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
@@ -25,17 +25,17 @@ THIRD = 2.0 * math.pi / 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class LineVoltage:
     """One pair of leads over a part of a run."""
 
-    record: Record
+    record: VoltageRecord
     resolution: float  # V
     scale_std: float  # relative
 
 
-def pairs_of(run: Run, start: float, stop: float) -> Noted[dict[str, Pair]]:
+def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVoltage]]:
     """Return the usable pairs of leads from start to before stop [s] by name; notes say why others are unusable."""
-    pairs: dict[str, Pair] = {}
+    pairs: dict[str, LineVoltage] = {}
     notes = []
     for name in PAIRS:
         channels = run.channels(f"phase_voltage_{name}", role="test")
@@ -46,7 +46,7 @@ def pairs_of(run: Run, start: float, stop: float) -> Noted[dict[str, Pair]]:
         if np.isfinite(record.values).sum() < 2:
             notes.append(f"{run.path}: pair {name} has no samples from {start:.2f} to {stop:.2f} s")
             continue
-        pairs[name] = Pair(record, resolution_of(record.values), channels[0].scale_std)
+        pairs[name] = LineVoltage(record, resolution_of(record.values), channels[0].scale_std)
     sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
     largest = max(sizes.values(), default=0.0)
     for name, size in sizes.items():
@@ -57,20 +57,20 @@ def pairs_of(run: Run, start: float, stop: float) -> Noted[dict[str, Pair]]:
     return Noted(pairs, tuple(notes))
 
 
-def regular(channel: Channel, start: float, stop: float) -> Record:
+def regular(channel: Channel, start: float, stop: float) -> VoltageRecord:
     """The samples from start to before stop [s] on their clock's own grid, NaN where one is missing."""
     first, last = (int(place) for place in np.searchsorted(channel.time, (start, stop), side="left"))
     time, values = channel.time[first:last], channel.values[first:last]
     if len(time) < 3:
-        return Record(time, values)
+        return VoltageRecord(time, values)
     steps = np.diff(time)
     places = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64))])
     if places[-1] == len(time) - 1:
-        return Record(time, values)
+        return VoltageRecord(time, values)
     every = np.arange(places[-1] + 1)
     whole = np.full(len(every), np.nan)
     whole[places] = values
-    return Record(np.interp(every, places, time), whole)
+    return VoltageRecord(np.interp(every, places, time), whole)
 
 
 def resolution_of(values: Array) -> float:
@@ -79,7 +79,7 @@ def resolution_of(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def unusable(pair: Pair, size: float, largest: float) -> str:
+def unusable(pair: LineVoltage, size: float, largest: float) -> str:
     """Why a pair tells nothing of the motor; empty where it does."""
     values = pair.record.values
     good = np.isfinite(values)
@@ -99,14 +99,14 @@ def unusable(pair: Pair, size: float, largest: float) -> str:
 
 
 @dataclass(frozen=True)
-class Wiring:
+class LeadConnection:
     """How three pairs are connected: the sign of each, and whether they follow one another in the sense of rotation."""
 
     signs: Mapping[str, int]
     forward: bool
 
 
-def wiring_of(phasors: Mapping[str, complex]) -> Wiring | None:
+def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
     """The connection that explains the phases of three pairs; None where none does."""
     angle = {name: math.atan2(value.imag, value.real) for name, value in phasors.items()}
     for forward, swapped in itertools.product((True, False), (None, *PAIRS)):
@@ -116,11 +116,11 @@ def wiring_of(phasors: Mapping[str, complex]) -> Wiring | None:
             angle[name] - angle["ab"] - lag - math.pi * (signs[name] != signs["ab"]) for name, lag in expected.items()
         ]
         if all(abs(math.remainder(rest, 2.0 * math.pi)) < WITHIN_RAD for rest in apart):
-            return Wiring(signs, forward)
+            return LeadConnection(signs, forward)
     return None
 
 
-def third_of(known: Sequence[Complex]) -> Complex:
+def third_voltage(known: Sequence[Complex]) -> Complex:
     """The third pair from the other two, by Kirchhoff; they are a third of a wave apart, a sixth with one swapped."""
     first, second = known
     apart = float(np.angle(np.nanmean(second * np.conj(first))))

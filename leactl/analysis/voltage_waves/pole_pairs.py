@@ -14,7 +14,7 @@ FEWEST = 10  # samples of the shaft's angle or velocity
 APART = 0.01  # of the count: how far from a whole number a count may be beside its uncertainty
 
 
-class Shaft(NamedTuple):
+class ShaftMotion(NamedTuple):
     """What the shaft did while waves were counted."""
 
     turned: float  # rad, signed
@@ -22,7 +22,7 @@ class Shaft(NamedTuple):
     ripple: float  # amplitude of the speed at twice the electrical frequency over its mean; 0 within noise
 
 
-def shaft_of(run: Run, angle: Angle) -> Shaft:
+def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
     """How far the shaft turned over the whole waves of an electrical angle, by the encoder of either actuator.
 
     Raises
@@ -41,7 +41,7 @@ def shaft_of(run: Run, angle: Angle) -> Shaft:
     raise NotIdentifiable("the run does not tell how far the shaft turned: no angle and no velocity that moved")
 
 
-def by_angle(channel: Channel, angle: Angle) -> Shaft:
+def by_angle(channel: Channel, angle: Angle) -> ShaftMotion:
     """From an encoder's angle."""
     good = np.isfinite(channel.values)
     time, values = channel.time[good], channel.values[good]
@@ -54,7 +54,7 @@ def by_angle(channel: Channel, angle: Angle) -> Shaft:
     # at either end: a count, and a stamp that may be off by a part of the loop's cycle
     std = math.sqrt(2.0 / 12.0) * math.hypot(resolution, speed * step)
     inside = (time >= start) & (time <= stop)
-    return Shaft(turned, std, ripple_of(angle.at(time[inside]), values[inside], turned, angle))
+    return ShaftMotion(turned, std, ripple_of(angle.at(time[inside]), values[inside], turned, angle))
 
 
 def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> float:
@@ -73,20 +73,20 @@ def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> f
     return 2.0 * size * 2.0 * math.pi * waves / abs(turned) if size > 4.0 * noise else 0.0
 
 
-def by_velocity(channel: Channel, start: float, stop: float) -> Shaft:
+def by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
     """From a mean velocity."""
     values = channel.values[span(channel, start, stop)]
     duration = stop - start
-    return Shaft(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
+    return ShaftMotion(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
 
 
-def counted(waves: int, shaft: Shaft) -> tuple[float, float]:
+def waves_per_turn(waves: int, shaft: ShaftMotion) -> tuple[float, float]:
     """Waves a turn of the shaft, and its standard uncertainty."""
     count = 2.0 * math.pi * waves / abs(shaft.turned)
     return count, count * shaft.std / abs(shaft.turned)
 
 
-def whole(count: float, std: float, place: str) -> int:
+def whole_pole_pairs(count: float, std: float, place: str) -> int:
     """The whole number of pole pairs that a count means.
 
     Raises

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Noted
-from leactl.analysis.voltage_waves.line_voltages import PAIRS, Pair, pairs_of, third_of, wiring_of
-from leactl.analysis.voltage_waves.pole_pairs import Shaft, shaft_of
+from leactl.analysis.voltage_waves.line_voltages import PAIRS, LineVoltage, connection_of, line_voltages, third_voltage
+from leactl.analysis.voltage_waves.pole_pairs import ShaftMotion, shaft_motion
 from leactl.analysis.voltage_waves.waves import FEWEST_WAVES, Angle, Array, Waves, follow, waves_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class TurningHold:
     """One hold: its waves by pair, all over the same electrical angle."""
 
     run: Run
     start: float  # s
     angle: Angle
-    shaft: Shaft
+    shaft: ShaftMotion
     waves: Mapping[str, Waves]
     sizes: Mapping[str, Array]  # V*s a wave, of each pair's fundamental
     mean_of_pairs: Array  # V*s a wave; of three pairs where one could be worked out
@@ -34,18 +34,18 @@ class Part:
     findings: Sequence[str]
 
 
-def parts_of(run: Run) -> Noted[list[Part]]:
+def turning_holds(run: Run) -> Noted[list[TurningHold]]:
     """Return the holds of a run whose waves are usable; notes say why others are not."""
     spans = spans_of(run)
     holds, notes = [], [*spans.notes]
     for start, stop in spans.value:
         try:
             refuse_powered(run, start, stop)
-            pairs = pairs_of(run, start, stop)
+            pairs = line_voltages(run, start, stop)
             notes += pairs.notes
             followed = follow_waves(run, start, pairs.value)
             notes += followed.notes
-            holds.append(part_of(run, start, pairs.value, *followed.value))
+            holds.append(turning_hold(run, start, pairs.value, *followed.value))
         except NotIdentifiable as fault:
             notes.append(f"{run.path} from {start:.2f} s: {fault}")
     return Noted(holds, tuple(notes))
@@ -69,7 +69,7 @@ def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
     return Noted(spans, () if spans else (note,))
 
 
-def follow_waves(run: Run, start: float, pairs: Mapping[str, Pair]) -> Noted[tuple[Angle, dict[str, Waves]]]:
+def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> Noted[tuple[Angle, dict[str, Waves]]]:
     """Return the electrical angle of a hold that begins at start [s], and the waves of each pair of leads over it.
 
     Notes name the pairs with too few whole waves, which are left out.
@@ -91,7 +91,9 @@ def follow_waves(run: Run, start: float, pairs: Mapping[str, Pair]) -> Noted[tup
     return Noted((angle, waves), tuple(notes))
 
 
-def part_of(run: Run, start: float, pairs: Mapping[str, Pair], angle: Angle, waves: Mapping[str, Waves]) -> Part:
+def turning_hold(
+    run: Run, start: float, pairs: Mapping[str, LineVoltage], angle: Angle, waves: Mapping[str, Waves]
+) -> TurningHold:
     """Describe a hold that begins at start [s] by the waves of its pairs over one electrical angle.
 
     Raises
@@ -103,14 +105,14 @@ def part_of(run: Run, start: float, pairs: Mapping[str, Pair], angle: Angle, wav
     sizes = {name: sizes_of(pair_waves) for name, pair_waves in waves.items()}
     frequency = float(angle.frequencies.mean())
     volts = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
-    shaft = shaft_of(run, angle)
+    shaft = shaft_motion(run, angle)
     findings, left_over, swapped = wired(waves, shaft)
     lost = len(angle.edges) - 1 - min(int(np.isfinite(pair_waves.offset).sum()) for pair_waves in waves.values())
     if lost:
         findings.append(f"{lost} of {len(angle.edges) - 1} waves lack samples and do not count")
     every = list(sizes.values())
     if len(waves) == 2:
-        third = third_of([pair_waves.linkage[0] for pair_waves in waves.values()])
+        third = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
         every.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
         missing = next(name for name in PAIRS if name not in waves)
         findings.append(f"pair {missing} is taken as what the other two leave of zero")
@@ -118,7 +120,7 @@ def part_of(run: Run, start: float, pairs: Mapping[str, Pair], angle: Angle, wav
     rounding = {
         name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / volts[name] for name in waves
     }
-    return Part(
+    return TurningHold(
         run=run,
         start=start,
         angle=angle,
@@ -149,7 +151,7 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
             raise NotIdentifiable("the test drive was enabled: its leads carry more than back-EMF")
 
 
-def best_of(pairs: Mapping[str, Pair]) -> str:
+def best_of(pairs: Mapping[str, LineVoltage]) -> str:
     """The pair to follow: the one with the fewest samples missing, the largest of several."""
 
     def rank(name: str) -> tuple[float, float]:
@@ -166,12 +168,12 @@ def sizes_of(waves: Waves) -> Array:
     return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
 
 
-def wired(waves: Mapping[str, Waves], shaft: Shaft) -> tuple[list[str], float, dict[str, Waves]]:
+def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
     """What the phases of three pairs say of their leads, what is left of their sum, and the waves with signs mended."""
     phasors = {name: complex(np.nanmean(found.linkage[0])) for name, found in waves.items()}
     if len(phasors) < len(PAIRS):
         return [], math.nan, dict(waves)
-    wiring = wiring_of(phasors)
+    wiring = connection_of(phasors)
     if wiring is None:
         apart = ", ".join(
             f"{name} {math.degrees(math.remainder(float(np.angle(value / phasors['ab'])), 2 * math.pi)):+.0f} degrees"

@@ -17,7 +17,7 @@ DRIFTS = 1e-3  # of the mean, over a hold
 
 
 @dataclass(frozen=True)
-class Shares:
+class CommonUncertainties:
     """Relative standard uncertainties that no number of waves averages out."""
 
     scale: float  # of the converter, the same for all channels
@@ -26,19 +26,19 @@ class Shares:
     ripple: float = 0.0  # of the speed, twice a wave; only single pairs know it
 
     @property
-    def of_one_pair(self) -> "Shares":
+    def of_one_pair(self) -> "CommonUncertainties":
         """With what ripple does to a pair: up to a quarter of it, by its phase."""
         return replace(self, resolution=math.hypot(self.resolution, self.ripple / 4.0 / math.sqrt(2.0)))
 
     @property
-    def between_pairs(self) -> "Shares":
+    def between_pairs(self) -> "CommonUncertainties":
         """Without what pairs share."""
         return replace(self.of_one_pair, scale=0.0, time_base=0.0)
 
     @property
-    def of_time(self) -> "Shares":
+    def of_time(self) -> "CommonUncertainties":
         """Of a frequency."""
-        return Shares(0.0, self.time_base, 0.0)
+        return CommonUncertainties(0.0, self.time_base, 0.0)
 
     @property
     def scattered(self) -> float:
@@ -46,7 +46,7 @@ class Shares:
         return math.hypot(self.scale, self.resolution)
 
 
-def constant_of(name: str, units: str, series: Sequence[Array], shares: Shares) -> Estimate:
+def constant_of(name: str, units: str, series: Sequence[Array], shares: CommonUncertainties) -> Estimate:
     """One number from the waves of every hold, with its 95 % interval."""
     value, own, dof = pooled(series)
     scattered = math.hypot(own, shares.scattered * value)

@@ -28,7 +28,7 @@ NEIGHBOURS = 0.15  # of the peak's frequency: as far as a speed that drifts spre
 ORDERS = 13  # harmonics, the fundamental included
 
 
-class Record(NamedTuple):
+class VoltageRecord(NamedTuple):
     """Samples of one voltage; NaN where one is missing."""
 
     time: Array  # s
@@ -62,7 +62,7 @@ class Waves:
     offset: Array  # V, mean of each wave
 
 
-def frequency_of(record: Record) -> float:
+def frequency_of(record: VoltageRecord) -> float:
     """Frequency of the one wave that a record holds [Hz].
 
     Raises
@@ -82,7 +82,7 @@ def frequency_of(record: Record) -> float:
     return middle / (float(record.time[-1] - record.time[0]) * len(values) / (len(values) - 1))
 
 
-def follow(record: Record) -> Angle:
+def follow(record: VoltageRecord) -> Angle:
     """The angle of a voltage's fundamental, with its whole waves.
 
     Demodulated with a carrier of one frequency first, then over the angle that this gives: there every wave has the
@@ -143,7 +143,7 @@ def demodulated(level: Array, carrier: Array, wave: int) -> Array:
     return np.asarray(carrier[wave - 1 : wave - 1 + len(smooth)] + phase)
 
 
-def waves_of(record: Record, angle: Angle) -> Waves:
+def waves_of(record: VoltageRecord, angle: Angle) -> Waves:
     """Flux linkages of a voltage over the waves of an angle that was followed in it or in another one beside it."""
     wave = len(angle.time) / max(len(angle.edges) - 1, 1)
     orders = max(1, min(ORDERS, int(wave / 2.5)))

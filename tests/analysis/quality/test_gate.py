@@ -5,7 +5,7 @@ import pytest
 
 from leactl.analysis.analyze import analyze_each, analyze_runs
 from leactl.analysis.anova.values import of_runs
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError
 from leactl.processes import Workers
 from leactl.runfile.reader import Run
@@ -21,7 +21,7 @@ NOISE = {"q_axis_current": 0.015, "velocity": 0.002}
 
 def doubts(path):
     with Run.open(path) as run:
-        return doubts_of(run)
+        return channel_doubts(run)
 
 
 def spoiled(path, tmp_path, quantity, corruption):
