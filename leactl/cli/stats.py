@@ -42,6 +42,6 @@ def stats(
         }
         typer.echo(json.dumps(body, allow_nan=False))
     else:
-        typer.echo("\n\n".join(comparisons_text(one.experiment, one.found, one.refused) for one in found))
+        typer.echo("\n\n".join(comparisons_text(one.experiment, one.comparisons, one.refused) for one in found))
     if faults:
         raise InputError(faults)

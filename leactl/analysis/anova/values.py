@@ -34,7 +34,7 @@ Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a 
 
 
 class _Row(BaseModel):
-    """What is taken of one result in an answer."""
+    """The fields that are read of one result in an answer."""
 
     model_config = ConfigDict(strict=True)
     name: str
@@ -48,7 +48,7 @@ class _Row(BaseModel):
 
 
 class _Answer(BaseModel):
-    """What is taken of an answer of `leactl analyze --json`."""
+    """The fields that are read of an answer of `leactl analyze --json`."""
 
     model_config = ConfigDict(strict=True)
     experiment: str
@@ -58,7 +58,7 @@ class _Answer(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of one result; element k of each array is one trial."""
+    """Values of one result; element k of each array is one trial or one run."""
 
     name: str
     units: str
@@ -71,7 +71,7 @@ class Values:
 
 @dataclass(frozen=True)
 class TrialResults:
-    """What one trial gave."""
+    """Results of one trial, with its actuator, condition and run number."""
 
     actuator: str
     condition: str
@@ -80,7 +80,7 @@ class TrialResults:
 
 
 class _OneTrial(Run):
-    """A run of which only the steps of one repeat are seen."""
+    """A run that shows only the steps of one repeat."""
 
     def __init__(self, run: Run, repeat: int) -> None:
         self.__dict__.update(run.__dict__)
@@ -93,15 +93,15 @@ class _OneTrial(Run):
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
-    """Values of an experiment's results by name."""
+class ExperimentValues:
+    """Values of an experiment's results by name, from single trials and from whole runs."""
 
     experiment: str
     trials: dict[str, Values]
     runs: dict[str, Values]  # one a run; empty where single trials tell every result in each run
 
 
-def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Taken:
+def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> ExperimentValues:
     """Values of each result, from runs and from answers of `leactl analyze --json`.
 
     A run gives one value for each pass of its repeats, a run without repeats and an answer one. Where a result is not
@@ -166,18 +166,18 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
     reason = partly if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
     run_notes = (f"one value a run, its repeats together: {reason}", *whole.notes)
     by_trial = _columns(every_trial, single.notes)
-    return Taken(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
+    return ExperimentValues(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
 def _lacking(trials: Sequence[TrialResults], first: int, count: int) -> bool:
     """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
     names = {item.name for trial in trials for item in trial.results}
-    told = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
-    return any(not names or (run, name) not in told for run in range(first, first + count) for name in names or {""})
+    known = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    return any(not names or (run, name) not in known for run in range(first, first + count) for name in names or {""})
 
 
 def _repeats(run: Run) -> list[int]:
-    """Numbers of the passes of its repeats; none where its steps tell none."""
+    """Return the numbers of the repeats in a run; empty where its steps state none."""
     return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
@@ -211,7 +211,7 @@ def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple
 
 
 def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Path]]:
-    """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
+    """Return experiment, trials (one for each actuator and condition) and runs of an answer."""
     try:
         with open_regular(path, MOST_BYTES) as stream:
             answer = _Answer.model_validate_json(stream.read())
@@ -221,7 +221,9 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Pat
         raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
     groups: dict[tuple[str, str], list[Estimate]] = {}
     for row in answer.results:
-        value, std, low, high = (np.nan if one is None else one for one in (row.value, row.std, row.low, row.high))
+        value, std, low, high = (
+            np.nan if number is None else number for number in (row.value, row.std, row.low, row.high)
+        )
         groups.setdefault((row.actuator, row.condition), []).append(
             Estimate(row.name, value, std, low, high, row.units)
         )
@@ -233,7 +235,7 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Pat
 
 
 def experiment_of_answer(path: Path) -> str:
-    """The experiment that an answer of `leactl analyze --json` is of.
+    """Return the experiment of an answer of `leactl analyze --json`.
 
     Raises
     ------
@@ -243,29 +245,29 @@ def experiment_of_answer(path: Path) -> str:
 
 
 def _columns(trials: Sequence[TrialResults], notes: Sequence[str]) -> dict[str, Values]:
-    """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
+    """Collect the values of each result that has an uncertainty and is not part of another, such as one direction."""
     named: dict[str, str] = {}
     for trial in trials:
         for item in trial.results:
-            part = any(item.name.startswith(f"{other}_") for other in named)
-            if np.isfinite(item.std) and not part and named.setdefault(item.name, item.units) != item.units:
+            is_part = any(item.name.startswith(f"{other}_") for other in named)
+            if np.isfinite(item.std) and not is_part and named.setdefault(item.name, item.units) != item.units:
                 raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
-    found = {}
+    columns = {}
     for name, units in named.items():
-        by_trial = [next((item.value for item in one.results if item.name == name), np.nan) for one in trials]
+        by_trial = [next((item.value for item in trial.results if item.name == name), np.nan) for trial in trials]
         values = np.array(by_trial, np.float64)
-        good = np.isfinite(values)
-        said = list(notes)
-        if not good.all():
-            said.append(f"{name}: {int((~good).sum())} of {len(values)} values are missing and left out")
-        kept = [trial for trial, one in zip(trials, good, strict=True) if one]
-        found[name] = Values(
+        finite = np.isfinite(values)
+        column_notes = list(notes)
+        if not finite.all():
+            column_notes.append(f"{name}: {int((~finite).sum())} of {len(values)} values are missing and left out")
+        kept = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
+        columns[name] = Values(
             name,
             units,
-            values[good],
+            values[finite],
             np.array([trial.actuator for trial in kept], np.str_),
             np.array([trial.condition for trial in kept], np.str_),
             np.array([trial.run for trial in kept], np.int64),
-            tuple(said),
+            tuple(column_notes),
         )
-    return found
+    return columns

@@ -13,8 +13,8 @@ from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
-MOST_WRONG = 0.5  # of the points, whose signs contradict the roles: above this they are swapped
-FEWEST = 12  # points, for a drift to be told from what speed and torque do
+MOST_WRONG = 0.5  # of the points: if more have signs that contradict the roles, a sign is swapped
+FEWEST = 12  # points, for a drift to be distinguished from the effects of speed and torque
 ALONE = 0.5  # of the spread of time, that speed and torque must leave unexplained
 CLEAR = 4.0  # standard errors
 SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
@@ -22,37 +22,37 @@ GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
 
 
 def refuse_swapped(points: OperatingPoints, place: str) -> None:
-    """Refuse readings whose signs say that the one that drives is driven.
+    """Raise if the signs of most readings contradict which actuator drives.
 
     Raises
     ------
     InputError : with the channels that contradict each other.
     """
-    driving = np.array([one.driving for one in points.holds])
+    driving = np.array([grid_hold.driving for grid_hold in points.holds])
     faults = []
     for role in OTHER_ROLE:
-        wanted = np.where(driving == role, 1.0, -1.0)
+        expected = np.where(driving == role, 1.0, -1.0)
         speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER_ROLE[role])))
         current = points.value.get(("q_axis_current", role))
-        if current is not None and speed is not None and _wrong(wanted * current * speed):
+        if current is not None and speed is not None and _wrong(expected * current * speed):
             faults.append(f"current and velocity of the {role} actuator")
         voltage = points.value.get(("q_axis_voltage", role))
         if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
             faults.append(f"voltage and current of the {role} actuator")
         elif current is not None and voltage is not None and speed is not None:
-            slack = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
-            if _wrong((voltage * speed)[slack]):
+            low_current = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
+            if _wrong((voltage * speed)[low_current]):
                 faults.append(f"voltage and velocity of the {role} actuator")
-    turned = next(points.value["velocity", role] for role in OTHER_ROLE if ("velocity", role) in points.value)
-    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
+    velocity = next(points.value["velocity", role] for role in OTHER_ROLE if ("velocity", role) in points.value)
+    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * velocity):
         faults.append("torque and velocity")
     if faults:
         raise InputError(f"{place}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}")
 
 
 def _wrong(products: np.ndarray) -> bool:
-    known = products[np.isfinite(products)]
-    return bool(len(known)) and float(np.mean(known < 0.0)) > MOST_WRONG
+    finite = products[np.isfinite(products)]
+    return bool(len(finite)) and float(np.mean(finite < 0.0)) > MOST_WRONG
 
 
 def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerCalibration) -> Noted[OperatingPoints]:

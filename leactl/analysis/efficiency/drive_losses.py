@@ -45,7 +45,7 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
 
 
 def link_of(run: Run) -> tuple[Channel, Channel] | None:
-    """Voltage and current of the supply that feeds the drives, of one device; None where there is none."""
+    """Return voltage and current of the supply of the drives, from one device; None where the run lacks them."""
     for role in ("bench", *OTHER_ROLE):
         for current in run.channels("bus_current", role):
             for voltage in run.channels("bus_voltage", role):

@@ -1,4 +1,4 @@
-"""What is known of the actuators and the instruments beside the readings: from the runs' model, or told."""
+"""Parameters of actuators and instruments that are not measured: from the runs' model, or given by the caller."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from leactl.runfile.reader import Run
 
 @dataclass(frozen=True)
 class GivenParameters:
-    """What the caller says of the actuators, in place of the model."""
+    """Parameters of the actuators that the caller gives, in place of the model's."""
 
     phase_resistance: float | None = None  # ohm
     back_emf_constant: float | None = None  # V*s/rad
@@ -81,10 +81,10 @@ def calibration_of(
 
 
 def sources_of(stds: Mapping[str, float]) -> str:
-    """A note on which instruments' uncertainties the intervals hold."""
-    held = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
-    if held:
-        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(held)}"
+    """Return a note on which instruments' uncertainties the intervals include."""
+    included = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
+    if included:
+        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(included)}"
     return (
         "the intervals are those of scatter and of the torque sensor's zero; what resistance, constants and"
         " calibrations are off by is in them where it is told (--set resistance_std=,"

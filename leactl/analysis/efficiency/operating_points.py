@@ -20,7 +20,7 @@ from leactl.runfile.reader import Channel, Run
 
 OTHER_ROLE = {"test": "load", "load": "test"}
 HELD = 0.02  # of the setpoint: how far a mean may be off it
-OPPOSITE = 0.5  # of the setpoint: what goes against it by more has its sign swapped
+OPPOSITE = 0.5  # of the setpoint: a reading that opposes it by more has its sign swapped
 STEADY = 0.02  # of the mean: how far the means of the quarters of a settled part may lie apart
 ChannelKey = tuple[str, str]  # quantity and role of a channel
 
@@ -42,7 +42,7 @@ class GridHold:
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
-    """Every hold of the grid; element k of each array belongs to one, NaN where the bench did not hold it."""
+    """Means of every hold of the grid; element k of each array belongs to one hold, NaN where it was not held."""
 
     holds: tuple[GridHold, ...]
     value: Mapping[ChannelKey, Array]  # settled means; no entry where a run has no such channel

@@ -118,7 +118,7 @@ def refuse_powered(run: Run) -> None:
     if not run.has(ENABLED):
         return
     enabled = run.channel(ENABLED)
-    for hold in HELD.levels(run):
+    for hold in HELD.holds_of(run):
         part = (enabled.time >= hold.start) & (enabled.time < hold.stop)
         if np.any(enabled.values[part] > 0.0):
             raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")

@@ -163,7 +163,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     ------
     NotIdentifiable : why it cannot be used.
     """
-    before = [hold for hold in HELD.levels(run) if hold.stop <= step.start + 1e-9]
+    before = [hold for hold in HELD.holds_of(run) if hold.stop <= step.start + 1e-9]
     if not before:
         raise NotIdentifiable("no held velocity before it")
     speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))

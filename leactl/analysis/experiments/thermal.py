@@ -134,13 +134,13 @@ def analyze(
     records = joined(heating_records(run) for run in runs)
     notes += [*phase_of_line.notes, *records.notes]
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), place)
-    fitted_frames = sum(len(record.time) for record in fit.stretches)
+    fitted_frames = sum(len(record.time) for record in fit.records)
     left_out = sum(frames_of(run) for run in runs) - fitted_frames
     if left_out > LEFT_OUT * fitted_frames:
         notes.append(f"left out {left_out} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, place)
-    air = [float(np.mean(record.ambient)) for record in fit.stretches if record.ambient is not None]
+    air = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
     widened = widened_by_offset(instruments, fit)
     instruments = widened.value
     parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
@@ -151,7 +151,7 @@ def analyze(
             network_results(parameters, constants_seen),
             resistance_results(parameters, line, phase_of_line.value),
             residual_results(fit, spread),
-            steadiness(fit.stretches),
+            steadiness(fit.records),
             camera_results(fit, spread, camera_offset_std),
         ]
     )
@@ -163,7 +163,7 @@ def analyze(
     currents = current_capability(parameters, phase_of_line.value, limit, ambient)
     if constants_seen < LEAST_SEEN:
         currents = [without_value(current) if current.name in STEADY else current for current in currents]
-    notes += remarks(parameters, fit.stretches, instruments)
+    notes += remarks(parameters, fit.records, instruments)
     notes.append(
         f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"
     )
@@ -181,14 +181,14 @@ def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instru
     """Widen the camera's uncertainties to the largest offset fitted against the ambient sensor, if it is clear."""
     offsets = [
         abs(float(fit.point[at]))
-        for index in range(len(fit.stretches))
+        for index in range(len(fit.records))
         for name in ("offset_winding", "offset_housing")
-        if (at := fit.own(index, name)) is not None
+        if (at := fit.index_of(index, name)) is not None
     ]
     worst = max(offsets, default=0.0)
     if worst <= LATE * instruments.camera_offset:
         return Noted(instruments)
-    rise = max(float(np.nanmax(record.winding) - np.nanmin(record.winding)) for record in fit.stretches)
+    rise = max(float(np.nanmax(record.winding) - np.nanmin(record.winding)) for record in fit.records)
     camera_gain = math.hypot(instruments.camera_gain, worst / rise)
     note = (
         f"the camera is {worst:.1f} K off the sensor of the air: its uncertainty is taken as that much in place of"

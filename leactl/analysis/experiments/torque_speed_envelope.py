@@ -103,7 +103,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         *best("power", "W", speed, torque, limited, levels, shared),
     ]
     notes += [f"{item.name} without a repeat: how it scatters is not known" for item in highest if no_interval(item)]
-    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.levels(run))[1]]
+    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.holds_of(run))[1]]
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
         highest = [above(estimate, max(stops)) for estimate in highest]
@@ -166,7 +166,7 @@ def readings(run: Run, quantity: str) -> Noted[Channel]:
     ------
     NotIdentifiable : the current is there in a hold, or the torque in all of them.
     """
-    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.levels(run))[1]):
+    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.holds_of(run))[1]):
         at = ", ".join(f"{value:g} A" for value in ends)
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
     return usable_channel(run, quantity, least=1)
@@ -268,10 +268,10 @@ def drift_of(holds: SpeedHolds, found: Estimate) -> list[str]:
         return []
     speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
     beyond = speed - found.value
-    fall = float((holds.asked - current) @ beyond / (beyond @ beyond))  # A for each rad/s
+    fall = float((holds.setpoint - current) @ beyond / (beyond @ beyond))  # A for each rad/s
     speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
-    shift = (speed + current / fall) * holds.asked / mean
+    shift = (speed + current / fall) * holds.setpoint / mean
     if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])

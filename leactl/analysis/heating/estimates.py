@@ -25,10 +25,10 @@ from leactl.analysis.heating.resistance import ResistanceLine
 from leactl.analysis.statistics.regression import t_quantile
 
 STEADY_K, STEADY_S, ENDS_S = 1.0, 1800.0, 60.0  # so much change in so long, between means over so long
-TELLING = 0.7  # correlations worth a note
-PLAIN = 1.05  # times the noise, up to which residuals are noise
-LATE = 3.0  # standard deviations from which on a lag or an offset is told
-LEAST_SEEN = 1.0  # slow time constants
+TELLING = 0.7  # correlation above which a note names it
+PLAIN = 1.05  # times the noise, up to which residuals count as noise
+LATE = 3.0  # standard deviations above which a lag or an offset is reported
+LEAST_SEEN = 1.0  # slow time constants that a record must show for a steady state
 STEADY = (
     "winding_ambient_resistance",
     "housing_ambient_resistance",
@@ -79,12 +79,12 @@ def without_value(estimate: Estimate) -> Estimate:
 
 
 def slow_constants_seen(fit: NetworkFit) -> float:
-    """Longest heating or cooling at a stretch, in slow time constants of the network.
+    """Return the longest heating or cooling without a break, in slow time constants of the network.
 
-    What comes before the first heating is no cooling, unless the winding was still warm.
+    The record before the first heating counts as cooling only if the winding was still warm.
     """
     longest = 0.0
-    for record in fit.stretches:
+    for record in fit.records:
         on, time, winding = record.supply.on, record.supply.time, record.winding
         edges = [0, *(np.flatnonzero(np.diff(on)) + 1).tolist(), len(on) - 1]
         rise = np.nanmax(winding) - np.nanmin(winding)
@@ -119,11 +119,11 @@ def residual_results(fit: NetworkFit, uncertainty: Uncertainty) -> Noted[list[Es
     residuals = [np.concatenate([residual[node] for residual in fit.residuals]) for node in (0, 1)]
     rms = [math.sqrt(float(np.nanmean(node_residuals**2))) for node_residuals in residuals]
     whole = math.sqrt(float(np.nanmean(np.concatenate(residuals) ** 2)))
-    noise = [noise_of([measured(record)[node] for record in fit.stretches]) for node in (0, 1)]
+    noise = [noise_of([measured(record)[node] for record in fit.records]) for node in (0, 1)]
     counts = [int(np.isfinite(node_residuals).sum()) for node_residuals in residuals]
     expected = math.sqrt(sum(n * s**2 for n, s in zip(counts, noise, strict=True)) / sum(counts))
     over_noise = whole / expected if expected > 0.0 else NAN
-    drift, lasts = np.sqrt(np.diag(uncertainty.scatter.drift)), uncertainty.scatter.lasts
+    drift, lasts = np.sqrt(np.diag(uncertainty.scatter.drift)), uncertainty.scatter.decay_time
     note = (
         f"residuals are {over_noise:.2f} times the noise from frame to frame: a drift of {drift[0]:.2g} K at the"
         f" winding and {drift[1]:.2g} K at the housing that lasts {lasts:.0f} s, of the camera, the air or of"
@@ -138,10 +138,10 @@ def residual_results(fit: NetworkFit, uncertainty: Uncertainty) -> Noted[list[Es
 
 
 def noise_of(columns: Sequence[Array]) -> float:
-    """Noise from frame to frame [K], by second differences, in which a smooth curve does not show."""
-    bends = np.concatenate([column[2:] - 2.0 * column[1:-1] + column[:-2] for column in columns])
-    bends = bends[np.isfinite(bends)]
-    return math.sqrt(float(np.mean(bends**2)) / 6.0) if len(bends) else NAN
+    """Noise from frame to frame [K], by second differences, which a smooth curve hardly contributes to."""
+    second_differences = np.concatenate([column[2:] - 2.0 * column[1:-1] + column[:-2] for column in columns])
+    second_differences = second_differences[np.isfinite(second_differences)]
+    return math.sqrt(float(np.mean(second_differences**2)) / 6.0) if len(second_differences) else NAN
 
 
 def steadiness(records: Sequence[HeatingRecord]) -> Noted[list[Estimate]]:
@@ -181,9 +181,9 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
     """
     units = {"lag": "s", "offset_winding": "K", "offset_housing": "K"}
     estimates, notes = [], []
-    for number, record in enumerate(fit.stretches):
+    for number, record in enumerate(fit.records):
         for name, unit in units.items():
-            index = fit.own(number, name)
+            index = fit.index_of(number, name)
             if index is None:
                 continue
             variance = uncertainty.noise[index, index] + uncertainty.drift[index, index]
@@ -199,7 +199,7 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
                     f"{record.place}: {name.removeprefix('offset_')} reads {value:+.1f} K off the sensor of the air,"
                     f" more than the camera's {offset_std:g} K explain: units, emissivity, or air of another place"
                 )
-    return Noted(estimates if len(fit.stretches) == 1 else [], tuple(notes))
+    return Noted(estimates if len(fit.records) == 1 else [], tuple(notes))
 
 
 def remarks(known: ThermalParameters, stretches: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:

@@ -25,10 +25,10 @@ Mask = npt.NDArray[np.bool_]
 
 WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambient_temperature"
 CURRENT, VOLTAGE = "line_current", "line_voltage"
-NOT_CELSIUS = 200.0  # degC, and never below: no winding is left to, and a room is 290 to 300 in kelvin
+NOT_CELSIUS = 200.0  # degC: no winding stays above it throughout, and a room in kelvin is at 290 to 300
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
-LEAST_A = 0.1  # that heats anything worth a fit
-SEEN = 0.5  # of the frames of the place seen best, that a place must be seen in to count
+LEAST_A = 0.1  # below, nothing is heated that a fit could use
+SEEN = 0.5  # of the frames of the best location, that a location must be seen in to count
 LONGEST_LAG_S = 900.0  # of the camera's clock by the supply's
 BRIDGED_S = 2.0  # without readings of the supply, that a straight line is drawn over
 SHORTEST_S, FEWEST = 60.0, 100  # of a stretch with heat and frames
@@ -45,22 +45,22 @@ class SupplyRecord:
 
     @property
     def heat(self) -> Array:
-        """What goes into the winding [W]."""
+        """Electrical power into the winding [W], shape (readings,)."""
         return self.current * self.voltage
 
     @property
     def on(self) -> Mask:
-        """Readings with the current switched on."""
+        """Readings with the current switched on, shape (readings,)."""
         return np.asarray(np.abs(self.current) > FLOWS * np.max(np.abs(self.current)))
 
     def within(self, part: slice) -> "SupplyRecord":
-        """A part of it."""
+        """Return a part of the readings."""
         return replace(self, time=self.time[part], current=self.current[part], voltage=self.voltage[part])
 
 
 @dataclass(frozen=True, eq=False)
 class HeatingRecord:
-    """A part of a run whose heat is known throughout; NaN where the camera missed a frame."""
+    """Temperatures of a part of a run whose heat is known throughout; NaN where the camera missed a frame."""
 
     place: str
     time: Array  # s, of the camera's clock
@@ -112,7 +112,7 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
 
 
 def frames_of(run: Run) -> int:
-    """How many frames of the winding a run has, seen or not."""
+    """Return the number of frames of the winding in a run, missing ones included."""
     return len(run.channels(WINDING)[0].time)
 
 
@@ -243,21 +243,21 @@ def ambient_of(run: Run) -> Noted[tuple[Array, Array] | None]:
 
 
 def refuse_exchanged(run: Run, warmer: Array, colder: Array, name: str, other: str) -> None:
-    """Refuse regions of which the one that carries the current stays colder than another: places are exchanged.
+    """Raise if the region that carries the current stays colder than the other: their locations are exchanged.
 
     Judged at the tenth of the frames in which both lie furthest apart, that is while one of them is heated.
     """
-    both = np.isfinite(warmer) & np.isfinite(colder)
-    apart = (warmer - colder)[both]
-    if len(apart) and float(np.mean(apart[np.abs(apart) >= np.quantile(np.abs(apart), 0.9)])) < 0.0:
+    both_finite = np.isfinite(warmer) & np.isfinite(colder)
+    difference = (warmer - colder)[both_finite]
+    if len(difference) and float(np.mean(difference[np.abs(difference) >= np.quantile(np.abs(difference), 0.9)])) < 0.0:
         raise InputError(
-            f"{run.path}: the {other} get {-float(apart.min()):.1f} K warmer than the {name}, which carry the current:"
-            " places of the camera are exchanged"
+            f"{run.path}: the {other} get {-float(difference.min()):.1f} K warmer than the {name}, which carry the"
+            " current: places of the camera are exchanged"
         )
 
 
 def refuse_clipped(run: Run, channel: Channel) -> None:
-    """Refuse a reading of the supply that stops at a value: what is beyond is heat that nothing tells."""
+    """Raise if a reading of the supply is clipped: the heat beyond is not known."""
     end = clipped(channel)
     if end is not None:
         share = float(np.mean(channel.values == end))
@@ -279,7 +279,7 @@ def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
 
 
 def refuse_not_celsius(run: Run, channel: Channel) -> None:
-    """Refuse what can only be kelvin under another name."""
+    """Raise if a temperature can only be in kelvin."""
     least = float(np.nanmin(channel.values, initial=np.inf))
     if NOT_CELSIUS < least < np.inf:
         where = f" at {channel.location}" if channel.location else ""
@@ -290,19 +290,19 @@ def refuse_not_celsius(run: Run, channel: Channel) -> None:
 
 
 def onto(time: Array, channel: Channel) -> Array:
-    """Values at other stamps, straight in between; NaN where the channel has none on either side within two paces."""
-    good = np.isfinite(channel.values)
-    stamps = channel.time[good]
+    """Interpolate values at other stamps; NaN where the neighbouring readings are over two sampling intervals apart."""
+    finite = np.isfinite(channel.values)
+    stamps = channel.time[finite]
     if len(stamps) < 2:
         return np.full(len(time), NAN)
-    values = np.interp(time, stamps, channel.values[good], left=NAN, right=NAN)
-    after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
-    values[np.diff(stamps)[after - 1] > 2.0 * float(np.median(np.diff(channel.time)))] = NAN
+    values = np.interp(time, stamps, channel.values[finite], left=NAN, right=NAN)
+    next_stamp = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
+    values[np.diff(stamps)[next_stamp - 1] > 2.0 * float(np.median(np.diff(channel.time)))] = NAN
     return values
 
 
 def unbroken(time: Array) -> list[slice]:
-    """Parts of a clock without a gap that is too long to draw a line over."""
+    """Return the parts of a clock without gaps that are too long to bridge."""
     steps = np.diff(time)
     longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]

@@ -1,4 +1,4 @@
-"""Readings that count: none at the end of a channel's range, and none that came again in place of a new one."""
+"""Readings that count: none at the end of a channel's range, and none that repeats an old reading."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ def usable_channel(run: Run, quantity: str, held: HoldSelector = CURRENT_HOLDS, 
     ------
     NotIdentifiable : fewer levels than the `least` lie within the channel's range.
     """
-    channel, holds = run.channel(quantity, role="test"), held.levels(run)
+    channel, holds = run.channel(quantity, role="test"), held.holds_of(run)
     unsaturated, ends = within_range(channel, holds)
     saturated_holds = [hold for holds_at_end in ends.values() for hold in holds_at_end]
     notes = []
@@ -38,15 +38,15 @@ def usable_channel(run: Run, quantity: str, held: HoldSelector = CURRENT_HOLDS, 
 
 
 def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict[float, list[Hold]]]:
-    """The channel with holds at an end of its range as missed, and which these are by the value it stops at."""
+    """Replace readings of saturated holds by NaN; return the channel and the holds by the value they saturate at."""
     ends: dict[float, list[Hold]] = {}
     for _ in range(2):  # a range has two ends
-        value, reached = saturated(channel, holds)
-        if not reached:
+        value, at_end = saturated(channel, holds)
+        if not at_end:
             break
-        ends[value] = reached
+        ends[value] = at_end
         values = channel.values.copy()
-        for hold in reached:
+        for hold in at_end:
             values[span(channel, hold.start, hold.stop)] = NAN
         channel = replace(channel, values=values)
     return channel, ends

@@ -15,19 +15,19 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
-COUNTS = 3.0  # of the encoder, that tell a motion from the shaft's twist
+COUNTS = 3.0  # of the encoder, beyond which an angle is motion and not the twist of the shaft
 FITTED = 0.2  # of the time from the start of the ramp to the moment of motion, just before it
 FEWEST = 20  # readings of torque in it
 
 
 @dataclass(frozen=True, eq=False)
 class Breakaway:
-    """One breakaway: its torque, against the motion, and what is around it."""
+    """One breakaway: its torque, and the readings of the ramp before it."""
 
     trial: TrialLabel
     torque: float  # N*m, against the motion, the sensor's zero in it
     time: Array  # s, since the shaft moved
-    along: Array  # N*m
+    along: Array  # N*m, against the motion
 
 
 def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakaway]]:
@@ -44,31 +44,31 @@ def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakawa
 
 
 def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Breakaway:
-    """One breakaway.
+    """Evaluate the breakaway of one step.
 
     Raises
     ------
-    NotIdentifiable : why it cannot be used.
+    NotIdentifiable : with the reason why it cannot be used.
     """
     moment, side = motion(step, angle)
-    part = (
+    before = (
         (torque.time >= moment - FITTED * (moment - step.start)) & (torque.time < moment) & np.isfinite(torque.values)
     )
-    time, along = torque.time[part] - moment, -side * torque.values[part]
+    time, opposing = torque.time[before] - moment, -side * torque.values[before]
     if len(time) < FEWEST:
         raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
-    return Breakaway(TrialLabel(number, side), corner(time, along), time, along)
+    return Breakaway(TrialLabel(number, side), corner(time, opposing), time, opposing)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:
-    """When the shaft moved by more than a few counts [s], and which way."""
-    part = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
-    time, values = angle.time[part], angle.values[part]
+    """Return when the shaft moved by more than a few counts [s], and in which direction, 1 or -1."""
+    in_step = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
+    time, values = angle.time[in_step], angle.values[in_step]
     if len(values) < FEWEST:
         raise NotIdentifiable("no angle is recorded")
     steps = np.diff(np.unique(values))
-    counts = COUNTS * float(steps.min()) if len(steps) else 0.0
-    moved = np.flatnonzero(np.abs(values - values[0]) > counts)
+    threshold = COUNTS * float(steps.min()) if len(steps) else 0.0
+    moved = np.flatnonzero(np.abs(values - values[0]) > threshold)
     if not len(moved):
         raise NotIdentifiable("the shaft did not let go: give a higher current")
     if moved[0] < FEWEST:
@@ -77,12 +77,12 @@ def motion(step: Step, angle: Channel) -> tuple[float, int]:
 
 
 def corner(time: Array, along: Array) -> float:
-    """The level after a corner that the torque rises to, by least squares over every place of the corner."""
-    best, level = np.inf, float("nan")
-    for at in time[len(time) // 4 : -2]:
-        design = np.column_stack([np.ones_like(time), np.minimum(time - at, 0.0)])
+    """Fit a ramp that ends in a plateau, over every time of the corner; return the plateau [N*m]."""
+    smallest, plateau = np.inf, float("nan")
+    for corner_time in time[len(time) // 4 : -2]:
+        design = np.column_stack([np.ones_like(time), np.minimum(time - corner_time, 0.0)])
         solution, *_ = np.linalg.lstsq(design, along, rcond=None)
-        rest = float(np.sum((along - design @ solution) ** 2))
-        if rest < best:
-            best, level = rest, float(solution[0])
-    return level
+        residual_square = float(np.sum((along - design @ solution) ** 2))
+        if residual_square < smallest:
+            smallest, plateau = residual_square, float(solution[0])
+    return plateau

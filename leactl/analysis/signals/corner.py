@@ -31,13 +31,13 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class SpeedHolds:
-    """Holds by speed [rad/s] and current [A], which of them the voltage limited, and their runs."""
+    """Holds by speed [rad/s] and current [A], and which of them the voltage limited; shape (holds,) each."""
 
     speed: Array
     current: Array
-    asked: float  # A
-    limited: Mask  # the voltage is what limited the current
-    held: Mask  # the current was as asked for, as far as its noise tells; holds that are neither lie near the corner
+    setpoint: float  # A, setpoint of the current
+    limited: Mask  # the voltage limited the current
+    held: Mask  # the current reached its setpoint within noise; holds that are neither lie near the corner
     run: npt.NDArray[np.int64]
 
 
@@ -91,7 +91,7 @@ def reactance_of(runs: Sequence[Run]) -> Noted[float]:
 
 
 def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, float, float]:
-    """The corner [rad/s], its standard error by the scatter of the holds, and the degrees of freedom of that.
+    """Fit the corner speed [rad/s]; return it with its standard error and degrees of freedom.
 
     Raises
     ------
@@ -99,41 +99,46 @@ def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, floa
     """
     speed, current = holds.speed[holds.limited], holds.current[holds.limited]
     repeats = indicator_columns(repeats_of(holds)[holds.limited])
-    apart = repeats[:, 1:] - repeats[:, :1]  # zero in the mean over repeats
-    share = (current / holds.asked) ** 2
-    unknowns = [float((speed + current * (speed.max() / holds.asked)).mean()), 0.5 * float(speed.max()) / holds.asked]
-    theta = np.array([*unknowns, *np.zeros(1 + apart.shape[1])])
+    repeat_offsets = repeats[:, 1:] - repeats[:, :1]  # zero in the mean over repeats
+    current_share = (current / holds.setpoint) ** 2
+    unknowns = [
+        float((speed + current * (speed.max() / holds.setpoint)).mean()),
+        0.5 * float(speed.max()) / holds.setpoint,
+    ]
+    theta = np.array([*unknowns, *np.zeros(1 + repeat_offsets.shape[1])])
     fit: LeastSquaresFit | None = None
     for _ in range(ROUNDS):
         root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, LEAST_ROOT * theta[0] ** 2))
-        resistance = np.column_stack([np.ones_like(share), share, apart])
-        rest = speed - (root - (resistance @ theta[1:]) * current)
+        resistance = np.column_stack([np.ones_like(current_share), current_share, repeat_offsets])
+        residuals = speed - (root - (resistance @ theta[1:]) * current)
         design = np.column_stack([theta[0] / root, -resistance * current[:, np.newaxis]])
-        fit = least_squares(design, rest, design, place)
+        fit = least_squares(design, residuals, design, place)
         theta = theta + fit.coefficients
         if float(np.max(np.abs(fit.coefficients))) < 1e-10 * abs(theta[0]):
             break
     assert fit is not None
-    hot = (theta[1] + theta[2]) * holds.asked
-    across = 1.0 + (reactance * holds.asked) ** 2
+    hot_drop = (theta[1] + theta[2]) * holds.setpoint
+    impedance_square = 1.0 + (reactance * holds.setpoint) ** 2
     # (w + hot)^2 + (across - 1) w^2 = V^2
-    value = (-hot + math.sqrt(max(hot**2 - across * (hot**2 - theta[0] ** 2), 0.0))) / across
-    along = value * across + hot
+    value = (
+        -hot_drop + math.sqrt(max(hot_drop**2 - impedance_square * (hot_drop**2 - theta[0] ** 2), 0.0))
+    ) / impedance_square
+    slope = value * impedance_square + hot_drop
     gradient = np.zeros(len(theta))
-    gradient[0] = theta[0] / along
-    gradient[1:3] = -holds.asked * (value + hot) / along
+    gradient[0] = theta[0] / slope
+    gradient[1:3] = -holds.setpoint * (value + hot_drop) / slope
     return value, fit.combined(gradient)[1], fit.dof
 
 
 def groups_of(speed: Array) -> npt.NDArray[np.int64]:
-    """A number for each speed, the same where holds lie no further apart than repeats do."""
+    """Number the speeds so that repeats share a number, shape (holds,)."""
     order = np.argsort(speed)
-    group = np.empty(len(speed), np.int64)
-    group[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
-    return group
+    groups = np.empty(len(speed), np.int64)
+    groups[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
+    return groups
 
 
 def repeats_of(holds: SpeedHolds) -> npt.NDArray[np.int64]:
-    """How often the same speed was driven before, in order of the holds."""
-    group = groups_of(holds.speed)
-    return np.array([int(np.sum(group[:k] == group[k])) for k in range(len(group))])
+    """Count how often the same speed was driven before each hold, shape (holds,)."""
+    groups = groups_of(holds.speed)
+    return np.array([int(np.sum(groups[:k] == groups[k])) for k in range(len(groups))])

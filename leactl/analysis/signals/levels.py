@@ -19,15 +19,15 @@ Array = npt.NDArray[np.float64]
 
 DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
-LEAST_COVERED = 0.5  # of a settled part, for a hold that the end of the recording cut
+LEAST_COVERED = 0.5  # of a settled part, that the samples must span
 MISSING_SHARE = 0.01  # of the samples, above which a note says so
-RESOLVED = 10.0  # spread of the levels over the standard error of one, for the setpoint to be a strong instrument
+RESOLVED = 10.0  # spread of the levels over the standard error of one, from which the setpoint is a strong instrument
 WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
 
 
 @dataclass(frozen=True)
 class Hold:
-    """One held setpoint."""
+    """One settled hold of a setpoint."""
 
     setpoint: float
     direction: int  # 1 reached by rising, -1 by falling, 0 not said
@@ -41,13 +41,13 @@ class Hold:
 
 @dataclass(frozen=True)
 class SettledMean:
-    """Mean of a channel over a part of a run."""
+    """Mean of a channel over the settled part of a hold."""
 
     value: float
     std: float  # standard error of the mean, with autocorrelation
     samples: int
     missing: int
-    quarters: tuple[float, ...]  # means of the four quarters of the part, to judge whether it is steady
+    quarters: tuple[float, ...]  # means of the four quarters, to judge whether the channel is steady
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class HoldMeans:
         return len(self.run)
 
     def where(self, kept: npt.NDArray[np.bool_]) -> "HoldMeans":
-        """Only some of the holds."""
+        """Return the holds for which `kept`, of shape (holds,), is true."""
         return replace(
             self,
             run=self.run[kept],
@@ -82,23 +82,23 @@ class HoldMeans:
 
 @dataclass(frozen=True)
 class HoldSelector:
-    """What the holds of an experiment are told by: the key of their setpoint, and whose it is."""
+    """Selects the holds of an experiment by the key of their setpoint and the role of the actuator."""
 
     key: str
     unit: str
     role: str = "test"
 
-    def levels(self, run: Run) -> list[Hold]:
-        """Holds of a run, in order: steps named `hold` with this key in their parameters."""
-        found = []
+    def holds_of(self, run: Run) -> list[Hold]:
+        """Return the steps `hold` of a run that state this setpoint, in order."""
+        holds = []
         for step in run.steps:
             setpoint = step.parameters.get(self.key)
             numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
             if step.name == "hold" and numeric and step.parameters.get("role", self.role) == self.role:
                 direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
                 settled = step.start + step.settle
-                found.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
-        return found
+                holds.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
+        return holds
 
 
 CURRENT_HOLDS = HoldSelector("current_A", "A")
@@ -106,7 +106,7 @@ CURRENT_HOLDS = HoldSelector("current_A", "A")
 
 def held_levels(run: Run) -> list[Hold]:
     """Holds of the test actuator's current, in order."""
-    return CURRENT_HOLDS.levels(run)
+    return CURRENT_HOLDS.holds_of(run)
 
 
 def gather_means(
@@ -162,7 +162,7 @@ def gather_means(
 def _rows_of(
     run: Run, number: int, channels: Sequence[Channel], held: HoldSelector
 ) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
-    holds = held.levels(run)
+    holds = held.holds_of(run)
     left_out: dict[str, list[str]] = {}
     rows = []
     for hold in holds:
@@ -187,25 +187,25 @@ def _rows_of(
 
 
 def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | None:
-    """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon."""
-    part = span(channel, start, stop)
-    values, time = channel.values[part], channel.time[part]
-    good = np.isfinite(values)
-    samples = int(good.sum())
-    if samples < FEWEST_SAMPLES or np.ptp(time[good]) < LEAST_COVERED * (stop - start):
+    """Average the samples from start to before stop [s]; None with too few, or where the record ends too soon."""
+    samples_in = span(channel, start, stop)
+    values, time = channel.values[samples_in], channel.time[samples_in]
+    finite = np.isfinite(values)
+    count = int(finite.sum())
+    if count < FEWEST_SAMPLES or np.ptp(time[finite]) < LEAST_COVERED * (stop - start):
         return None
-    quarter = np.minimum(((time[good] - start) / (stop - start) * 4).astype(np.int64), 3)
+    quarter = np.minimum(((time[finite] - start) / (stop - start) * 4).astype(np.int64), 3)
     counts = np.bincount(quarter, minlength=4)
     with np.errstate(invalid="ignore"):
-        quarters = np.bincount(quarter, values[good], minlength=4) / counts
-    value = float(values[good].mean())
-    return SettledMean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
+        quarters = np.bincount(quarter, values[finite], minlength=4) / counts
+    value = float(values[finite].mean())
+    return SettledMean(value, standard_error(values), count, len(values) - count, tuple(quarters.tolist()))
 
 
 def span(channel: Channel, start: float, stop: float) -> slice:
-    """Where the samples taken from start to before stop [s] are.
+    """Return the slice of the samples taken from start to before stop [s].
 
-    A sample that is itself a mean, over the interval that ends at its stamp, counts where the whole interval is inside.
+    A sample that is itself a mean over the interval before its stamp counts if the whole interval is inside.
     """
     first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
     if channel.sampling == "mean":
@@ -219,25 +219,27 @@ def standard_error(values: Array) -> float:
     sqrt(variance * tau / n), tau being one plus twice the sum of the autocorrelation up to five tau (Sokal, Monte Carlo
     Methods in Statistical Mechanics, 1997, section 3), never under one.
     """
-    good = np.isfinite(values)
-    samples = int(good.sum())
-    if samples < 2:
+    finite = np.isfinite(values)
+    count = int(finite.sum())
+    if count < 2:
         return math.nan
-    deviation = np.where(good, values - values[good].mean(), 0.0)
-    power = float(deviation @ deviation)
-    if power <= 1e-30 * samples * float(np.nanmax(np.abs(values))) ** 2:
+    deviation = np.where(finite, values - values[finite].mean(), 0.0)
+    square_sum = float(deviation @ deviation)
+    if square_sum <= 1e-30 * count * float(np.nanmax(np.abs(values))) ** 2:
         return 0.0
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.fft.rfft(deviation, size)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / power
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / square_sum
     tau = 2.0 * np.cumsum(correlation) - 1.0
-    enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
-    found = float(tau[enough[0]]) if len(enough) else len(values) / WINDOW
-    return math.sqrt(power / (samples - 1) * max(found, 1.0) / samples)
+    long_enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
+    time_constant = float(tau[long_enough[0]]) if len(long_enough) else len(values) / WINDOW
+    return math.sqrt(square_sum / (count - 1) * max(time_constant, 1.0) / count)
 
 
 def require_levels(place: str, what: str, setpoints: Array, means: Array, errors: Array) -> None:
-    """Refuse levels that no slope can be found from; `what` names the quantity that is regressed on.
+    """Raise if the levels do not determine a slope; `what` names the regressor.
+
+    Shapes: setpoints, means and their standard errors (holds,).
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The mean of what single trials gave, one number each: its uncertainty is that of their scatter, run against run too.
+"""Mean of one number for each trial: its uncertainty is that of the scatter between trials, and between runs.
 
-Noise within a trial says nothing of what moves a trial as a whole, such as friction that is another each time.
+Noise within a trial says nothing of what moves a whole trial, such as friction that differs from trial to trial.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from leactl.analysis.statistics.regression import (
 
 @dataclass(frozen=True)
 class TrialLabel:
-    """Whose a number is: the run's place among the runs, and the side (direction, sign) that it was taken from."""
+    """The run of a trial by its number, and the side (direction or sign) that the trial was made on."""
 
     run: int
     side: int
@@ -29,7 +29,9 @@ class TrialLabel:
 def mean_of(
     values: Sequence[float], trials: Sequence[TrialLabel], name: str, units: str, relative_std: float = 0.0
 ) -> Estimate:
-    """The mean over the sides, each the mean of its trials; `relative_std` is of a factor that they share.
+    """Average values of trials over the sides, each side the mean of its trials.
+
+    `relative_std` is the relative standard uncertainty of a factor that all values share.
 
     Raises
     ------
@@ -40,10 +42,13 @@ def mean_of(
 
 
 def fit_sides(values: Sequence[float], trials: Sequence[TrialLabel], place: str) -> tuple[LeastSquaresFit, np.ndarray]:
-    """One constant a side, judged by the runs where they differ by more than scatter; and the weights of their mean."""
+    """Fit one constant for each side; return the fit and the weights of the coefficients in their mean.
+
+    Where the runs differ by more than scatter, the uncertainty is that of the runs' means.
+    """
     response = np.asarray(values, np.float64)
     sides = indicator_columns(np.array([trial.side for trial in trials]))
-    cells = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
+    run_sides = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
     fit = least_squares(sides, response, sides, place)
-    judged = widened_by(fit, partial_f_test(sides, response, indicator_columns(cells)))
-    return judged, np.full(sides.shape[1], 1.0 / sides.shape[1])
+    widened = widened_by(fit, partial_f_test(sides, response, indicator_columns(run_sides)))
+    return widened, np.full(sides.shape[1], 1.0 / sides.shape[1])

@@ -1,4 +1,4 @@
-"""Holds of a turning shaft with the motor's leads open: angle, waves and wiring of each, what cannot be used named."""
+"""Holds of a turning shaft with open leads: electrical angle, waves and lead connection of each hold."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from leactl.runfile.reader import Run
 
 @dataclass(frozen=True, eq=False)
 class TurningHold:
-    """One hold: its waves by pair, all over the same electrical angle."""
+    """One hold of a turning shaft: waves of each pair of leads over one electrical angle."""
 
     run: Run
     start: float  # s
@@ -139,11 +139,11 @@ def turning_hold(
 
 
 def refuse_powered(run: Run, start: float, stop: float) -> None:
-    """Refuse a hold in which the drive was enabled: its leads carry more than back-EMF.
+    """Raise if the drive was enabled during a hold: its leads carry more than back-EMF.
 
     Raises
     ------
-    NotIdentifiable : so.
+    NotIdentifiable : the drive was enabled.
     """
     for channel in run.channels("drive_enabled", role="test"):
         first, last = np.searchsorted(channel.time, (start, stop))
@@ -152,36 +152,36 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
 
 
 def best_of(pairs: Mapping[str, LineVoltage]) -> str:
-    """The pair to follow: the one with the fewest samples missing, the largest of several."""
+    """Return the pair with the fewest samples missing, the largest of several."""
 
-    def rank(name: str) -> tuple[float, float]:
+    def quality_of(name: str) -> tuple[float, float]:
         values = pairs[name].record.values
         return float(np.mean(np.isfinite(values))), float(np.nanstd(values))
 
-    return max(pairs, key=rank)
+    return max(pairs, key=quality_of)
 
 
 def sizes_of(waves: Waves) -> Array:
-    """Flux linkage of each wave's fundamental along their common phase: noise across it adds nothing [V*s]."""
+    """Flux linkage of each wave's fundamental [V*s], shape (waves,), as far as it is in phase with their mean."""
     fundamental = waves.linkage[0]
     mean = complex(np.nanmean(fundamental))
     return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
 
 
 def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
-    """What the phases of three pairs say of their leads, what is left of their sum, and the waves with signs mended."""
-    phasors = {name: complex(np.nanmean(found.linkage[0])) for name, found in waves.items()}
+    """Check the phases of three pairs; return notes, the relative size of their sum, and the corrected waves."""
+    phasors = {name: complex(np.nanmean(pair_waves.linkage[0])) for name, pair_waves in waves.items()}
     if len(phasors) < len(PAIRS):
         return [], math.nan, dict(waves)
     wiring = connection_of(phasors)
     if wiring is None:
-        apart = ", ".join(
+        phases = ", ".join(
             f"{name} {math.degrees(math.remainder(float(np.angle(value / phasors['ab'])), 2 * math.pi)):+.0f} degrees"
             for name, value in phasors.items()
             if name != "ab"
         )
         return (
-            [f"the pairs are not thirds of a wave apart ({apart} from ab): a pair is not what it is taken for"],
+            [f"the pairs are not thirds of a wave apart ({phases} from ab): a pair is not what it is taken for"],
             math.nan,
             dict(waves),
         )
@@ -191,6 +191,8 @@ def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], fl
             "the pairs follow one another against the sense of rotation: two leads, or two pairs' channels, are"
             " exchanged, or the encoder's sign is wrong"
         )
-    mended = {name: Waves(wiring.signs[name] * found.linkage, found.offset) for name, found in waves.items()}
-    rest = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
-    return findings, rest / (sum(map(abs, phasors.values())) / len(phasors)), mended
+    corrected = {
+        name: Waves(wiring.signs[name] * pair_waves.linkage, pair_waves.offset) for name, pair_waves in waves.items()
+    }
+    sum_of_three = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
+    return findings, sum_of_three / (sum(map(abs, phasors.values())) / len(phasors)), corrected
