@@ -52,9 +52,7 @@ class MapMeans:
         return np.asarray(1.0 / repeats / self.reached)
 
     def over_map(self, quantity: str, column: Array | None = None) -> Array:
-        """Return a quantity of `Balance` at each point, mean of its repeats, shape (speeds, currents); NaN without
-        one.
-        """
+        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without one."""
         values = getattr(self.balance, quantity) if column is None else column
         total = np.zeros_like(self.counts)
         np.add.at(total, self.places, np.where(self.held, values, 0.0))

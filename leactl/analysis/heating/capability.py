@@ -5,7 +5,7 @@ they are those of the actuator that was heated.
 """
 
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.heating.parameters import ThermalParameters
+from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE
 from leactl.model.capability import FOR_EVER, STANDING, TURNING, Winding, current_held
 
@@ -14,7 +14,7 @@ MOTIONS = {"": TURNING, "_standing": STANDING}
 
 
 def current_capability(
-    parameters: ThermalParameters, phase_of_line: float, limit: float, ambient: float
+    parameters: FittedParameters, phase_of_line: float, limit: float, ambient: float
 ) -> list[Estimate]:
     """Estimate continuous and peak q-axis currents [A] from ambient, turning (all phases alike) and standing.
 
@@ -25,7 +25,7 @@ def current_capability(
         for duration in (FOR_EVER, *PEAKS_S):
             kind = "continuous_current" if duration == FOR_EVER else f"peak_current_{duration:g}s"
 
-            def current(moved: ThermalParameters, duration: float = duration, share: float = share) -> float:
+            def current(moved: FittedParameters, duration: float = duration, share: float = share) -> float:
                 cold = phase_of_line * float(moved.point[5])
                 winding = Winding(moved.network, cold, float(moved.point[6]), REFERENCE)
                 return current_held(winding, limit - ambient, ambient, duration, share)

@@ -12,8 +12,8 @@ from leactl.analysis.heating.network import NetworkFit, measured
 from leactl.analysis.heating.parameters import (
     NAMES,
     UNITS,
+    FittedParameters,
     Instruments,
-    ThermalParameters,
     Uncertainty,
     correlation,
     natural,
@@ -38,7 +38,7 @@ STEADY = (
 )
 
 
-def network_results(parameters: ThermalParameters, constants_seen: float) -> Noted[list[Estimate]]:
+def network_results(parameters: FittedParameters, constants_seen: float) -> Noted[list[Estimate]]:
     """Estimate the network's five parameters and its thermal resistance from winding to air.
 
     `constants_seen` is the longest heating or cooling of the record in slow time constants. Below one, parameters that
@@ -96,7 +96,7 @@ def slow_constants_seen(fit: NetworkFit) -> float:
 
 
 def resistance_results(
-    parameters: ThermalParameters, line: ResistanceLine, phase_of_line: float
+    parameters: FittedParameters, line: ResistanceLine, phase_of_line: float
 ) -> Noted[list[Estimate]]:
     """Estimate the resistance at 25 degC, of two leads and of a phase, and its temperature coefficient.
 
@@ -202,7 +202,7 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
     return Noted(estimates if len(fit.records) == 1 else [], tuple(notes))
 
 
-def remarks(known: ThermalParameters, stretches: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
+def remarks(known: FittedParameters, stretches: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
     """Correlations, what the instruments were taken to be, and how far the air went."""
     table, notes = correlation(natural_covariance(known)), []
     pairs = [(abs(table[i, k]), i, k) for i in range(5) for k in range(i) if abs(table[i, k]) > TELLING]

@@ -53,7 +53,7 @@ class UncertaintySource:
 
 
 @dataclass(frozen=True, eq=False)
-class ThermalParameters:
+class FittedParameters:
     """Values of `NAMES` with the conductance past the housing [W/K] first, and the sources of their uncertainty."""
 
     point: Array
@@ -70,11 +70,11 @@ class ThermalParameters:
         wa, wh, ha, cw, ch = self.point[:NETWORK].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
-    def moved(self, step: Array) -> "ThermalParameters":
+    def moved(self, step: Array) -> "FittedParameters":
         """Return the parameters at another point with the same uncertainty."""
-        return ThermalParameters(self.point + step, self.sources)
+        return FittedParameters(self.point + step, self.sources)
 
-    def estimate(self, name: str, units: str, figure: Callable[["ThermalParameters"], float]) -> Estimate:
+    def estimate(self, name: str, units: str, figure: Callable[["FittedParameters"], float]) -> Estimate:
         """Estimate a positive figure that follows from the parameters; NaN where its relative uncertainty is over 50 %.
 
         The interval is symmetric in the figure's logarithm.
@@ -95,18 +95,18 @@ class ThermalParameters:
         return Estimate(name, value, std, value * math.exp(-log_half_width), value * math.exp(log_half_width), units)
 
 
-def parallel(parameters: ThermalParameters) -> float:
+def parallel(parameters: FittedParameters) -> float:
     """Return Rwa in parallel with Rwh and Rha in series [K/W]: the steady rise of the winding for each watt."""
     network = parameters.network
     return 1.0 / (network.winding_ambient + 1.0 / (1.0 / network.winding_housing + 1.0 / network.housing_ambient))
 
 
-def natural(parameters: ThermalParameters) -> Array:
+def natural(parameters: FittedParameters) -> Array:
     """Return the parameters in the order and units of `NAMES`, the resistance past the housing first."""
     return np.concatenate([[1.0 / parameters.point[0]], parameters.point[1:]])
 
 
-def natural_covariance(parameters: ThermalParameters) -> Array:
+def natural_covariance(parameters: FittedParameters) -> Array:
     """Return the covariance of the parameters in the order and units of `NAMES`, shape (7, 7)."""
     factors = np.ones(len(parameters.point))
     factors[0] = -1.0 / parameters.point[0] ** 2
@@ -151,10 +151,8 @@ def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
 
 def thermal_parameters(
     fit: NetworkFit, uncertainty: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
-) -> ThermalParameters:
-    """Combine network and resistance with all sources of uncertainty; `air` is the temperature around the actuator
-    [degC].
-    """
+) -> FittedParameters:
+    """Combine network and resistance with their sources of uncertainty; `air` is the ambient temperature [degC]."""
     network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK])])
     jacobian = np.diag([1.0, *network[1:]])
     point = np.concatenate([network, [line.level, line.coefficient]])
@@ -187,7 +185,7 @@ def thermal_parameters(
     stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.records)
     for std, slopes in zip(stds, (camera_slopes, offset_slopes, voltage_slopes, current_slopes, scaled), strict=True):
         sources.append(UncertaintySource(std**2 * np.outer(slopes, slopes), math.inf))
-    return ThermalParameters(point, tuple(sources))
+    return FittedParameters(point, tuple(sources))
 
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:

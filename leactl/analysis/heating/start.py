@@ -86,9 +86,7 @@ def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
 
 
 def starting_lag(record: HeatingRecord) -> float:
-    """Estimate how late the camera's clock is [s], by correlating its slopes with the heat; zero without a clear
-    peak.
-    """
+    """Estimate the lag of the camera's clock [s] by correlating its slopes with the heat; zero without a clear peak."""
     supply = record.supply
     edges = np.arange(supply.time[0], supply.time[-1], LAG_PACE_S)
     heat = np.diff(np.interp(edges, supply.time, energy(supply))) / LAG_PACE_S
