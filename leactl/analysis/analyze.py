@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
@@ -61,7 +61,7 @@ def experiment_of(run: Run) -> str:
 
 
 @dataclass(frozen=True)
-class Vetted:
+class InspectedRun:
     """What has to be known of a run before it is analysed together with others."""
 
     path: Path
@@ -75,11 +75,11 @@ class Vetted:
     remarks: list[str]
 
 
-Groups = Sequence[Sequence[Vetted]]  # runs of one actuator under one condition each
+Groups = Sequence[Sequence[InspectedRun]]  # runs of one actuator under one condition each
 Answers = Callable[[Experiment, Groups, dict[str, Any]], Iterator[Result]]
 
 
-def vet(run: Run, experiment: str) -> Vetted:
+def inspect_run(run: Run, experiment: str) -> InspectedRun:
     """Look at a run by itself.
 
     Parameters
@@ -91,12 +91,14 @@ def vet(run: Run, experiment: str) -> Vetted:
     altered = integrity.altered(run.path)
     if not altered:
         try:
-            doubts = doubts_of(run)
+            doubts = channel_doubts(run)
         except InputError as fault:  # which is the fault of all that it is analysed with
             unread = fault.faults
     group = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
     asked = experiment or experiment_of(run)
-    return Vetted(run.path, identity_of(run), group, asked, altered, unread, doubts, run.condemned, remarks_on(run))
+    return InspectedRun(
+        run.path, identity_of(run), group, asked, altered, unread, doubts, run.condemned, remarks_on(run)
+    )
 
 
 def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: Any) -> Result:
@@ -116,14 +118,14 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
         runs = {run.path: run for run in [opened.enter_context(Run.open(path)) for path in paths]}
 
         def answers(
-            analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]
+            analysis: Experiment, groups: Sequence[Sequence[InspectedRun]], given: dict[str, Any]
         ) -> Iterator[Result]:
             yield from (analysis.answer([runs[one.path] for one in members], **given) for members in groups)
 
-        return analyzed([vet(runs[Path(path)], experiment) for path in paths], answers, options)
+        return analyzed([inspect_run(runs[Path(path)], experiment) for path in paths], answers, options)
 
 
-def analyzed(vetted: Sequence[Vetted], answers: Answers, options: Mapping[str, Any]) -> Result:
+def analyzed(vetted: Sequence[InspectedRun], answers: Answers, options: Mapping[str, Any]) -> Result:
     """The answer of runs that were looked at one by one.
 
     Parameters
@@ -150,11 +152,11 @@ def analyzed(vetted: Sequence[Vetted], answers: Answers, options: Mapping[str, A
     analysis = analysis_of(first.experiment, str(first.path))
     given = {name: value for name, value in options.items() if value is not None}
     refuse_unknown(analysis, given)
-    groups: dict[tuple[str, str], list[Vetted]] = {}
+    groups: dict[tuple[str, str], list[InspectedRun]] = {}
     for one in vetted:
         groups.setdefault(one.group, []).append(one)
     doubts = [note for one in vetted for note in one.doubts]
-    with opened_by(doubts):
+    with prefixed_by(doubts):
         found = dict(zip(groups, answers(analysis, list(groups.values()), given), strict=True))
     return combined(first.experiment, vetted, found, doubts)
 
@@ -177,14 +179,16 @@ def analyze_each(
     ------
     InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
     """
-    experiments: dict[str, list[Vetted]] = {}
+    experiments: dict[str, list[InspectedRun]] = {}
     faults: list[str] = []
     for done in workers.in_order(_vetted, [(path, experiment) for path in paths]):
         faults += done.faults
         if not done.faults:
             experiments.setdefault(done.value().experiment, []).append(done.value())
 
-    def answers(analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]) -> Iterator[Result]:
+    def answers(
+        analysis: Experiment, groups: Sequence[Sequence[InspectedRun]], given: dict[str, Any]
+    ) -> Iterator[Result]:
         jobs = [(analysis.name, [(one.path, one.condemned) for one in members], given) for members in groups]
         yield from (done.value() for done in workers.in_order(_answer, jobs))
 
@@ -207,9 +211,9 @@ def analyze_each(
     return results, faults
 
 
-def _vetted(path: Path, experiment: str) -> Vetted:
+def _vetted(path: Path, experiment: str) -> InspectedRun:
     with Run.open(path) as run:
-        return vet(run, experiment)
+        return inspect_run(run, experiment)
 
 
 def _answer(experiment: str, members: Sequence[tuple[Path, dict[str, str]]], given: dict[str, Any]) -> Result:
@@ -234,7 +238,7 @@ def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str
 
 
 @contextmanager
-def opened_by(doubts: Sequence[str]) -> Iterator[None]:
+def prefixed_by(doubts: Sequence[str]) -> Iterator[None]:
     """Let the doubts of the channels open what an analysis is refused with: they are likely why."""
     try:
         yield
@@ -270,7 +274,7 @@ def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
 
 
 def combined(
-    experiment: str, vetted: Sequence[Vetted], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
+    experiment: str, vetted: Sequence[InspectedRun], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
 ) -> Result:
     """One answer from that of each group, doubts of their channels first; notes say whose they are if of several."""
     results: list[Estimate] = []

@@ -1,12 +1,14 @@
 """What an analysis answers: estimates with 95 % intervals, notes a reader must know, and the points behind a plot."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from leactl.errors import InputError
 
+Value = TypeVar("Value", covariant=True)
+Item = TypeVar("Item")
 NAN = math.nan
 FORMAT, VERSION = "leactl-analysis", 1  # of an answer as JSON
 
@@ -31,6 +33,20 @@ class Estimate:
         row |= {key: float(number) if math.isfinite(number) else None for key, number in numbers.items()}
         row["units"] = self.units
         return row | {"actuator": self.actuator, "condition": self.condition} if with_group else row
+
+
+@dataclass(frozen=True)
+class Noted(Generic[Value]):
+    """A value and the notes that its reader must know, in the order in which they are printed."""
+
+    value: Value
+    notes: tuple[str, ...] = ()
+
+
+def joined(parts: Iterable[Noted[Sequence[Item]]]) -> Noted[list[Item]]:
+    """Put the items of several sequences into one list, and their notes into one tuple."""
+    every = list(parts)
+    return Noted([item for part in every for item in part.value], tuple(note for part in every for note in part.notes))
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def stats(
     else:
         typer.echo(
             "\n\n".join(
-                comparisons_text(comparison.experiment, comparison.found, comparison.refused)
+                comparisons_text(comparison.experiment, comparison.comparisons, comparison.refused)
                 for comparison in comparisons
             )
         )

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.report.html import Html, joined, tag
-from leactl.report.plot import Axis
+from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
 TICKS = (5, 5)  # at most about so many along x and y: at 360 px, x labels have 47 px each
@@ -18,7 +18,7 @@ LONGEST_LABEL = 7  # characters
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class LineMarks:
     """A line through points."""
 
     name: str
@@ -32,7 +32,7 @@ class Curve:
         """What the axes have to hold."""
         return self.x, self.y
 
-    def drawn(self, x: Axis, y: Axis) -> Html:
+    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """The path; a gap where a value is not finite, and where points were left out."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
@@ -47,7 +47,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class PointMarks:
     """A mark at each point; `style` says which."""
 
     name: str
@@ -60,7 +60,7 @@ class Points:
         finite = np.isfinite(self.x) & np.isfinite(self.y)
         return self.x[finite], self.y[finite]
 
-    def drawn(self, x: Axis, y: Axis) -> Html:
+    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """Strokes of next to no length: their ends are the marks, and keep their shape in a drawing that is stretched.
 
         A PDF paints a stroke of no length with round ends alone (ISO 32000, 8.5.3.2): one with square ends has a tenth.
@@ -87,7 +87,7 @@ class Bins:
         """What the axes have to hold."""
         return np.concatenate([self.low, self.high]), np.concatenate([self.mean - self.std, self.mean + self.std])
 
-    def drawn(self, x: Axis, y: Axis) -> Html:
+    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """Two paths: bars and strokes."""
         bars, strokes = [], []
         for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
@@ -103,7 +103,7 @@ class Bins:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class AxisRange:
     """A part of one axis that is shaded."""
 
     name: str
@@ -116,7 +116,7 @@ class Stretch:
         """A part of x is cut at the axes; one of y has to be seen."""
         return np.empty(0), np.empty(0) if self.upright else np.asarray([self.low, self.high])
 
-    def drawn(self, x: Axis, y: Axis) -> Html:
+    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """One rectangle across the other axis."""
         if self.upright:
             path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{FULL:g}H{across(x, self.low)}Z"
@@ -138,15 +138,15 @@ class Area:
         corners = np.array([corner for polygon in self.polygons for corner in polygon]).reshape(-1, 2)
         return corners[:, 0], corners[:, 1]
 
-    def drawn(self, x: Axis, y: Axis) -> Html:
+    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """One path."""
         rings = ["L".join(f"{across(x, a)} {down(y, b)}" for a, b in polygon) for polygon in self.polygons]
         return tag("path", d="".join(f"M{ring}Z" for ring in rings), class_=f"band {self.style}")
 
 
-Layer = Curve | Points | Bins | Stretch | Area
+Layer = LineMarks | PointMarks | Bins | AxisRange | Area
 Key = tuple[str, str]
-NO_CURVE = Curve("", "", np.empty(0), np.empty(0))
+NO_CURVE = LineMarks("", "", np.empty(0), np.empty(0))
 
 
 def chart(
@@ -167,7 +167,7 @@ def chart(
     reaches = [layer.reach() for layer in (*layers, *beside)]
     x, y = axis([reach[0] for reach in reaches], TICKS[0], x_log), axis([reach[1] for reach in reaches], TICKS[1])
     if not keys:
-        unnamed = [layer for layer in layers if not (isinstance(layer, Curve) and layer.told)]
+        unnamed = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.told)]
         of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
         keys = [(of_name[name], name) for name in reversed(of_name)]
     x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
@@ -196,11 +196,11 @@ def chart(
     )
 
 
-def names_on_lines(layers: Sequence[Layer], x: Axis, y: Axis) -> list[Html]:
+def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Html]:
     """The names of lines that are told, each in the middle of the longest of its name."""
-    longest: dict[str, Curve] = {}
+    longest: dict[str, LineMarks] = {}
     for layer in layers:
-        if isinstance(layer, Curve) and layer.told and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
+        if isinstance(layer, LineMarks) and layer.told and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
             longest[layer.name] = layer
     found = []
     for name, line in longest.items():
@@ -216,19 +216,19 @@ def legend(entries: Iterable[Key]) -> Html:
     return tag("div", *items, class_="legend")
 
 
-def axis(values: Sequence[Array], ticks: int, log: bool = False) -> Axis:
+def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
     """An axis over all finite values, on a logarithmic one over those above zero."""
     every = np.concatenate(values)
     finite = every[np.isfinite(every) & ((every > 0.0) | (not log))]
-    return Axis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
+    return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
 
 
-def across(x: Axis, value: float) -> float:
+def across(x: PlotAxis, value: float) -> float:
     """Where a value lies in the drawing, from the left, cut at its edges."""
     return round(FULL * min(max(x.share(value), 0.0), 1.0), 1)
 
 
-def down(y: Axis, value: float) -> float:
+def down(y: PlotAxis, value: float) -> float:
     """Where a value lies in the drawing, from the top, cut at its edges."""
     return round(FULL * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
 

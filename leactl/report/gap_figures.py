@@ -7,7 +7,7 @@ import numpy as np
 from leactl.gap.diagnosis import Diagnosis, Picture, Rest, Where
 from leactl.gap.verdict.shrinkage import Trace
 from leactl.gap.verdict.where import Profile
-from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
+from leactl.report.chart import AxisRange, Bins, Layer, LineMarks, chart
 from leactl.report.gap_words import (
     NEAR_FLOOR,
     bare_units,
@@ -84,7 +84,7 @@ def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
         spread = np.asarray([getattr(one, f"{model}_high") - getattr(one, model) for one in bins])
         layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
     ends = np.asarray([low[0], high[-1]]) if len(bins) else np.zeros(0)
-    layers.append(Curve("", "zero", ends, np.zeros(len(ends)), whole=True))
+    layers.append(LineMarks("", "zero", ends, np.zeros(len(ends)), whole=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
     over = with_units(variable_words(picture), picture.variable_units)
     return chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
@@ -98,9 +98,9 @@ def before_and_after(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
 
 def over_time(trace: Trace) -> Html:
     """Measured and simulated over a stretch of one run."""
-    layers: list[Layer] = [Curve("measured", "measured", trace.time, trace.measured)]
+    layers: list[Layer] = [LineMarks("measured", "measured", trace.time, trace.measured)]
     both = before_and_after(not np.array_equal(trace.calibrated, trace.augmented))
-    layers += [Curve(words, name, trace.time, getattr(trace, name)) for name, words in both]
+    layers += [LineMarks(words, name, trace.time, getattr(trace, name)) for name, words in both]
     return tag(
         "figure",
         tag("figcaption", f"Measured and simulated where the calibrated model is farthest off, {trace.run}"),
@@ -112,11 +112,11 @@ def over_variable(profile: Profile, item: Where) -> Html:
     """What the models leave over: mean and standard deviation in bins of the variable."""
     layers: list[Layer] = []
     if item.region is not None:
-        layers.append(Stretch("region", "region", item.region.low, item.region.high))
+        layers.append(AxisRange("region", "region", item.region.low, item.region.high))
     for name, words in before_and_after(not np.array_equal(profile.mean[1], profile.mean[2])):
         row = MODELS.index(name)
         layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
-    layers.append(Stretch("± floor", "floor", -item.floor_rms, item.floor_rms, upright=False))
+    layers.append(AxisRange("± floor", "floor", -item.floor_rms, item.floor_rms, upright=False))
     where = region_text(item.region, item.share)
     return tag(
         "figure",

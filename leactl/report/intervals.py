@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.report.chart import FULL, TICKS, across, axis, legend, short
 from leactl.report.html import Html, tag
-from leactl.report.plot import Axis
+from leactl.report.plot import PlotAxis
 
 HIGH = 20.0  # units of the drawing of one row, down
 
@@ -39,7 +39,7 @@ def intervals(rows: Sequence[Interval], x_label: str) -> Html:
     return tag("div", legend(keys), *strips, below, tag("div", x_label, class_="x-label"), class_="chart strips")
 
 
-def strip(row: Interval, mark: float, x: Axis, ticks: Sequence[float]) -> Html:
+def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> Html:
     """One row's drawing."""
     middle = HIGH / 2.0
     drawn = [tag("path", d="".join(f"M{at} 0V{HIGH:g}" for at in ticks), class_="grid")]

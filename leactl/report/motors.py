@@ -35,7 +35,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownFigure:
     """One motor with what follows from it; `carried` is None where its file lacks what that takes."""
 
     sheet: MotorSheet
@@ -45,7 +45,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Row:
+class FigureRow:
     """One figure of several motors; None where it is not known."""
 
     name: str
@@ -54,11 +54,11 @@ class Row:
     of_frame: bool  # whether it depends on the winding's own frame
 
 
-Figure = tuple[str, str, Callable[[Known], float | str | None]]
+Figure = tuple[str, str, Callable[[KnownFigure], float | str | None]]
 IN_ITS_FRAME = {"torque_constant", "phase_resistance", "phase_inductance", "continuous_current", "network_current"}
 
 
-def known(name_or_path: str, setting: Setting) -> Known:
+def known(name_or_path: str, setting: Setting) -> KnownFigure:
     """Read a motor, and work out what it carries where its file tells enough.
 
     Raises
@@ -68,7 +68,7 @@ def known(name_or_path: str, setting: Setting) -> Known:
     sheet, document = load_sheet(name_or_path)
     motor, lacks = _movable(document)
     carried = nominal(motor, setting.ambient, [PEAK_S]) if motor is not None else None
-    return Known(sheet, carried, lacks, setting)
+    return KnownFigure(sheet, carried, lacks, setting)
 
 
 def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
@@ -79,12 +79,14 @@ def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]
     return motor, () if motor.tolerances is not None else ("tolerances",)
 
 
-def rows(motors: Sequence[Known]) -> list[Row]:
+def rows(motors: Sequence[KnownFigure]) -> list[FigureRow]:
     """Every figure of these motors."""
-    return [Row(name, units, tuple(of(one) for one in motors), name in IN_ITS_FRAME) for name, units, of in FIGURES]
+    return [
+        FigureRow(name, units, tuple(of(one) for one in motors), name in IN_ITS_FRAME) for name, units, of in FIGURES
+    ]
 
 
-def comparison(motors: Sequence[Known]) -> dict[str, Any]:
+def comparison(motors: Sequence[KnownFigure]) -> dict[str, Any]:
     """All of it as JSON takes it."""
     return {
         "motors": [one.sheet.name for one in motors],
@@ -98,7 +100,7 @@ def comparison(motors: Sequence[Known]) -> dict[str, Any]:
     }
 
 
-def comparison_text(motors: Sequence[Known]) -> str:
+def comparison_text(motors: Sequence[KnownFigure]) -> str:
     """A table with a column a motor; what depends on a frame is left out where frames differ."""
     differ = len({one.sheet.winding for one in motors}) > 1
     shown = [
@@ -110,7 +112,7 @@ def comparison_text(motors: Sequence[Known]) -> str:
     return "\n".join([*parts, *(wrapped("note:", [note], WIDTH) for note in remarks(motors))])
 
 
-def remarks(motors: Sequence[Known]) -> list[str]:
+def remarks(motors: Sequence[KnownFigure]) -> list[str]:
     """What a reader of the table must know."""
     found = []
     if len({one.sheet.winding for one in motors}) > 1:
@@ -151,7 +153,7 @@ def against_itself(sheet: MotorSheet) -> list[str]:
     return found
 
 
-def against_print(one: Known) -> list[str]:
+def against_print(one: KnownFigure) -> list[str]:
     """Where the source's own print does not follow from its values."""
     sheet, printed = one.sheet, one.sheet.printed
     torques = continuous_torques(sheet, one.setting.ambient)
@@ -181,26 +183,26 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _carried(current: Callable[[Nominal], float]) -> Callable[[Known], float | None]:
+def _carried(current: Callable[[Nominal], float]) -> Callable[[KnownFigure], float | None]:
     """Torque of a current that the winding carries [N*m]."""
 
-    def torque(one: Known) -> float | None:
+    def torque(one: KnownFigure) -> float | None:
         held = None if one.carried is None else current(one.carried)
         return None if held is None or not math.isfinite(held) else _scaled(one.sheet.torque_constant, held)
 
     return torque
 
 
-def _torque(name: str) -> Callable[[Known], float | None]:
+def _torque(name: str) -> Callable[[KnownFigure], float | None]:
     return lambda one: getattr(continuous_torques(one.sheet, one.setting.ambient), name)
 
 
-def _loop(loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float) -> Callable[[Known], float | None]:
+def _loop(loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float) -> Callable[[KnownFigure], float | None]:
     return lambda one: _scaled(getattr(loop(one.sheet), name), factor)
 
 
-def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[Known], float | str | None]:
-    def shown(one: Known) -> float | str | None:
+def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[KnownFigure], float | str | None]:
+    def shown(one: KnownFigure) -> float | str | None:
         found = loop(one.sheet)
         return found.bandwidth if found.bandwidth_at_least is None else f"> {found.bandwidth_at_least:g}"
 
@@ -217,15 +219,15 @@ def _loop_rows(prefix: str, loop: Callable[[MotorSheet], LoopFigures]) -> list[F
     ]
 
 
-def _own(name: str, factor: float = 1.0) -> Callable[[Known], float | None]:
+def _own(name: str, factor: float = 1.0) -> Callable[[KnownFigure], float | None]:
     return lambda one: _scaled(getattr(one.sheet, name), factor)
 
 
-def _body(name: str, factor: float) -> Callable[[Known], float | None]:
+def _body(name: str, factor: float) -> Callable[[KnownFigure], float | None]:
     return lambda one: _scaled(getattr(one.sheet.body, name), factor)
 
 
-def _thermal(name: str) -> Callable[[Known], float | None]:
+def _thermal(name: str) -> Callable[[KnownFigure], float | None]:
     return lambda one: None if one.sheet.thermal is None else getattr(one.sheet.thermal, name)
 
 

@@ -14,7 +14,7 @@ TICKS = (6, 8)  # at most about so many along x and y
 BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
-class Axis:
+class PlotAxis:
     """One direction of the plot: its range, and ticks at round numbers; `log` spaces decades evenly."""
 
     def __init__(self, values: Sequence[float], ticks: int, log: bool = False) -> None:
@@ -62,8 +62,8 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
     if not shown:
         return []
     every = [pair for series in (*shown, *plot.lines) for pair in pairs(series)]
-    x = Axis([pair[0] for pair in every], TICKS[0], plot.x_log)
-    y = Axis([pair[1] for pair in every], TICKS[1])
+    x = PlotAxis([pair[0] for pair in every], TICKS[0], plot.x_log)
+    y = PlotAxis([pair[1] for pair in every], TICKS[1])
     gutter = max(len(text) for text in y.ticks.values())
     columns = max(width - gutter - 2, 10)
     canvas = Canvas(columns, height, x, y, ascii_only)
@@ -117,7 +117,7 @@ def tick_line(ticks: dict[int, str], columns: int) -> str:
 class Canvas:
     """Cells of characters, the topmost row first."""
 
-    def __init__(self, columns: int, rows: int, x: Axis, y: Axis, ascii_only: bool) -> None:
+    def __init__(self, columns: int, rows: int, x: PlotAxis, y: PlotAxis, ascii_only: bool) -> None:
         self.columns, self.rows, self.x, self.y, self.ascii_only = columns, rows, x, y, ascii_only
         self.cells = [[" "] * columns for _ in range(rows)]
         self.overlaps = False

@@ -10,7 +10,7 @@ from leactl.runfile.read.reader import Channel, Run
 
 
 @dataclass(frozen=True)
-class Reading:
+class ChannelSummary:
     """One channel; None where it had too few values to tell."""
 
     quantity: str
@@ -24,7 +24,7 @@ class Reading:
     age_s: float | None  # of the last value at the run's last sample
 
 
-def readings(run: Run) -> list[Reading]:
+def readings(run: Run) -> list[ChannelSummary]:
     """Every channel of a run but setpoints of drives that followed none."""
     wanted = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
     channels = [channel for quantity, role in wanted for channel in run.channels(quantity, role)]
@@ -33,10 +33,10 @@ def readings(run: Run) -> list[Reading]:
     return [reading for reading in found if reading.samples or not reading.quantity.endswith("_reference")]
 
 
-def _reading(channel: Channel, end: float) -> Reading:
+def _reading(channel: Channel, end: float) -> ChannelSummary:
     known = np.isfinite(channel.values)
     values = channel.values[known]
-    return Reading(
+    return ChannelSummary(
         channel.quantity,
         channel.role,
         channel.device,
@@ -49,7 +49,7 @@ def _reading(channel: Channel, end: float) -> Reading:
     )
 
 
-def table(found: Sequence[Reading]) -> str:
+def table(found: Sequence[ChannelSummary]) -> str:
     """The readings as lines of text."""
     lines = [f"{'quantity':<26} {'role':<6} {'mean':>12} {'std':>12} {'unit':<6} {'age/s':>7}  device"]
     for item in found:

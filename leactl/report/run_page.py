@@ -9,7 +9,7 @@ from importlib import resources
 
 import numpy as np
 
-from leactl.report.chart import Curve, Layer, Stretch, chart
+from leactl.report.chart import AxisRange, Layer, LineMarks, chart
 from leactl.report.html import Html, document, table, tag
 from leactl.report.page_style import PAGE
 from leactl.runfile.read.reader import Run, Step
@@ -89,12 +89,12 @@ def pairs(traces: Sequence[ChannelTrace]) -> list[list[ChannelTrace]]:
 
 def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, stop: float) -> Html:
     """Return the chart of a reading, its setpoint, or both, over the shaded steps."""
-    shades = [Stretch("every other step", "step", step.start, step.stop) for step in steps[1::2]]
+    shades = [AxisRange("every other step", "step", step.start, step.stop) for step in steps[1::2]]
     layers: list[Layer] = [*shades]
     for trace in traces:
         style = "setpoint" if trace.channel.quantity.endswith("_reference") else "reading"
-        layers.append(Curve(trace.name, style, trace.time, trace.values, whole=True))
-    whole = Curve("", "", np.asarray([start, stop]), np.full(2, np.nan))
+        layers.append(LineMarks(trace.name, style, trace.time, trace.values, whole=True))
+    whole = LineMarks("", "", np.asarray([start, stop]), np.full(2, np.nan))
     channel = traces[-1].channel
     quantity = channel.quantity.removesuffix("_reference").replace("_", " ") or traces[-1].name
     units = channel.units if channel.units not in ("", "1") else "no unit"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.report.html import fit
-from leactl.report.plot import Axis, Canvas, floor_with_axis, rows_with_axis
+from leactl.report.plot import Canvas, PlotAxis, floor_with_axis, rows_with_axis
 from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
 from leactl.runfile.read.reader import Step
 from leactl.runfile.read.traces import ChannelTrace
@@ -40,7 +40,7 @@ def panels(
     A channel that has no finite sample in this part says so in place of its panel.
     """
     start, stop = part
-    time = Axis([start, stop], TICKS[0])
+    time = PlotAxis([start, stop], TICKS[0])
     axes = [value_axis(trace) for trace in traces]
     labels = [text for axis in axes if axis for text in axis.ticks.values()]
     gutter = max(map(len, labels), default=0)
@@ -63,10 +63,10 @@ def panels(
     return [*lines, "time in s"]
 
 
-def value_axis(trace: ChannelTrace) -> Axis | None:
+def value_axis(trace: ChannelTrace) -> PlotAxis | None:
     """Return the axis over a trace's finite values; None where it has none."""
     finite = trace.values[np.isfinite(trace.values)]
-    return Axis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
+    return PlotAxis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
 
 
 def segments(trace: ChannelTrace) -> list[list[tuple[float, float]]]:

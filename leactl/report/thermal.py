@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from leactl.model.motor import Motor
 from leactl.report.terminal import wrapped
-from leactl.report.thermal_fits import Fitted
+from leactl.report.thermal_fits import ActuatorFit
 from leactl.safety.thermal.capability import Carried, Held, Peak
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def _row(label: str, values: Carried) -> str:
     return f"{label:<28}{values.guaranteed:12.2f}{values.nominal:12.2f}{values.favourable:12.2f}"
 
 
-def fit_text(fitted: Fitted) -> str:
+def fit_text(fitted: ActuatorFit) -> str:
     """Parameters with standard errors, their largest correlations, a `tolerances:` block, and notes."""
     found = fitted.fit
     lines = [

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.analysis.analyze import refuse_altered, refuse_repeated, remarks_on
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit
 from leactl.model.motor import Motor
@@ -16,7 +16,7 @@ from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True)
-class Fitted:
+class ActuatorFit:
     """The network of one actuator."""
 
     actuator: str
@@ -36,7 +36,7 @@ class Fitted:
         }
 
 
-def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[Fitted], list[str]]:
+def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit], list[str]]:
     """Fit the network of each actuator to its runs.
 
     Returns
@@ -73,8 +73,8 @@ def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[Fitted], lis
         return [fitted(actuator, runs, motor) for actuator, runs in groups.items()], left_out
 
 
-def fitted(actuator: str, runs: Sequence[Run], motor: Motor) -> Fitted:
+def fitted(actuator: str, runs: Sequence[Run], motor: Motor) -> ActuatorFit:
     """The network of one actuator from its runs, with doubts of their channels first among the notes."""
-    notes = [note for run in runs for note in (*doubts_of(run), *remarks_on(run))]
+    notes = [note for run in runs for note in (*channel_doubts(run), *remarks_on(run))]
     fit = thermal_fit(runs, motor)
-    return Fitted(actuator, tuple(str(run.path) for run in runs), fit, tuple(dict.fromkeys([*notes, *fit.notes])))
+    return ActuatorFit(actuator, tuple(str(run.path) for run in runs), fit, tuple(dict.fromkeys([*notes, *fit.notes])))

@@ -16,7 +16,7 @@ import yaml
 
 from leactl.analysis.analyze import refuse_altered, refuse_repeated
 from leactl.analysis.heating.narrowing import Accuracy, narrowed
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
@@ -210,7 +210,7 @@ def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: Mann
         _refuse_others(runs, asked)
         refuse_repeated(runs)
         refuse_altered(runs)
-        for note in dict.fromkeys(note for run in runs for note in doubts_of(run)):
+        for note in dict.fromkeys(note for run in runs for note in channel_doubts(run)):
             manner.tell(note)
         return narrowed(shipped, runs, manner.accuracy)
 

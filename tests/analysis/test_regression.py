@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.statistics.regression import departure, least_squares, one_column_each, t_quantile
+from leactl.analysis.statistics.regression import indicator_columns, least_squares, partial_f_test, t_quantile
 from leactl.errors import NotIdentifiable
 
 # NIST Statistical Reference Datasets, Norris: ozone monitors, y over x
@@ -50,19 +50,19 @@ def test_lack_of_fit_is_found_as_often_as_its_probability_says():
     rng = np.random.default_rng(3)
     level = np.tile(np.arange(5.0), 6)
     line = np.column_stack([level, np.ones_like(level)])
-    found = [departure(line, 2.0 * level + rng.normal(size=30), one_column_each(level)) for _ in range(1000)]
+    found = [partial_f_test(line, 2.0 * level + rng.normal(size=30), indicator_columns(level)) for _ in range(1000)]
     assert np.mean([item.probability < 0.25 for item in found]) == pytest.approx(0.25, abs=0.04)
     assert {item.dof for item in found} == {3}
-    curved = departure(line, level**2 + rng.normal(0.0, 0.1, 30), one_column_each(level))
+    curved = partial_f_test(line, level**2 + rng.normal(0.0, 0.1, 30), indicator_columns(level))
     assert curved.clear
 
 
 def test_what_leaves_nothing_to_test_has_no_departure():
     level = np.arange(5.0)
     line = np.column_stack([level, np.ones_like(level)])
-    assert departure(line, level**2, one_column_each(level)) is None  # no repeats
+    assert partial_f_test(line, level**2, indicator_columns(level)) is None  # no repeats
     twice = np.tile(line, (2, 1))
-    assert departure(twice, 3.0 * twice[:, 0], one_column_each(twice[:, 0])) is None  # exact
+    assert partial_f_test(twice, 3.0 * twice[:, 0], indicator_columns(twice[:, 0])) is None  # exact
 
 
 @pytest.mark.parametrize(

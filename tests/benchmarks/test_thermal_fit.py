@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from leactl.analysis.heating.network import Unknowns, drive_of, fit_network, measured
-from leactl.analysis.heating.record import stretches
+from leactl.analysis.heating.record import heating_records
 from leactl.analysis.heating.start import covered
 from leactl.runfile.read.reader import Run
 from tests.analysis.heated import HeatedBench
@@ -71,7 +71,7 @@ def temperatures(sets, drive, stamps):
 def test_the_optimum_of_an_ode_solver_a_hundred_times_sooner(tmp_path, figure):
     path = HeatedBench(tmp_path).run(rate_Hz=RATE, heat_s=4470.0, cool_s=4470.0, moment=0.0)
     with Run.open(path) as run:
-        [record] = stretches(run, [])
+        [record] = heating_records(run).value
     unknowns = Unknowns(0.0, 0.0)
     began = time.process_time()
     fit = fit_network([record], unknowns, "benchmark")

@@ -23,8 +23,8 @@ from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
 from leactl.report.datasheet.make import Wanted, make, refuse_shared
 from leactl.report.datasheet.page import page
-from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, refuse_untaken
-from leactl.report.datasheet.sheet import Sheet
+from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet, read_runs, refuse_untaken
+from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.terminal import interval_text, printed, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
 from tests.report.browser import dumped, look, needs_chromium
@@ -56,7 +56,7 @@ def quiet(step):
 
 
 def of(*paths, options=None):
-    return Sheet((read_runs(paths, "R", options or {}, quiet),))
+    return Datasheet((read_runs(paths, "R", options or {}, quiet),))
 
 
 def tree(sheet, out):
@@ -213,7 +213,7 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
         bench.count = len(name) + 10 * (name == "autumn")
         bench.friction(f=f, scatter=0.001, torque_constant=LEA)
     sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
-    sheet = Sheet(sets)
+    sheet = Datasheet(sets)
     root = tree(sheet, tmp_path / "out.html")
     head = table(root)[0]
     assert head[2:5] == ["spring", "autumn", "difference"]
@@ -244,20 +244,20 @@ def test_sets_under_different_conditions_are_not_compared_and_the_sheet_says_so(
         bench.friction(condition=condition, torque_constant=LEA)
     sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
     line = "friction: not compared, measured in spring under no condition and autumn under design; "
-    assert sum(note.startswith(line) for note in Sheet(sets).notes) == 1
-    assert not any("not compared" in note for note in Sheet((sets[0], sets[0])).notes)
+    assert sum(note.startswith(line) for note in Datasheet(sets).notes) == 1
+    assert not any("not compared" in note for note in Datasheet((sets[0], sets[0])).notes)
 
 
 def one_set(prefix, *told):
     """A set of runs with an estimate for each actuator; None for one that has none."""
     entries = [
-        Entry(Path(f"{prefix}{k}.h5"), f"{prefix}{k}", "", "lea", "no-load-loss", {"actuator": f"LEA-{k}"})
+        RunEntry(Path(f"{prefix}{k}.h5"), f"{prefix}{k}", "", "lea", "no-load-loss", {"actuator": f"LEA-{k}"})
         for k in range(1, len(told) + 1)
     ]
     answers = []
     for entry, item in zip(entries, told, strict=True):
         result = Result("no-load-loss", (str(entry.path),), () if item is None else (item,))
-        answers.append(Answer("lea", "no-load-loss", entry.group[0], "design", result, (entry,)))
+        answers.append(GroupResult("lea", "no-load-loss", entry.group[0], "design", result, (entry,)))
     return RunSet(prefix, tuple(entries), tuple(answers), {})
 
 
@@ -271,7 +271,7 @@ def known(value):
 
 def beside(*told):
     """The row of a set with these estimates, beside a set of one actuator with a bound."""
-    sheet = Sheet((one_set("A", *told), one_set("B", bound(0.0, 0.2))))
+    sheet = Datasheet((one_set("A", *told), one_set("B", bound(0.0, 0.2))))
     [row] = [one for one in sheet.sections[0].rows["no-load-loss"] if one.name == "hysteresis_torque"]
     said = next(one for one in sheet.as_json()["sections"][0]["rows"] if one["name"] == "hysteresis_torque")
     cells = next(one for one in table(tree(sheet, Path("out.html"))) if one[0] == "hysteresis torque")
@@ -283,7 +283,7 @@ def test_bounds_of_several_actuators_are_compared_by_the_widest():
     assert (told["value"], told["low"], told["high"]) == (None, 0.0, 0.3)
     assert told["runs"] == ["A1", "A2"]
     assert told["actuators"] == ["LEA-1", "LEA-2"]
-    alone = Sheet((one_set("A", bound(0.01, 0.3), bound(0.0, 0.2)),)).sections[0].rows["no-load-loss"]
+    alone = Datasheet((one_set("A", bound(0.01, 0.3), bound(0.0, 0.2)),)).sections[0].rows["no-load-loss"]
     assert [row.actuator for row in alone if row.name == "hysteresis_torque"] == ["LEA-1", "LEA-2", "2 actuators"]
 
 
@@ -386,14 +386,14 @@ def test_the_same_runs_give_the_same_page_however_they_are_given(campaign, sheet
 def sheet_that_says(said):
     """A page whose every text from outside is this one."""
     about = dict.fromkeys(("run_id", "actuator", "condition", "bench", "status", "created", "mechanical"), said)
-    entry = Entry(Path("x.h5"), "R1", f"name: {json.dumps(said)}\n", said, "friction", about)
+    entry = RunEntry(Path("x.h5"), "R1", f"name: {json.dumps(said)}\n", said, "friction", about)
     name = re.sub("[/\0\ud800-\udfff]", "", said)  # what no name of a file can hold
-    lost = Entry(Path(f"{name}.h5"), "R2", fault=said)
+    lost = RunEntry(Path(f"{name}.h5"), "R2", fault=said)
     points = Series(said, (0.0, 1.0), (1.0, 2.0))
     estimates = (Estimate(said, 1.0, 0.1, 0.8, 1.2, said),)
     result = Result("friction", ("x.h5",), estimates, (said,), (Plot(said, said, (points,), ()),))
-    own = RunSet(said, (entry, lost), (Answer(said, "friction", said, said, result, (entry,)),), {})
-    return tree(Sheet((own,)), Path("out.html"))
+    own = RunSet(said, (entry, lost), (GroupResult(said, "friction", said, said, result, (entry,)),), {})
+    return tree(Datasheet((own,)), Path("out.html"))
 
 
 @cache
@@ -423,10 +423,10 @@ def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no
     shown = Series("all", x, x)
     lines = [Series("20%", (0.0, 0.001, 0.002, 40.0), (1.0, 2.0, 3.0, 4.0)), Series("20%", (5.0, 6.0), (1.0, 1.5))]
     lines += [Series(f"{k}0%", (1.0, 2.0, 3.0), (k, k + 1.0, k)) for k in (4, 6)]
-    entry = Entry(Path("x.h5"), "R1", "", "lea", "friction")
+    entry = RunEntry(Path("x.h5"), "R1", "", "lea", "friction")
     result = Result("friction", ("x.h5",), (), (), (Plot("x [1]", "y [1]", (shown,), tuple(lines)),))
-    own = RunSet("s", (entry,), (Answer("lea", "friction", "", "", result, (entry,)),), {})
-    root = tree(Sheet((own,)), tmp_path / "out.html")
+    own = RunSet("s", (entry,), (GroupResult("lea", "friction", "", "", result, (entry,)),), {})
+    root = tree(Datasheet((own,)), tmp_path / "out.html")
     on_line = [one for one in root.iter("span") if one.get("class") == "on-line"]
     assert [one.text for one in on_line] == ["20%", "40%", "60%"]
     assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
@@ -436,10 +436,10 @@ def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no
 
 def drawn(plot, folder):
     """The page of one experiment with one plot."""
-    entry = Entry(Path("x.h5"), "R1", "", "lea", "friction")
+    entry = RunEntry(Path("x.h5"), "R1", "", "lea", "friction")
     result = Result("friction", ("x.h5",), (), (), (plot,))
-    own = RunSet("s", (entry,), (Answer("lea", "friction", "", "", result, (entry,)),), {})
-    return tree(Sheet((own,)), folder / "out.html")
+    own = RunSet("s", (entry,), (GroupResult("lea", "friction", "", "", result, (entry,)),), {})
+    return tree(Datasheet((own,)), folder / "out.html")
 
 
 def test_a_frequency_is_drawn_by_decades(tmp_path):
@@ -485,7 +485,7 @@ def test_a_condition_has_one_colour_however_the_order_of_its_runs_was_drawn(tmp_
         for condition in order:
             bench.friction(f=COULOMB[condition], condition=condition, scatter=0.001, torque_constant=LEA)
     sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
-    root = tree(Sheet(sets), tmp_path / "out.html")
+    root = tree(Datasheet(sets), tmp_path / "out.html")
     legends = [one for one in root.iter("div") if one.get("class") == "legend"][:2]
     keys = [[(key.find("i").get("class"), words(key)) for key in one][:3] for one in legends]
     assert keys[0] == keys[1] == [(f"swatch line s{k}", name) for k, name in enumerate(COULOMB)]
@@ -517,10 +517,10 @@ def test_a_map_has_a_folded_table_with_the_longer_axis_downwards(tmp_path):
         {"efficiency_1": ((0.51234567, 0.4, -0.0), (0.6, nan, -1.5)), "torque_Nm": ((1.5, 0.0, 1.0), (1.4, nan, 2.0))},
     )
     square = Plot("x [1]", "y [1]", tuple(Series(name, (1.0, 2.0), (3.0, 4.0)) for name in "abc"), ())
-    entry = Entry(Path("x.h5"), "R1", "", "lea", "efficiency")
+    entry = RunEntry(Path("x.h5"), "R1", "", "lea", "efficiency")
     result = Result("efficiency", ("x.h5",), (), (), (square,), (), (grid,))
-    own = RunSet("s", (entry,), (Answer("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
-    root = tree(Sheet((own,)), tmp_path / "out.html")
+    own = RunSet("s", (entry,), (GroupResult("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
+    root = tree(Datasheet((own,)), tmp_path / "out.html")
     folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values at"))
     assert words(folded.find("summary")) == "Values at every setpoint: driving map, LEA-1, design"
     assert folded.get("open") is None

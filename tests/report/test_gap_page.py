@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.gap.diagnosis import Diagnosis, Region, Shrinkage
-from leactl.report.chart import Curve
+from leactl.report.chart import LineMarks
 from leactl.report.gap import render
 from leactl.report.gap_page import page
 from leactl.report.gap_words import figure
-from leactl.report.plot import Axis
+from leactl.report.plot import PlotAxis
 from tests.report.answers import LOCKED, answer, picture, profile, rest, trace
 from tests.report.browser import look, needs_chromium
 
@@ -255,8 +255,8 @@ def test_nothing_overflows_in_a_browser(tmp_path):
 def test_a_curve_has_a_gap_where_points_were_left_out():
     time = np.concatenate([np.arange(20.0), 300.0 + np.arange(20.0)])
     for part, strokes in ((time, 2), (time[:20], 1)):
-        axes = Axis(part.tolist(), 5), Axis([-1.0, 1.0], 5)
-        assert str(Curve("measured", "measured", part, np.sin(part)).drawn(*axes)).count("M") == strokes
+        axes = PlotAxis(part.tolist(), 5), PlotAxis([-1.0, 1.0], 5)
+        assert str(LineMarks("measured", "measured", part, np.sin(part)).drawn(*axes)).count("M") == strokes
 
 
 @pytest.mark.parametrize("low, named", [(-16.9, True), (-0.01, True), (None, True), (0.02, False)])

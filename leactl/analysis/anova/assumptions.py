@@ -1,4 +1,4 @@
-"""What an analysis of variance takes for granted, checked on its residuals: normal, alike in scatter, without drift."""
+"""Assumptions of an analysis of variance, checked on its residuals: normal, equal in scatter, without drift."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Check:
-    """One assumption; p is the probability of what was seen if it held, None where it could not be checked."""
+    """One assumption; `p` is the probability of the data if it holds, None where it could not be checked."""
 
     name: str
     p: float | None
@@ -28,15 +28,15 @@ class Check:
         return self.p is not None and self.p < DOUBTFUL
 
 
-def checks(values: Values, found: Anova) -> list[Check]:
-    """Every assumption, with what another test says where one is broken."""
-    by_condition = [found.residuals[values.condition == one] for one in found.design.conditions]
-    raw = [values.value[values.condition == one] for one in found.design.conditions]
-    single = len(found.design.actuators) == 1
+def checks(values: Values, anova: Anova) -> list[Check]:
+    """Check every assumption; notes say what another test gives where one does not hold."""
+    by_condition = [anova.residuals[values.condition == condition] for condition in anova.design.conditions]
+    raw = [values.value[values.condition == condition] for condition in anova.design.conditions]
+    single = len(anova.design.actuators) == 1
     return [
-        _normal(found.residuals, raw if single else []),
-        _alike(by_condition, found.unequal),
-        _without_drift(values, found.residuals),
+        _normal(anova.residuals, raw if single else []),
+        _alike(by_condition, anova.unequal),
+        _without_drift(values, anova.residuals),
         _runs_alike(values),
     ]
 
@@ -69,17 +69,17 @@ def _without_drift(values: Values, residuals: Array) -> Check:
     from scipy.stats import t
 
     order = np.zeros(len(residuals))
-    apart = residuals.copy()
+    deviations = residuals.copy()
     for run in np.unique(values.run):
-        of_it = values.run == run
-        order[of_it] = np.arange(of_it.sum()) - 0.5 * (of_it.sum() - 1)
-        apart[of_it] -= apart[of_it].mean()
+        in_run = values.run == run
+        order[in_run] = np.arange(in_run.sum()) - 0.5 * (in_run.sum() - 1)
+        deviations[in_run] -= deviations[in_run].mean()
     dof = len(residuals) - len(np.unique(values.run)) - 1
     if dof < 1 or not order.any():
         return Check("no drift over the trials", None)
-    slope = float(order @ apart / (order @ order))
-    left = apart - slope * order
-    error = math.sqrt(float(left @ left) / dof / float(order @ order))
+    slope = float(order @ deviations / (order @ order))
+    unexplained = deviations - slope * order
+    error = math.sqrt(float(unexplained @ unexplained) / dof / float(order @ order))
     if error == 0.0:
         return Check("no drift over the trials", None)
     return Check("no drift over the trials", float(2.0 * t.sf(abs(slope) / error, dof)), f"{slope:+.2g} a trial")
@@ -88,16 +88,18 @@ def _without_drift(values: Values, residuals: Array) -> Check:
 def _runs_alike(values: Values) -> Check:
     """Whether runs of one actuator under one condition differ by more than their trials."""
     name = "runs of a condition alike"
-    cells = np.unique(np.stack([values.actuator, values.condition], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    of_cells, of_runs = _groups(values.value, cells), _groups(values.value, values.run)
+    cell_of = np.unique(np.stack([values.actuator, values.condition], axis=1), axis=0, return_inverse=True)[1].reshape(
+        -1
+    )
+    of_cells, of_runs = _groups(values.value, cell_of), _groups(values.value, values.run)
     between, within = len(of_runs) - len(of_cells), len(values.value) - len(of_runs)
     if between < 1 or within < 1:
         return Check(name, None)
-    inside = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_runs)
-    whole = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_cells)
-    if inside <= 0.0:
+    within_square = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_runs)
+    total_square = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_cells)
+    if within_square <= 0.0:
         return Check(name, None)
-    p = f_test((whole - inside) / between, between, inside / within, within).p
+    p = f_test((total_square - within_square) / between, between, within_square / within, within).p
     return Check(name, p, "trials of a run are not independent of each other: --by-run" if p < SHOWN else "")
 
 

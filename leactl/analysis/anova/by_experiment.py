@@ -13,22 +13,22 @@ from leactl.runfile.catalog.summaries import run_files
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """The results of one experiment over its conditions, and why others were not compared."""
+class ExperimentComparison:
+    """Comparisons of the results of one experiment, and why other results were not compared."""
 
     experiment: str
-    found: list[Comparison]
+    comparisons: list[Comparison]
     refused: list[str]
 
     def as_json(self) -> dict[str, Any]:
-        """All of it for a script."""
-        results = [one.as_json() for one in self.found]
+        """Return the comparisons as a JSON object."""
+        results = [comparison.as_json() for comparison in self.comparisons]
         return {"experiment": self.experiment, "results": results, "not_compared": self.refused}
 
 
 def compare_each(
     given: Sequence[Path], names: Sequence[str] = (), by_run: bool = False, **options: Any
-) -> tuple[list[Compared], list[str], list[str]]:
+) -> tuple[list[ExperimentComparison], list[str], list[str]]:
     """Compare the conditions of each experiment; folders stand for their runs.
 
     Parameters
@@ -50,36 +50,49 @@ def compare_each(
         if path.suffix == ".json":
             groups.setdefault(experiment_of_answer(path), []).append(path)
     if len(groups) < 2 and not faults:
-        return [Compared(*compare_all(paths, names, by_run, **options))], [], []
+        return [ExperimentComparison(*compare_all(paths, names, by_run, **options))], [], []
     if faults and not groups:
         raise InputError(faults)
-    told = {name: value for name, value in options.items() if value is not None}
+    given_options = {name: value for name, value in options.items() if value is not None}
     taken: set[str] = set()
-    compared: list[Compared] = []
+    compared: list[ExperimentComparison] = []
     without: list[str] = []
     for experiment, members in groups.items():
         try:
-            own = {key: told[key] for key in options_of(analysis_of(experiment, str(members[0]))) if key in told}
-            taken |= own.keys()
-            one = Compared(*compare_all(members, (), by_run, **own))
+            own_options = {
+                key: given_options[key]
+                for key in options_of(analysis_of(experiment, str(members[0])))
+                if key in given_options
+            }
+            taken |= own_options.keys()
+            comparison = ExperimentComparison(*compare_all(members, (), by_run, **own_options))
         except NotIdentifiable as fault:
             without += [_of(experiment, line) for line in fault.faults]
         except InputError as fault:
             faults += fault.faults
         else:
-            compared.append(one)
-    has = {one.name for each in compared for one in each.found}
-    lines = [f"--set {name}: none of {', '.join(groups)} takes it" for name in told if name not in taken]
-    lines += [f"--result {name}: none of {', '.join(groups)} has it to compare" for name in names if name not in has]
+            compared.append(comparison)
+    compared_names = {
+        comparison.name for experiment_comparison in compared for comparison in experiment_comparison.comparisons
+    }
+    lines = [f"--set {name}: none of {', '.join(groups)} takes it" for name in given_options if name not in taken]
+    lines += [
+        f"--result {name}: none of {', '.join(groups)} has it to compare"
+        for name in names
+        if name not in compared_names
+    ]
     if lines:
         raise InputError(lines)
     if names:
-        compared = [Compared(o.experiment, [r for r in o.found if r.name in names], o.refused) for o in compared]
-        compared = [one for one in compared if one.found]
+        compared = [
+            ExperimentComparison(o.experiment, [r for r in o.comparisons if r.name in names], o.refused)
+            for o in compared
+        ]
+        compared = [comparison for comparison in compared if comparison.comparisons]
     if not compared:
         raise InputError([*faults, *without])
     return compared, without, faults
 
 
-def _of(experiment: str, line: str) -> str:
-    return line if line.startswith(f"{experiment}: ") else f"{experiment}: {line}"
+def _of(experiment: str, fault: str) -> str:
+    return fault if fault.startswith(f"{experiment}: ") else f"{experiment}: {fault}"

@@ -13,35 +13,35 @@ MOST = 1e5  # of a noncentrality; beyond it the share is 1 to four digits for an
 
 
 @dataclass(frozen=True)
-class Share:
-    """A share of the variance with its 95 % interval."""
+class EffectSize:
+    """Share of the variance that conditions explain, with its 95 % interval."""
 
     value: float
     low: float
     high: float
 
 
-def omega_squared(test: FTest) -> Share:
-    """Omega squared of a test, partial where there is another factor; never below 0."""
+def omega_squared(test: FTest) -> EffectSize:
+    """Estimate omega squared of a test, partial where there is another factor; it is never below 0."""
     from scipy.stats import ncf
 
     count = test.between + test.within + 1.0
     excess = test.between * (test.f - 1.0)
 
-    def below(noncentrality: float) -> float:
+    def lower_tail(noncentrality: float) -> float:
         return float(ncf.cdf(test.f, test.between, test.within, noncentrality))
 
-    low, high = (_where(below, part) for part in (0.975, 0.025))
-    return Share(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
+    low, high = (_where(lower_tail, tail) for tail in (0.975, 0.025))
+    return EffectSize(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
 
 
-def _where(below: Callable[[float], float], part: float) -> float:
-    """The noncentrality at which so much of the distribution lies below; 0 where it never does."""
+def _where(lower_tail: Callable[[float], float], tail: float) -> float:
+    """Return the noncentrality at which the lower tail of F has the probability `tail`; 0 where it is always less."""
     from scipy.optimize import brentq
 
-    if below(1e-9) <= part:
+    if lower_tail(1e-9) <= tail:
         return 0.0
     high = 1.0
-    while below(high) > part and high < MOST:
+    while lower_tail(high) > tail and high < MOST:
         high *= 2.0
-    return float(brentq(lambda size: below(size) - part, 1e-9, high)) if high < MOST else MOST
+    return float(brentq(lambda size: lower_tail(size) - tail, 1e-9, high)) if high < MOST else MOST

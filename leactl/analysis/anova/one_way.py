@@ -29,7 +29,7 @@ SHOWN = 0.05  # probability below which a difference counts as shown, the paper'
 
 @dataclass(frozen=True)
 class FTest:
-    """A ratio of mean squares."""
+    """F test: a ratio of mean squares with its degrees of freedom and probability."""
 
     f: float
     between: float  # degrees of freedom of the numerator
@@ -38,13 +38,13 @@ class FTest:
 
     @property
     def shown(self) -> bool:
-        """Whether it is more than chance."""
+        """Whether the ratio is more than chance."""
         return self.p < SHOWN
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Who was measured when: columns of ones for conditions, actuators and their cells, in order."""
+    """Design matrices: columns of ones for conditions, actuators and their cells, in order."""
 
     conditions: tuple[str, ...]
     actuators: tuple[str, ...]
@@ -60,27 +60,27 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class Anova:
-    """What was found; `actuator` and `interaction` are None where there is one actuator or nothing to judge them by."""
+    """Result of an analysis of variance; `actuator` and `interaction` are None where they cannot be tested."""
 
     design: Design
     test: FTest  # of the conditions, by the error that `contrast` uses
-    error: "Error"
+    error: "ErrorTerm"
     actuator: FTest | None
     actuator_std: float | None  # between actuators
     interaction: FTest | None
-    at_large: FTest | None  # of the conditions, for actuators of this make at large
+    at_large: FTest | None  # of the conditions, for all actuators of this make
     residuals: Array  # about conditions and actuators
     unequal: FTest | None = None  # by Welch's test; None where it says too little, or the interaction judges
 
     @property
     def shown(self) -> bool:
-        """Whether an effect of the condition is more than chance, scatter equal or not."""
+        """Whether the effect of the condition is more than chance, with equal scatter and without."""
         return self.test.shown and (self.unequal is None or self.unequal.shown)
 
 
 @dataclass(frozen=True)
-class Error:
-    """Mean squares that a difference is judged by: of the error, and of the interaction where that is shown."""
+class ErrorTerm:
+    """Mean squares that a difference is tested against: the error, and the interaction where it is significant."""
 
     mean_square: float
     dof: float
@@ -96,67 +96,80 @@ def anova(values: Values) -> Anova:
     """
     design = design_of(values)
     y, count = values.value, len(values.value)
-    outer, outer_rank = _residual(design.actuator, y)
-    left, rank = _residual(design.additive, y)
-    if rank - outer_rank < len(design.conditions) - 1:
+    actuator_residuals, actuator_rank = _residual(design.actuator, y)
+    additive_residuals, additive_rank = _residual(design.additive, y)
+    if additive_rank - actuator_rank < len(design.conditions) - 1:
         raise NotIdentifiable(
             f"{values.name}: conditions and actuators cannot be told apart: no actuator was measured under all of the"
             " conditions that are to be compared"
         )
-    if count - rank < 1:
+    if count - additive_rank < 1:
         raise NotIdentifiable(
             f"{values.name}: {count} values of {_cells(design)} give no scatter to judge by; repeat one run or more"
             " under a condition, or measure a further actuator under each"
         )
-    error = Error(_squared(left) / (count - rank), count - rank)
+    error = ErrorTerm(_squared(additive_residuals) / (count - additive_rank), count - additive_rank)
     if not error.mean_square > 1e-24 * float(np.max(np.abs(y))) ** 2:
         raise NotIdentifiable(
             f"{values.name}: the repeats are equal to the last digit; there is no scatter to judge by"
         )
-    between = (_squared(outer) - _squared(left)) / (rank - outer_rank)
-    test = f_test(between, rank - outer_rank, error.mean_square, error.dof)
-    adjusted = _without_actuators(design, y)
-    unequal = welch([adjusted[values.condition == one] for one in design.conditions])
-    if len(design.actuators) < 2:
-        return Anova(design, test, error, None, None, None, None, left, unequal)
-    alone, alone_rank = _residual(design.condition, y)
-    of_actuators = (_squared(alone) - _squared(left)) / (rank - alone_rank)
-    spread = _trace(design.condition, design.additive, design.actuator) / (rank - alone_rank)
-    std = math.sqrt(max(of_actuators - error.mean_square, 0.0) / spread)
-    actuator = f_test(of_actuators, rank - alone_rank, error.mean_square, error.dof)
-    cells, cells_rank = _residual(design.cell, y)
-    if cells_rank == rank:
-        return Anova(design, test, error, actuator, std, None, None, left, unequal)
-    together = (_squared(left) - _squared(cells)) / (cells_rank - rank)
-    if count == cells_rank:
-        return Anova(design, test, error, actuator, std, None, test, left, unequal)
-    pure = Error(
-        _squared(cells) / (count - cells_rank),
-        count - cells_rank,
-        (together, cells_rank - rank, _trace(design.additive, design.cell, design.cell) / (cells_rank - rank)),
+    condition_mean_square = (_squared(actuator_residuals) - _squared(additive_residuals)) / (
+        additive_rank - actuator_rank
     )
-    interaction = f_test(together, cells_rank - rank, pure.mean_square, pure.dof)
-    wide = _trace(design.actuator, design.additive, design.cell) / (rank - outer_rank)
-    at_large = f_test(between, rank - outer_rank, *combined(pure, 1.0, wide))
+    test = f_test(condition_mean_square, additive_rank - actuator_rank, error.mean_square, error.dof)
+    adjusted = _without_actuators(design, y)
+    welch_test = welch([adjusted[values.condition == condition] for condition in design.conditions])
+    if len(design.actuators) < 2:
+        return Anova(design, test, error, None, None, None, None, additive_residuals, welch_test)
+    condition_residuals, condition_rank = _residual(design.condition, y)
+    actuator_mean_square = (_squared(condition_residuals) - _squared(additive_residuals)) / (
+        additive_rank - condition_rank
+    )
+    actuator_factor = _trace(design.condition, design.additive, design.actuator) / (additive_rank - condition_rank)
+    std = math.sqrt(max(actuator_mean_square - error.mean_square, 0.0) / actuator_factor)
+    actuator = f_test(actuator_mean_square, additive_rank - condition_rank, error.mean_square, error.dof)
+    cell_residuals, cell_rank = _residual(design.cell, y)
+    if cell_rank == additive_rank:
+        return Anova(design, test, error, actuator, std, None, None, additive_residuals, welch_test)
+    interaction_mean_square = (_squared(additive_residuals) - _squared(cell_residuals)) / (cell_rank - additive_rank)
+    if count == cell_rank:
+        return Anova(design, test, error, actuator, std, None, test, additive_residuals, welch_test)
+    cell_error = ErrorTerm(
+        _squared(cell_residuals) / (count - cell_rank),
+        count - cell_rank,
+        (
+            interaction_mean_square,
+            cell_rank - additive_rank,
+            _trace(design.additive, design.cell, design.cell) / (cell_rank - additive_rank),
+        ),
+    )
+    interaction = f_test(interaction_mean_square, cell_rank - additive_rank, cell_error.mean_square, cell_error.dof)
+    interaction_factor = _trace(design.actuator, design.additive, design.cell) / (additive_rank - actuator_rank)
+    at_large = f_test(
+        condition_mean_square, additive_rank - actuator_rank, *combined(cell_error, 1.0, interaction_factor)
+    )
     if interaction.shown:
-        return Anova(design, at_large, pure, actuator, std, interaction, at_large, left)
-    return Anova(design, test, error, actuator, std, interaction, at_large, left, unequal)
+        return Anova(design, at_large, cell_error, actuator, std, interaction, at_large, additive_residuals)
+    return Anova(design, test, error, actuator, std, interaction, at_large, additive_residuals, welch_test)
 
 
-def combined(error: Error, own: float, of_interaction: float) -> tuple[float, float]:
-    """A variance own x error + of_interaction x interaction from mean squares, with Satterthwaite's dof."""
+def combined(error: ErrorTerm, error_factor: float, interaction_factor: float) -> tuple[float, float]:
+    """Combine error_factor x error + interaction_factor x interaction to a variance with Satterthwaite's dof."""
     if error.interaction is None:
-        return own * error.mean_square, error.dof
+        return error_factor * error.mean_square, error.dof
     mean_square, dof, c = error.interaction
-    parts = [((own - of_interaction / c) * error.mean_square, error.dof), (of_interaction / c * mean_square, dof)]
-    total = sum(part for part, _ in parts)
+    terms = [
+        ((error_factor - interaction_factor / c) * error.mean_square, error.dof),
+        (interaction_factor / c * mean_square, dof),
+    ]
+    total = sum(part for part, _ in terms)
     if total <= 0.0:  # an interaction smaller than its error by chance
-        return own * error.mean_square, error.dof
-    return total, total**2 / sum(part**2 / own_dof for part, own_dof in parts)
+        return error_factor * error.mean_square, error.dof
+    return total, total**2 / sum(part**2 / part_dof for part, part_dof in terms)
 
 
 def f_test(numerator: float, between: float, denominator: float, within: float) -> FTest:
-    """The test of a ratio of mean squares."""
+    """Test a ratio of mean squares."""
     from scipy.stats import f
 
     ratio = numerator / denominator
@@ -187,8 +200,8 @@ def design_of(values: Values) -> Design:
     """
     conditions, actuators = (tuple(dict.fromkeys(labels.tolist())) for labels in (values.condition, values.actuator))
     if len(conditions) < 2:
-        found = f"one condition, '{conditions[0]}'" if conditions else "no value"
-        raise NotIdentifiable(f"{values.name}: found {found}; two conditions or more are needed")
+        description = f"one condition, '{conditions[0]}'" if conditions else "no value"
+        raise NotIdentifiable(f"{values.name}: found {description}; two conditions or more are needed")
     condition = _ones(values.condition, conditions)
     actuator = _ones(values.actuator, actuators)
     cell = np.hstack([condition * column[:, np.newaxis] for column in actuator.T])
@@ -196,19 +209,19 @@ def design_of(values: Values) -> Design:
 
 
 def _ones(labels: npt.NDArray[np.str_], known: tuple[str, ...]) -> Array:
-    return np.stack([(labels == one).astype(np.float64) for one in known], axis=1)
+    return np.stack([(labels == label).astype(np.float64) for label in known], axis=1)
 
 
 def _residual(columns: Array, y: Array) -> tuple[Array, int]:
-    """What columns leave of the values, and their rank."""
+    """Return the residuals of values about columns, and the rank of the columns."""
     basis = _basis(columns)
     return y - basis @ (basis.T @ y), basis.shape[1]
 
 
 def _without_actuators(design: Design, y: Array) -> Array:
-    """Values less what their actuators differ by as a whole, alike over the conditions."""
-    found = np.linalg.pinv(design.additive) @ y
-    return np.asarray(y - design.actuator @ found[len(design.conditions) :], np.float64)
+    """Return the values less the differences between actuators."""
+    coefficients = np.linalg.pinv(design.additive) @ y
+    return np.asarray(y - design.actuator @ coefficients[len(design.conditions) :], np.float64)
 
 
 def _squared(values: Array) -> float:
@@ -216,8 +229,8 @@ def _squared(values: Array) -> float:
 
 
 def _basis(columns: Array) -> Array:
-    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, sizes > 1e-9 * sizes[0]], np.float64)
+    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(vectors[:, sizes > 1e-9 * sizes[0]], np.float64)
 
 
 def _trace(smaller: Array, larger: Array, factor: Array) -> float:
@@ -226,5 +239,5 @@ def _trace(smaller: Array, larger: Array, factor: Array) -> float:
 
 
 def _cells(design: Design) -> str:
-    several = f" and {len(design.actuators)} actuators" if len(design.actuators) > 1 else ""
-    return f"{len(design.conditions)} conditions{several}"
+    actuators = f" and {len(design.actuators)} actuators" if len(design.actuators) > 1 else ""
+    return f"{len(design.conditions)} conditions{actuators}"

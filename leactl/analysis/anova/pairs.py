@@ -1,4 +1,4 @@
-"""Tukey's comparison of all pairs of conditions, Tukey-Kramer where numbers are unequal, and what would be seen."""
+"""Tukey's comparison of all pairs of conditions (Tukey-Kramer for unequal numbers), and its smallest visible effect."""
 
 import math
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ SEEN = 0.8  # of such experiments, in which the smallest effect would have passe
 
 
 @dataclass(frozen=True)
-class Pair:
-    """One condition against another, actuators alike; the interval holds for all pairs at once."""
+class PairwiseDifference:
+    """Difference between two conditions, adjusted for actuators; the intervals hold for all pairs at once."""
 
     first: str
     second: str
@@ -34,29 +34,29 @@ class Pair:
 
     @property
     def p(self) -> float:
-        """Probability of so large a difference anywhere among the conditions if there were none."""
+        """Probability of so large a difference between any two conditions if there were none."""
         from scipy.stats import studentized_range
 
         return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
 
 
-def pairs(values: Values, found: Anova) -> list[Pair]:
-    """Every pair of conditions."""
-    design = found.design
+def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
+    """Compare every pair of conditions."""
+    design = anova.design
     columns, count = design.additive, len(design.conditions)
     solve = np.linalg.pinv(columns)
-    compared = []
+    differences = []
     for first in range(count):
         for second in range(first + 1, count):
             contrast = np.zeros(columns.shape[1])
             contrast[first], contrast[second] = -1.0, 1.0
             weights = contrast @ solve  # of the values in the difference
-            spread = float(np.sum((weights @ design.cell) ** 2)) if found.error.interaction else 0.0
-            variance, dof = combined(found.error, float(weights @ weights), spread)
+            spread = float(np.sum((weights @ design.cell) ** 2)) if anova.error.interaction else 0.0
+            variance, dof = combined(anova.error, float(weights @ weights), spread)
             std, difference = math.sqrt(variance), float(weights @ values.value)
             critical = _critical(count, round(dof, 6))
-            compared.append(
-                Pair(
+            differences.append(
+                PairwiseDifference(
                     design.conditions[first],
                     design.conditions[second],
                     difference,
@@ -68,12 +68,12 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
                     std * _seen(critical, round(dof, 6)),
                 )
             )
-    return compared
+    return differences
 
 
 @cache
 def _critical(conditions: int, dof: float) -> float:
-    """Difference in its standard errors beyond which any pair is shown."""
+    """Return the difference in standard errors beyond which a pair is significant."""
     from scipy.stats import studentized_range
 
     return float(studentized_range.ppf(1.0 - SHOWN, conditions, dof)) / math.sqrt(2.0)
@@ -81,7 +81,7 @@ def _critical(conditions: int, dof: float) -> float:
 
 @cache
 def _seen(critical: float, dof: float) -> float:
-    """A difference, in its standard errors, that passes the critical one in `SEEN` of experiments.
+    """Return the difference in standard errors that passes the critical one in `SEEN` of experiments.
 
     The standard error scatters as chi does; its distribution is cut into parts of equal probability.
     """

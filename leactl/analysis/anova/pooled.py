@@ -10,7 +10,7 @@ from leactl.errors import NotIdentifiable
 
 
 def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
-    """The mean of one result over actuators, for actuators of their make: they are a random factor, as in `anova`.
+    """Estimate the mean of one result over actuators of one make; actuators are a random factor, as in `anova`.
 
     Scatter between them counts by Student's t. The mean half-width of their own intervals counts in full beside it:
     instruments that they have in common are off for all of them alike. Without uncertainties it is the mean alone.
@@ -19,7 +19,7 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
     ------
     NotIdentifiable : no estimate has a value.
     """
-    known = [one for one in estimates if math.isfinite(one.value)]
+    known = [estimate for estimate in estimates if math.isfinite(estimate.value)]
     if not known:
         raise NotIdentifiable(f"{estimates[0].name}: not known of any actuator")
     first, count = known[0], len(known)
@@ -27,24 +27,28 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
         return first
     from scipy.stats import t
 
-    values = np.array([one.value for one in known])
-    if not all(math.isfinite(one.std) for one in known):  # such as a coefficient of determination
+    values = np.array([estimate.value for estimate in known])
+    if not all(math.isfinite(estimate.std) for estimate in known):  # such as a coefficient of determination
         return Estimate(first.name, float(values.mean()), NAN, NAN, NAN, first.units)
     error = float(values.std(ddof=1)) / math.sqrt(count)
     mean = float(values.mean())
-    own = _mean([one.std for one in known])
-    half = math.hypot(float(t.ppf(0.975, count - 1)) * error, _mean([(one.high - one.low) / 2.0 for one in known]))
-    return Estimate(first.name, mean, math.hypot(error, own), mean - half, mean + half, first.units)
+    mean_std = _mean([estimate.std for estimate in known])
+    half_interval = math.hypot(
+        float(t.ppf(0.975, count - 1)) * error, _mean([(estimate.high - estimate.low) / 2.0 for estimate in known])
+    )
+    return Estimate(
+        first.name, mean, math.hypot(error, mean_std), mean - half_interval, mean + half_interval, first.units
+    )
 
 
 def widest(bounds: Sequence[Estimate]) -> Estimate:
-    """Bounds that hold for every actuator, where none has a value; a side that is not known of one is not known."""
-    low, high = float(np.min([one.low for one in bounds])), float(np.max([one.high for one in bounds]))
+    """Return the bounds that hold for every actuator, where none has a value; a side unknown of one stays unknown."""
+    low, high = float(np.min([bound.low for bound in bounds])), float(np.max([bound.high for bound in bounds]))
     return Estimate(bounds[0].name, NAN, NAN, low, high, bounds[0].units)
 
 
 def difference(first: Estimate, second: Estimate) -> Estimate:
-    """Second less first, taken as independent; each end of the interval from the ends of both (Zou, Donner 2008)."""
+    """Return second less first as independent estimates, with the interval of Zou and Donner (2008)."""
     value = second.value - first.value
     low = value - math.hypot(second.value - second.low, first.high - first.value)
     high = value + math.hypot(second.high - second.value, first.value - first.low)
@@ -52,6 +56,6 @@ def difference(first: Estimate, second: Estimate) -> Estimate:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Mean of those that are known; 0 where none is."""
+    """Mean of the finite values; 0 without any."""
     known = [value for value in values if math.isfinite(value)]
     return float(np.mean(known)) if known else 0.0

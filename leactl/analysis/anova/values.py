@@ -22,8 +22,8 @@ from leactl.analysis.analyze import (
     refuse_unknown,
     remarks_on,
 )
-from leactl.analysis.estimate import Estimate, listed
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.estimate import Estimate, Noted, joined, listed
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError, NotIdentifiable
 from leactl.regular import open_regular
 from leactl.runfile.read.reader import Run, Step
@@ -34,7 +34,7 @@ Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a 
 
 
 class _Row(BaseModel):
-    """What is taken of one result in an answer."""
+    """The fields that are read of one result in an answer."""
 
     model_config = ConfigDict(strict=True)
     name: str
@@ -48,7 +48,7 @@ class _Row(BaseModel):
 
 
 class _Answer(BaseModel):
-    """What is taken of an answer of `leactl analyze --json`."""
+    """The fields that are read of an answer of `leactl analyze --json`."""
 
     model_config = ConfigDict(strict=True)
     experiment: str
@@ -58,7 +58,7 @@ class _Answer(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of one result; element k of each array is one trial."""
+    """Values of one result; element k of each array is one trial or one run."""
 
     name: str
     units: str
@@ -70,8 +70,8 @@ class Values:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What one trial gave."""
+class TrialResults:
+    """Results of one trial, with its actuator, condition and run number."""
 
     actuator: str
     condition: str
@@ -80,7 +80,7 @@ class Trial:
 
 
 class _OneTrial(Run):
-    """A run of which only the steps of one repeat are seen."""
+    """A run that shows only the steps of one repeat."""
 
     def __init__(self, run: Run, repeat: int) -> None:
         self.__dict__.update(run.__dict__)
@@ -93,15 +93,15 @@ class _OneTrial(Run):
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
-    """Values of an experiment's results by name."""
+class ExperimentValues:
+    """Values of an experiment's results by name, from single trials and from whole runs."""
 
     experiment: str
     trials: dict[str, Values]
     runs: dict[str, Values]  # one a run; empty where single trials tell every result in each run
 
 
-def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Taken:
+def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> ExperimentValues:
     """Values of each result, from runs and from answers of `leactl analyze --json`.
 
     A run gives one value for each pass of its repeats, a run without repeats and an answer one. Where a result is not
@@ -124,18 +124,17 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
         raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given}; give runs")
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
-    trials: list[Trial] = []
-    notes: list[str] = []
+    trials: list[TrialResults] = []
     kinds: dict[str, Path] = {}
     taken: dict[Path, Path] = {}  # which answer is of a run
     for path in answers:
-        kind, found, own = _of_answer(path, len(trials))
+        kind, answer_trials, answered_runs = _of_answer(path, len(trials))
         kinds.setdefault(kind, path)
-        trials += found
-        for file in own:
+        trials += answer_trials
+        for file in answered_runs:
             if file in taken:
                 raise InputError(f"{path}: it is of {file.name}, as {taken[file]} is; give each run once")
-        taken |= dict.fromkeys(own, path)
+        taken |= dict.fromkeys(answered_runs, path)
     for path in files:
         if path.resolve() in taken:
             raise InputError(f"{path}: {taken[path.resolve()]} is an answer of it; give each run once")
@@ -146,36 +145,44 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Take
         for run in runs:
             kinds.setdefault(experiment_of(run), run.path)
         if len(kinds) > 1:
-            told = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
-            raise InputError(f"different experiments: {told}; give runs of one experiment")
-        whole, of_whole = list(trials), [""]
-        for number, run in enumerate(runs, start=len(trials)):
-            trials += _of_run(run, number, by_run, notes, options)
-        wanting = not by_run and any(len(_repeats(run)) > 1 for run in runs) and _lacking(trials, len(whole), len(runs))
-        for number, run in enumerate(runs if wanting else [], start=len(whole)):
-            whole += _of_run(run, number, True, of_whole, options)
+            files_by_kind = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
+            raise InputError(f"different experiments: {files_by_kind}; give runs of one experiment")
+        first = len(trials)  # number of the first run
+        single = joined(_of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first))
+        trials_lack_results = (
+            not by_run
+            and any(len(_repeats(run)) > 1 for run in runs)
+            and _lacking([*trials, *single.value], first, len(runs))
+        )
+        analysed_whole = enumerate(runs if trials_lack_results else [], start=first)
+        whole = joined(_of_run(run, number, True, options) for number, run in analysed_whole)
     experiment = next(iter(kinds))
-    if not trials and not (wanting and whole):
-        raise NotIdentifiable(f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(notes, 2)}")
+    every_trial, every_run = [*trials, *single.value], [*trials, *whole.value]
+    if not every_trial and not (trials_lack_results and every_run):
+        raise NotIdentifiable(
+            f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(single.notes, 2)}"
+        )
     partly = "single trials give no uncertainty of it, or not under every condition"
-    why = partly if trials else f"no single trial could be analysed ({notes[-1]})"
-    of_whole[0] = f"one value a run, its repeats together: {why}"
-    return Taken(experiment, _columns(trials, notes), _columns(whole, of_whole) if wanting else {})
+    reason = partly if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
+    run_notes = (f"one value a run, its repeats together: {reason}", *whole.notes)
+    by_trial = _columns(every_trial, single.notes)
+    return ExperimentValues(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
-def _lacking(trials: Sequence[Trial], first: int, count: int) -> bool:
+def _lacking(trials: Sequence[TrialResults], first: int, count: int) -> bool:
     """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
     names = {item.name for trial in trials for item in trial.results}
-    told = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
-    return any(not names or (run, name) not in told for run in range(first, first + count) for name in names or {""})
+    known = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    return any(not names or (run, name) not in known for run in range(first, first + count) for name in names or {""})
 
 
 def _repeats(run: Run) -> list[int]:
-    """Numbers of the passes of its repeats; none where its steps tell none."""
+    """Return the numbers of the repeats in a run; empty where its steps state none."""
     return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
-def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
+def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Noted[list[TrialResults]]:
+    """Analyse each pass of a run's repeats, or the whole run; a note names the passes that give no result."""
     experiment = experiment_of(run)
     analysis = analysis_of(experiment, str(run.path))
     given = {name: value for name, value in options.items() if value is not None}
@@ -183,28 +190,28 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
-    notes += [*doubts_of(run), *remarks_on(run)]
+    notes = [*channel_doubts(run), *remarks_on(run)]
     repeats = _repeats(run)
     parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
-    found, lost = [], []
+    trials, lost = [], []
     for repeat, part in zip(repeats or [1], parts, strict=False):
         try:
-            found.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
+            trials.append(TrialResults(actuator, condition, number, _analysed(analysis, part, given)))
         except NotIdentifiable as fault:
             lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if lost:
         which = listed(repeat for repeat, _ in lost)
         what = f"{len(lost)} of {len(parts)} trials gave nothing ({which})" if len(parts) > 1 else "it gave nothing"
         notes.append(f"{run.path}: {what}: {lost[0][1]}")
-    return found
+    return Noted(trials, tuple(notes))
 
 
 def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
     return analysis.answer([part], **options).results
 
 
-def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
-    """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
+def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Path]]:
+    """Return experiment, trials (one for each actuator and condition) and runs of an answer."""
     try:
         with open_regular(path, MOST_BYTES) as stream:
             answer = _Answer.model_validate_json(stream.read())
@@ -214,19 +221,21 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
         raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
     groups: dict[tuple[str, str], list[Estimate]] = {}
     for row in answer.results:
-        value, std, low, high = (np.nan if one is None else one for one in (row.value, row.std, row.low, row.high))
+        value, std, low, high = (
+            np.nan if number is None else number for number in (row.value, row.std, row.low, row.high)
+        )
         groups.setdefault((row.actuator, row.condition), []).append(
             Estimate(row.name, value, std, low, high, row.units)
         )
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
     pairs = enumerate(groups.items(), start=first)
-    trials = [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    trials = [TrialResults(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
 def experiment_of_answer(path: Path) -> str:
-    """The experiment that an answer of `leactl analyze --json` is of.
+    """Return the experiment of an answer of `leactl analyze --json`.
 
     Raises
     ------
@@ -235,30 +244,30 @@ def experiment_of_answer(path: Path) -> str:
     return _of_answer(path, 0)[0]
 
 
-def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> dict[str, Values]:
-    """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
+def _columns(trials: Sequence[TrialResults], notes: Sequence[str]) -> dict[str, Values]:
+    """Collect the values of each result that has an uncertainty and is not part of another, such as one direction."""
     named: dict[str, str] = {}
     for trial in trials:
         for item in trial.results:
-            part = any(item.name.startswith(f"{other}_") for other in named)
-            if np.isfinite(item.std) and not part and named.setdefault(item.name, item.units) != item.units:
+            is_part = any(item.name.startswith(f"{other}_") for other in named)
+            if np.isfinite(item.std) and not is_part and named.setdefault(item.name, item.units) != item.units:
                 raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
-    found = {}
+    columns = {}
     for name, units in named.items():
-        by_trial = [next((item.value for item in one.results if item.name == name), np.nan) for one in trials]
+        by_trial = [next((item.value for item in trial.results if item.name == name), np.nan) for trial in trials]
         values = np.array(by_trial, np.float64)
-        good = np.isfinite(values)
-        said = list(notes)
-        if not good.all():
-            said.append(f"{name}: {int((~good).sum())} of {len(values)} values are missing and left out")
-        kept = [trial for trial, one in zip(trials, good, strict=True) if one]
-        found[name] = Values(
+        finite = np.isfinite(values)
+        column_notes = list(notes)
+        if not finite.all():
+            column_notes.append(f"{name}: {int((~finite).sum())} of {len(values)} values are missing and left out")
+        kept = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
+        columns[name] = Values(
             name,
             units,
-            values[good],
+            values[finite],
             np.array([trial.actuator for trial in kept], np.str_),
             np.array([trial.condition for trial in kept], np.str_),
             np.array([trial.run for trial in kept], np.int64),
-            tuple(said),
+            tuple(column_notes),
         )
-    return found
+    return columns

@@ -5,85 +5,87 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import SENSE, Calibration
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.balance import SENSE, PowerCalibration
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.estimate import Noted
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-MOST_WRONG = 0.5  # of the points, whose signs contradict the roles: above this they are swapped
-FEWEST = 12  # points, for a drift to be told from what speed and torque do
+MOST_WRONG = 0.5  # of the points: if more have signs that contradict the roles, a sign is swapped
+FEWEST = 12  # points, for a drift to be distinguished from the effects of speed and torque
 ALONE = 0.5  # of the spread of time, that speed and torque must leave unexplained
 CLEAR = 4.0  # standard errors
 SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
 GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
 
 
-def refuse_swapped(points: Points, place: str) -> None:
-    """Refuse readings whose signs say that the one that drives is driven.
+def refuse_swapped(points: OperatingPoints, place: str) -> None:
+    """Raise if the signs of most readings contradict which actuator drives.
 
     Raises
     ------
     InputError : with the channels that contradict each other.
     """
-    driving = np.array([one.driving for one in points.holds])
+    driving = np.array([grid_hold.driving for grid_hold in points.holds])
     faults = []
-    for role in OTHER:
-        wanted = np.where(driving == role, 1.0, -1.0)
-        speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER[role])))
+    for role in OTHER_ROLE:
+        expected = np.where(driving == role, 1.0, -1.0)
+        speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER_ROLE[role])))
         current = points.value.get(("q_axis_current", role))
-        if current is not None and speed is not None and _wrong(wanted * current * speed):
+        if current is not None and speed is not None and _wrong(expected * current * speed):
             faults.append(f"current and velocity of the {role} actuator")
         voltage = points.value.get(("q_axis_voltage", role))
         if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
             faults.append(f"voltage and current of the {role} actuator")
         elif current is not None and voltage is not None and speed is not None:
-            slack = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
-            if _wrong((voltage * speed)[slack]):
+            low_current = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
+            if _wrong((voltage * speed)[low_current]):
                 faults.append(f"voltage and velocity of the {role} actuator")
-    turned = next(points.value["velocity", role] for role in OTHER if ("velocity", role) in points.value)
-    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
+    velocity = next(points.value["velocity", role] for role in OTHER_ROLE if ("velocity", role) in points.value)
+    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * velocity):
         faults.append("torque and velocity")
     if faults:
         raise InputError(f"{place}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}")
 
 
 def _wrong(products: np.ndarray) -> bool:
-    known = products[np.isfinite(products)]
-    return bool(len(known)) and float(np.mean(known < 0.0)) > MOST_WRONG
+    finite = products[np.isfinite(products)]
+    return bool(len(finite)) and float(np.mean(finite < 0.0)) > MOST_WRONG
 
 
-def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list[str]) -> Points:
-    """The points with what a drift of the torque sensor adds to the uncertainty of its zero; notes where there is one.
+def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerCalibration) -> Noted[OperatingPoints]:
+    """Widen the uncertainty of the torque sensor's zero by its drift; a note says where a run has one.
 
     Each actuator's friction is Kt i less the torque that it gives. The two frictions add up to no torque reading at
     all; their difference is twice the torque's error and what the actuators differ by, which goes with the speed.
     """
-    if not all(("q_axis_current", role) in points.value for role in OTHER) or not np.isfinite(told.back_emf_constant):
-        return points
+    currents_known = all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
+    if not currents_known or not np.isfinite(calibration.back_emf_constant):
+        return Noted(points)
+    notes = []
     zero_std = points.zero_std.copy()
     for number, run in enumerate(runs):
-        own = points.where(points.run == number)
-        torque = own.value["torque", "test"]
-        by_current = (
-            sum(SENSE[role] * own.value["q_axis_current", role] for role in OTHER) * told.back_emf_constant / 2.0
-        )
-        speed = np.array([one.speed for one in own.holds])
-        time = np.array([one.hold.start for one in own.holds])
+        run_points = points.where(points.run == number)
+        torque = run_points.value["torque", "test"]
+        signed_currents = sum(SENSE[role] * run_points.value["q_axis_current", role] for role in OTHER_ROLE)
+        by_current = signed_currents * calibration.back_emf_constant / 2.0
+        speed = np.array([grid_hold.speed for grid_hold in run_points.holds])
+        time = np.array([grid_hold.hold.start for grid_hold in run_points.holds])
         good = np.isfinite(torque) & np.isfinite(by_current)
         if good.sum() < FEWEST:
             continue
-        over = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
-        others = np.column_stack([torque, speed, np.ones_like(over)])[good]
-        left = over[good] - others @ np.linalg.lstsq(others, over[good], rcond=None)[0]
-        if np.std(left) < ALONE * np.std(over[good]):
+        run_time = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
+        others = np.column_stack([torque, speed, np.ones_like(run_time)])[good]
+        unexplained = run_time[good] - others @ np.linalg.lstsq(others, run_time[good], rcond=None)[0]
+        if np.std(unexplained) < ALONE * np.std(run_time[good]):
             notes.append(
                 f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
                 " currents cannot be told from them, and is in no interval"
             )
             continue
-        design = np.column_stack([over[good], others])
+        design = np.column_stack([run_time[good], others])
         try:
             fit = least_squares(design, (torque - by_current)[good], design, str(run.path))
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
@@ -101,4 +103,4 @@ def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list
                 f"{run.path}: torque is {gain:+.1%} off what the currents and the torque constant make of it;"
                 " the sensor's calibration or the current's convention may be wrong"
             )
-    return replace(points, zero_std=zero_std)
+    return Noted(replace(points, zero_std=zero_std), tuple(notes))

@@ -11,26 +11,26 @@ Polygon = tuple[tuple[float, float], ...]  # x, y of each corner
 
 
 def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
-    """Lines of one level: x and y of each; cells with a NaN corner have none.
+    """Trace the contour lines of one level; return x and y of each.
 
     Parameters
     ----------
     x, y, z : of the grid's corners, shape (rows, columns) each.
     """
     flat = np.where(z.ravel() == level, np.nextafter(level, np.inf), z.ravel())  # no line ends in a corner
-    over = flat > level
+    above_level = flat > level
     neighbours: dict[Crossing, list[Crossing]] = {}
     for corners in triangles(*z.shape):
         if not np.isfinite(flat[list(corners)]).all():
             continue
         edges = [(min(a, b), max(a, b)) for a, b in zip(corners, (*corners[1:], corners[0]), strict=True)]
-        crossed = [edge for edge in edges if over[edge[0]] != over[edge[1]]]
+        crossed = [edge for edge in edges if above_level[edge[0]] != above_level[edge[1]]]
         if crossed:
             first, second = crossed
             neighbours.setdefault(first, []).append(second)
             neighbours.setdefault(second, []).append(first)
 
-    def at(edge: Crossing) -> tuple[float, float]:
+    def crossing_point(edge: Crossing) -> tuple[float, float]:
         a, b = edge
         share = (level - flat[a]) / (flat[b] - flat[a])
         return tuple(float(c.flat[a] + share * (c.flat[b] - c.flat[a])) for c in (x, y))  # type: ignore[return-value]
@@ -40,13 +40,13 @@ def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
         start = next((edge for edge, others in neighbours.items() if len(others) == 1), next(iter(neighbours)))
         path = [start]
         while ahead := neighbours.get(path[-1]):
-            here, beyond = path[-1], ahead.pop()
-            neighbours[beyond].remove(here)
-            path.append(beyond)
+            current, following = path[-1], ahead.pop()
+            neighbours[following].remove(current)
+            path.append(following)
         for edge in set(path):
             if edge in neighbours and not neighbours[edge]:
                 del neighbours[edge]
-        points = [at(edge) for edge in path]
+        points = [crossing_point(edge) for edge in path]
         lines.append((tuple(p[0] for p in points), tuple(p[1] for p in points)))
     return lines
 
@@ -72,27 +72,27 @@ def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]
 
 
 def above(polygon: list[Corner], level: float, upwards: bool) -> list[Corner]:
-    """The part of a polygon on one side of a level (Sutherland, Hodgman 1974)."""
+    """Cut a polygon at a level and return the part on one side (Sutherland, Hodgman 1974)."""
     if not np.isfinite(level):
         return polygon
     kept: list[Corner] = []
-    for here, ahead in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
-        inside = (here[2] >= level) == upwards
+    for corner, next_corner in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
+        inside = (corner[2] >= level) == upwards
         if inside:
-            kept.append(here)
-        if inside != ((ahead[2] >= level) == upwards):
-            share = (level - here[2]) / (ahead[2] - here[2])
-            a, b = (start + share * (end - start) for start, end in zip(here[:2], ahead[:2], strict=True))
+            kept.append(corner)
+        if inside != ((next_corner[2] >= level) == upwards):
+            share = (level - corner[2]) / (next_corner[2] - corner[2])
+            a, b = (start + share * (end - start) for start, end in zip(corner[:2], next_corner[:2], strict=True))
             kept.append((a, b, level))
     return kept
 
 
 def triangles(rows: int, columns: int) -> list[tuple[int, int, int]]:
-    """Corner numbers of two triangles a cell."""
-    found = []
+    """Return the corner numbers of two triangles for each cell of a grid."""
+    corners = []
     for row in range(rows - 1):
         for column in range(columns - 1):
             a = row * columns + column
             b, c, d = a + 1, a + columns, a + columns + 1
-            found += [(a, b, d), (a, d, c)]
-    return found
+            corners += [(a, b, d), (a, d, c)]
+    return corners

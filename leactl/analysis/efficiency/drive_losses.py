@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Calibration, balance
-from leactl.analysis.efficiency.operating_points import OTHER, Points
-from leactl.analysis.estimate import Estimate
+from leactl.analysis.efficiency.balance import PowerCalibration, balance
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.estimate import Estimate, Noted
 from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.runfile.read.reader import Channel, Run
@@ -14,41 +14,39 @@ from leactl.runfile.read.reader import Channel, Run
 FEWEST = 2
 
 
-def drives_loss(runs: Sequence[Run], points: Points, told: Calibration, notes: list[str]) -> list[Estimate]:
-    """Loss of both drives together [W], mean over the holds; none without measured voltages and DC link current.
+def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
+    """Estimate the loss of both drives together [W], mean over the holds.
 
-    A supply that takes nothing back shows no power where the drives give some; those holds are left out.
+    The list is empty without measured q-axis voltages and DC link current. Holds in which the DC link shows no power
+    are left out: a supply that cannot take power back hides what the drives return.
     """
     links = [link_of(run) for run in runs]
     if (
-        not told.by_measured_voltage
+        not calibration.by_measured_voltage
         or not all(links)
-        or not all(("q_axis_current", role) in points.value for role in OTHER)
+        or not all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     ):
-        notes.append(
-            "losses of the drives are not told: that takes q-axis voltages of both and the current of the DC link"
-        )
-        return []
-    taken = np.sum([balance(points, role, True, told).electrical for role in OTHER], axis=0)
-    found = []
-    for one, power in zip(points.holds, taken, strict=True):
-        channels = links[one.run]
+        note = "losses of the drives are not told: that takes q-axis voltages of both and the current of the DC link"
+        return Noted([], (note,))
+    terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER_ROLE], axis=0)
+    losses = []
+    for grid_hold, terminal_power in zip(points.holds, terminal_powers, strict=True):
+        channels = links[grid_hold.run]
         assert channels is not None
-        means = [settled_mean(channel, one.hold.start, one.hold.stop) for channel in channels]
-        if np.isfinite(power) and all(mean is not None and mean.value > 0.0 for mean in means):
+        means = [settled_mean(channel, grid_hold.hold.start, grid_hold.hold.stop) for channel in channels]
+        if np.isfinite(terminal_power) and all(mean is not None and mean.value > 0.0 for mean in means):
             voltage, current = (mean.value for mean in means if mean is not None)
-            found.append(voltage * current - power)
-    if len(found) < FEWEST:
-        notes.append("losses of the drives are not told: too few holds with a current of the DC link")
-        return []
-    value, std = float(np.mean(found)), float(np.std(found, ddof=1)) / np.sqrt(len(found))
-    half = t_quantile(len(found) - 1) * std
-    return [Estimate("drives_loss", value, std, value - half, value + half, "W")]
+            losses.append(voltage * current - terminal_power)
+    if len(losses) < FEWEST:
+        return Noted([], ("losses of the drives are not told: too few holds with a current of the DC link",))
+    value, std = float(np.mean(losses)), float(np.std(losses, ddof=1)) / np.sqrt(len(losses))
+    half = t_quantile(len(losses) - 1) * std
+    return Noted([Estimate("drives_loss", value, std, value - half, value + half, "W")])
 
 
 def link_of(run: Run) -> tuple[Channel, Channel] | None:
-    """Voltage and current of the supply that feeds the drives, of one device; None where there is none."""
-    for role in ("bench", *OTHER):
+    """Return voltage and current of the supply of the drives, from one device; None where the run lacks them."""
+    for role in ("bench", *OTHER_ROLE):
         for current in run.channels("bus_current", role):
             for voltage in run.channels("bus_voltage", role):
                 if voltage.device == current.device:

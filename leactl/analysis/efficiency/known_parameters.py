@@ -1,4 +1,4 @@
-"""What is known of the actuators and the instruments beside the readings: from the runs' model, or told."""
+"""Parameters of actuators and instruments that are not measured: from the runs' model, or given by the caller."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,16 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Calibration
-from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.efficiency.balance import PowerCalibration
+from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.estimate import Noted
 from leactl.analysis.run_model import model_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the caller says of the actuators, in place of the model."""
+class GivenParameters:
+    """Parameters of the actuators that the caller gives, in place of the model's."""
 
     phase_resistance: float | None = None  # ohm
     back_emf_constant: float | None = None  # V*s/rad
@@ -23,9 +24,14 @@ class Told:
 
 
 def calibration_of(
-    runs: Sequence[Run], points: Points, told: Told, relative: Mapping[str, float | None], notes: list[str]
-) -> tuple[Calibration, dict[str, float]]:
-    """How readings become powers, and the standard uncertainty of each number of it that has one.
+    runs: Sequence[Run], points: OperatingPoints, given: GivenParameters, relative: Mapping[str, float | None]
+) -> Noted[tuple[PowerCalibration, dict[str, float]]]:
+    """Return the numbers that turn readings into powers, and the standard uncertainties of those that have one.
+
+    Parameters
+    ----------
+    given : values that replace those of the runs' model.
+    relative : relative standard uncertainty of each number by its name, None where the caller gave none.
 
     Raises
     ------
@@ -38,23 +44,24 @@ def calibration_of(
             raise InputError(f"{name}_std {std:g}: a relative standard uncertainty of zero or more was expected")
     if relative["torque_gain"] is None:
         stds["torque_gain"] = max(run.channel("torque", role="test").scale_std for run in runs)
-    back_emf = _number(runs, "back_emf_constant", told.back_emf_constant)
-    cold = _number(runs, "phase_resistance", told.phase_resistance)
+    back_emf = _number(runs, "back_emf_constant", given.back_emf_constant)
+    cold = _number(runs, "phase_resistance", given.phase_resistance)
     measured = all(
-        ("q_axis_voltage", role) in points.value for role in OTHER if ("q_axis_current", role) in points.value
+        ("q_axis_voltage", role) in points.value for role in OTHER_ROLE if ("q_axis_current", role) in points.value
     )
-    if measured and told.winding_temperature is None:
+    if measured and given.winding_temperature is None:
+        notes = []
         if math.isnan(back_emf):
             notes.append("no back-EMF constant is known: losses are not parted into copper and friction")
         notes.append("electrical power is measured voltage times current, at the temperature that the winding had")
-        return Calibration(cold, back_emf, True), _absolute(stds, cold, back_emf)
+        return Noted((PowerCalibration(cold, back_emf, True), _absolute(stds, cold, back_emf)), tuple(notes))
     if math.isnan(cold) or math.isnan(back_emf):
         raise NotIdentifiable(
             f"{runs[0].path}: no q-axis voltage was measured, and the run's model lacks phase_resistance or"
             " back_emf_constant; give --set phase_resistance= and --set back_emf_constant="
         )
     reference = _number(runs, "reference_temperature", None)
-    temperature, slope = told.winding_temperature, _number(runs, "resistance_coefficient", None)
+    temperature, slope = given.winding_temperature, _number(runs, "resistance_coefficient", None)
     warm = cold
     if temperature is not None:
         if not (math.isfinite(slope) and math.isfinite(reference) and -50.0 <= temperature <= 400.0):
@@ -66,18 +73,18 @@ def calibration_of(
     elif math.isfinite(reference):
         temperature = reference
     where = f" at {temperature:g} degC" if temperature is not None else ""
-    notes.append(
+    note = (
         f"no measured voltage: electrical power is that of windings of {warm:.4g} ohm{where} and a back-EMF constant of"
         f" {back_emf:g} V*s/rad, as the paper has it; warmer ones take more (--set winding_temperature=)"
     )
-    return Calibration(warm, back_emf, False), _absolute(stds, warm, back_emf)
+    return Noted((PowerCalibration(warm, back_emf, False), _absolute(stds, warm, back_emf)), (note,))
 
 
 def sources_of(stds: Mapping[str, float]) -> str:
-    """A note on which instruments' uncertainties the intervals hold."""
-    held = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
-    if held:
-        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(held)}"
+    """Return a note on which instruments' uncertainties the intervals include."""
+    included = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
+    if included:
+        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(included)}"
     return (
         "the intervals are those of scatter and of the torque sensor's zero; what resistance, constants and"
         " calibrations are off by is in them where it is told (--set resistance_std=,"
@@ -90,16 +97,18 @@ def _absolute(stds: dict[str, float], resistance: float, back_emf: float) -> dic
     return {name: std * scale.get(name, 1.0) for name, std in stds.items() if std > 0.0}
 
 
-def _number(runs: Sequence[Run], name: str, told: float | None) -> float:
-    """A number of the runs' models, or the one that is told; NaN where neither has it."""
-    if told is not None:
-        if not (math.isfinite(told) and told > 0.0):
-            raise InputError(f"{name} {told:g}: a positive number was expected")
-        return told
-    found = [model_of(run).get(name) for run in runs]
-    numbers = {float(one) if isinstance(one, int | float) and not isinstance(one, bool) else math.nan for one in found}
+def _number(runs: Sequence[Run], name: str, given: float | None) -> float:
+    """Return the given number, else that of the runs' models; NaN where neither has it."""
+    if given is not None:
+        if not (math.isfinite(given) and given > 0.0):
+            raise InputError(f"{name} {given:g}: a positive number was expected")
+        return given
+    values = [model_of(run).get(name) for run in runs]
+    numbers = {
+        float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan for value in values
+    }
     if len(numbers) > 1 and not all(np.isnan(list(numbers))):
         raise InputError(
-            f"{runs[0].path}: the runs' models differ in {name} ({', '.join(map(str, found))}); tell which"
+            f"{runs[0].path}: the runs' models differ in {name} ({', '.join(map(str, values))}); tell which"
         )
     return numbers.pop()

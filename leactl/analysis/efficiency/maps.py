@@ -25,8 +25,8 @@ QUANTITIES = {
 
 
 def grid_of(means: MapMeans, name: str) -> Grid:
-    """Every quantity at every point; NaN where the bench did not hold it."""
-    columns = {key: means.over_map(what) for key, what in QUANTITIES.items()}
+    """Return every quantity at every point of the grid; NaN where the bench did not hold it."""
+    columns = {key: means.over_map(quantity) for key, quantity in QUANTITIES.items()}
     columns["efficiency_std_1"] = np.where(means.counts > 0, means.std_over_map("efficiency"), np.nan)
     values = {key: tuple(tuple(row) for row in column.tolist()) for key, column in columns.items()}
     axes = {"velocity_rad_s": tuple(means.speeds.tolist()), "current_A": tuple(means.currents.tolist())}
@@ -34,7 +34,7 @@ def grid_of(means: MapMeans, name: str) -> Grid:
 
 
 def speeds_and_torques(maps: Sequence[MapMeans]) -> Plot:
-    """Torque over speed, both as magnitudes, the speed of driven points negative."""
+    """Plot efficiency over speed and torque, both as magnitudes, the speed of driven points negative."""
 
     def x(means: MapMeans) -> Array:
         return np.abs(means.over_map("speed")) * (1.0 if means.driving else -1.0)
@@ -45,7 +45,7 @@ def speeds_and_torques(maps: Sequence[MapMeans]) -> Plot:
 
 
 def currents_and_voltages(maps: Sequence[MapMeans]) -> Plot:
-    """Current as a magnitude over the voltage that goes with it, negative where the actuator gives power."""
+    """Plot efficiency over voltage and current, the voltage negative where the actuator gives power."""
 
     def x(means: MapMeans) -> Array:
         return np.asarray(means.over_map("voltage") * np.sign(means.over_map("current")))
@@ -63,22 +63,24 @@ def _plot(
     steps = list(itertools.pairwise((-np.inf, *LEVELS, np.inf)))
     polygons: list[list[Polygon]] = [[] for _ in steps]
     for means in maps:
-        across, up, efficiency = x(means), y(means), means.over_map("efficiency")
+        x_values, y_values, efficiency = x(means), y(means), means.over_map("efficiency")
         for label, (low, high) in CLASSES.items():
             inside = (efficiency >= low) & (efficiency < high)
-            points[label][0].extend(across[inside].tolist())
-            points[label][1].extend(up[inside].tolist())
+            points[label][0].extend(x_values[inside].tolist())
+            points[label][1].extend(y_values[inside].tolist())
         for level in LEVELS:
-            lines += [Series(f"{level:.0%}", *line) for line in contours(across, up, efficiency, level)]
-        for part, (low, high) in zip(polygons, steps, strict=True):
-            part += band(across, up, efficiency, low, high)
-    shown = tuple(Series(label, tuple(a), tuple(b)) for label, (a, b) in points.items() if a)
-    bands = tuple(Band(words_of(*step), tuple(part)) for step, part in zip(steps, polygons, strict=True))
-    return Plot(x_label, y_label, shown, tuple(lines), bands=bands)
+            lines += [Series(f"{level:.0%}", *line) for line in contours(x_values, y_values, efficiency, level)]
+        for level_polygons, (low, high) in zip(polygons, steps, strict=True):
+            level_polygons += band(x_values, y_values, efficiency, low, high)
+    series = tuple(Series(label, tuple(a), tuple(b)) for label, (a, b) in points.items() if a)
+    bands = tuple(
+        Band(words_of(*step), tuple(level_polygons)) for step, level_polygons in zip(steps, polygons, strict=True)
+    )
+    return Plot(x_label, y_label, series, tuple(lines), bands=bands)
 
 
 def words_of(low: float, high: float) -> str:
-    """The name of the band between two efficiencies, one of which may be infinite."""
+    """Return the label of the band between two efficiencies, one of which may be infinite."""
     if low == -np.inf:
         return f"below {high:.0%}"
     return f"{low:.0%} and more" if high == np.inf else f"{low:.0%} to {high:.0%}"

@@ -13,21 +13,28 @@ from functools import cached_property
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Balance, Calibration, balance
-from leactl.analysis.efficiency.operating_points import Points
+from leactl.analysis.efficiency.balance import Balance, PowerCalibration, balance
+from leactl.analysis.efficiency.operating_points import OperatingPoints
 from leactl.analysis.estimate import NAN, Estimate, listed
 from leactl.analysis.statistics.regression import POOLED_ABOVE, Array, t_quantile
 
 
 class MapMeans:
-    """One actuator's map, driving or driven: its points, their powers, and means over those that were held."""
+    """Means over one actuator's map, driving or driven: points, powers, and means over the points that were held."""
 
-    def __init__(self, points: Points, role: str, driving: bool, told: Calibration, stds: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        points: OperatingPoints,
+        role: str,
+        driving: bool,
+        calibration: PowerCalibration,
+        stds: Mapping[str, float],
+    ) -> None:
         self.points, self.role, self.driving = points, role, driving
-        self._told, self._stds = told, stds
-        self.balance = self._balance(points, told)
+        self._told, self._stds = calibration, stds
+        self.balance = self._balance(points, calibration)
         self.held = np.isfinite(self.balance.efficiency)
-        setpoints = np.array([(one.speed, one.current) for one in points.holds])
+        setpoints = np.array([(grid_hold.speed, grid_hold.current) for grid_hold in points.holds])
         self.speeds, self.currents = np.unique(setpoints[:, 0]), np.unique(setpoints[:, 1])
         self.places = np.searchsorted(self.speeds, setpoints[:, 0]), np.searchsorted(self.currents, setpoints[:, 1])
         self.counts = np.zeros((len(self.speeds), len(self.currents)))
@@ -40,112 +47,117 @@ class MapMeans:
 
     @cached_property
     def weights(self) -> Array:
-        """Of each hold in a mean over the map: every point counts once, whatever its repeats."""
-        own = np.where(self.held, self.counts[self.places], np.inf)
-        return np.asarray(1.0 / own / self.reached)
+        """Weight of each hold in a mean over the map, shape (holds,): every point counts once, whatever its repeats."""
+        repeats = np.where(self.held, self.counts[self.places], np.inf)
+        return np.asarray(1.0 / repeats / self.reached)
 
-    def over_map(self, what: str, column: Array | None = None) -> Array:
-        """A quantity at each point, shape (speeds, currents), the mean of its repeats; NaN where none was held."""
-        found = getattr(self.balance, what) if column is None else column
+    def over_map(self, quantity: str, column: Array | None = None) -> Array:
+        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without one."""
+        values = getattr(self.balance, quantity) if column is None else column
         total = np.zeros_like(self.counts)
-        np.add.at(total, self.places, np.where(self.held, found, 0.0))
+        np.add.at(total, self.places, np.where(self.held, values, 0.0))
         with np.errstate(invalid="ignore"):
             return np.asarray(total / np.where(self.counts > 0, self.counts, np.nan))
 
-    def std_over_map(self, what: str) -> Array:
-        """Standard uncertainty at each point."""
-        nominal = self.over_map(what)
-        square = sum(self.over_map(what, change**2) for change in self._changes_of_one(what)) / np.fmax(
-            self.counts, 1.0
-        )
-        together = [self.over_map(what, column) - nominal for column in self._moved_together(what)]
-        return np.sqrt(square + sum(change**2 for change in together))
+    def std_over_map(self, quantity: str) -> Array:
+        """Return the standard uncertainty of a quantity at each point, shape (speeds, currents)."""
+        nominal = self.over_map(quantity)
+        independent_square = sum(
+            self.over_map(quantity, change**2) for change in self._changes_of_one(quantity)
+        ) / np.fmax(self.counts, 1.0)
+        common_changes = [self.over_map(quantity, column) - nominal for column in self._moved_together(quantity)]
+        return np.sqrt(independent_square + sum(change**2 for change in common_changes))
 
-    def mean(self, what: str, name: str, units: str) -> Estimate:
-        """Mean over the map of a quantity of `Balance`."""
-        value = self._weighed(getattr(self.balance, what))
-        apart = sum(
+    def mean(self, quantity: str, name: str, units: str) -> Estimate:
+        """Estimate the mean of a quantity of `Balance` over the map."""
+        value = self._weighed(getattr(self.balance, quantity))
+        independent = sum(
             float(np.sum((self.weights * np.where(self.held, change, 0.0)) ** 2))
-            for change in self._changes_of_one(what)
+            for change in self._changes_of_one(quantity)
         )
-        zeros = sum((self._weighed(column) - value) ** 2 for column in self._moved_zeros(what))
-        variance, dof = self._by_passes(what, apart + zeros)
-        shared = sum((self._weighed(column) - value) ** 2 for column in self._moved_calibrations(what))
-        std = math.sqrt(variance + shared)
+        zero_variance = sum((self._weighed(column) - value) ** 2 for column in self._moved_zeros(quantity))
+        variance, dof = self._by_passes(quantity, independent + zero_variance)
+        calibration_variance = sum(
+            (self._weighed(column) - value) ** 2 for column in self._moved_calibrations(quantity)
+        )
+        std = math.sqrt(variance + calibration_variance)
         effective = dof * (std**2 / variance) ** 2 if variance > 0.0 else math.inf
         half = t_quantile(effective) * std
         return Estimate(name, value, std, value - half, value + half, units)
 
     def spread(self, name: str) -> Estimate:
-        """Standard deviation of the efficiency over the map, what the paper prints three of."""
+        """Return the standard deviation of the efficiency over the map, three of which the paper prints."""
         return Estimate(
             name, float(np.nanstd(self.over_map("efficiency"), ddof=1)) if self.reached > 1 else NAN, NAN, NAN, NAN, "1"
         )
 
     def highest(self, name: str) -> Estimate:
-        """The best point of the map with the uncertainty of that point."""
-        found = self.over_map("efficiency")
-        best = np.unravel_index(int(np.nanargmax(found)), found.shape)
-        value, std = float(found[best]), float(self.std_over_map("efficiency")[best])
+        """Estimate the highest efficiency of the map."""
+        efficiency = self.over_map("efficiency")
+        best = np.unravel_index(int(np.nanargmax(efficiency)), efficiency.shape)
+        value, std = float(efficiency[best]), float(self.std_over_map("efficiency")[best])
         half = t_quantile(math.inf) * std
         return Estimate(name, value, std, value - half, value + half, "1")
 
     def remarks(self, whose: str) -> list[str]:
-        """Which points have no value, and which were held less often than others."""
+        """Return notes on points without a value, and on points with fewer repeats than others."""
         notes = []
-        whole = self.counts.size
-        if self.reached < whole:
+        point_count = self.counts.size
+        if self.reached < point_count:
             absent = [
                 f"{self.speeds[row]:g} rad/s {self.currents[column]:g} A"
                 for row, column in np.argwhere(self.counts == 0)
             ]
-            notes.append(f"{whose}: {self.reached} of {whole} points were held; no value at {listed(absent, 6)}")
-        asked = np.zeros_like(self.counts)
-        np.add.at(asked, self.places, 1.0)
-        fewer = int(np.sum((self.counts > 0) & (self.counts < asked.max())))
+            notes.append(f"{whose}: {self.reached} of {point_count} points were held; no value at {listed(absent, 6)}")
+        repeats_asked = np.zeros_like(self.counts)
+        np.add.at(repeats_asked, self.places, 1.0)
+        fewer = int(np.sum((self.counts > 0) & (self.counts < repeats_asked.max())))
         if fewer:
             notes.append(
-                f"{whose}: {fewer} points have fewer than {asked.max():g} repeats; each point counts once all the same"
+                f"{whose}: {fewer} points have fewer than {repeats_asked.max():g} repeats; each point counts once"
+                " all the same"
             )
         return notes
 
     def _weighed(self, column: Array) -> float:
         return float(np.sum(self.weights * np.where(self.held, column, 0.0)))
 
-    def _balance(self, points: Points, told: Calibration) -> Balance:
-        return balance(points, self.role, self.driving, told)
+    def _balance(self, points: OperatingPoints, calibration: PowerCalibration) -> Balance:
+        return balance(points, self.role, self.driving, calibration)
 
-    def _changes_of_one(self, what: str) -> list[Array]:
-        """What each hold's readings being off by their standard error does to a quantity there."""
-        nominal = getattr(self.balance, what)
-        moved = [self._balance(self.points.shifted(place), self._told) for place in self.points.std]
-        return [np.nan_to_num(getattr(one, what) - nominal) for one in moved]
+    def _changes_of_one(self, quantity: str) -> list[Array]:
+        """Change of a quantity in each hold when one channel's mean there moves by its standard error."""
+        nominal = getattr(self.balance, quantity)
+        balances = [self._balance(self.points.shifted(key), self._told) for key in self.points.std]
+        return [np.nan_to_num(getattr(moved, quantity) - nominal) for moved in balances]
 
-    def _moved_together(self, what: str) -> list[Array]:
-        return [*self._moved_zeros(what), *self._moved_calibrations(what)]
+    def _moved_together(self, quantity: str) -> list[Array]:
+        return [*self._moved_zeros(quantity), *self._moved_calibrations(quantity)]
 
-    def _moved_zeros(self, what: str) -> list[Array]:
+    def _moved_zeros(self, quantity: str) -> list[Array]:
         zeros = [{run: float(std)} for run, std in enumerate(self.points.zero_std)]
-        return [getattr(self._balance(self.points, replace(self._told, zero=zero)), what) for zero in zeros]
+        return [getattr(self._balance(self.points, replace(self._told, zero=zero)), quantity) for zero in zeros]
 
-    def _moved_calibrations(self, what: str) -> list[Array]:
-        moved = [replace(self._told, **{name: getattr(self._told, name) + std}) for name, std in self._stds.items()]
-        return [getattr(self._balance(self.points, told), what) for told in moved]
+    def _moved_calibrations(self, quantity: str) -> list[Array]:
+        calibrations = [
+            replace(self._told, **{name: getattr(self._told, name) + std}) for name, std in self._stds.items()
+        ]
+        return [getattr(self._balance(self.points, calibration), quantity) for calibration in calibrations]
 
-    def _by_passes(self, what: str, explained: float) -> tuple[float, float]:
+    def _by_passes(self, quantity: str, explained: float) -> tuple[float, float]:
         """Variance and degrees of freedom of the mean, from the passes where they scatter more than is explained."""
-        column = getattr(self.balance, what)
-        labels = np.array([(one.run, one.pass_number) for one in self.points.holds])
+        column = getattr(self.balance, quantity)
+        labels = np.array([(grid_hold.run, grid_hold.pass_number) for grid_hold in self.points.holds])
         means = []
         for label in np.unique(labels, axis=0):
-            own = np.all(labels == label, axis=1)
-            if self.held[own].sum() == self.reached:
-                means.append(float(np.mean(column[own & self.held])))
+            in_pass = np.all(labels == label, axis=1)
+            if self.held[in_pass].sum() == self.reached:
+                means.append(float(np.mean(column[in_pass & self.held])))
         if len(means) < 2:
             return explained, math.inf
         from scipy.special import chdtrc
 
-        dof, found = len(means) - 1, float(np.var(means, ddof=1)) / len(means)
-        if found <= explained or (explained > 0.0 and chdtrc(dof, dof * found / explained) > POOLED_ABOVE):
+        dof, variance = len(means) - 1, float(np.var(means, ddof=1)) / len(means)
+        if variance <= explained or (explained > 0.0 and chdtrc(dof, dof * variance / explained) > POOLED_ABOVE):
             return explained, math.inf
-        return found, dof
+        return variance, dof

@@ -9,17 +9,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.experiments.torque_constant import TORQUE
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.breakaway import LettingGo, lettings_go
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.breakaway import Breakaway, breakaways_of
 from leactl.analysis.signals.cogging import cogging_of, turns_of
-from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
-from leactl.analysis.signals.levels import Held, Levels, gather
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
+from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.trial_means import mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -34,7 +34,7 @@ RESULTS = {
     "cogging_peak_to_peak": "N*m",
 }
 
-HELD = Held("velocity_rad_s", "rad/s", "load")
+HELD = HoldSelector("velocity_rad_s", "rad/s", "load")
 ENABLED = "drive_enabled"
 DRAWN = 40  # speeds of a line in the figure
 
@@ -57,46 +57,53 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
     InputError : an uncertainty below zero, or torque and motion of opposite senses.
     """
-    place = f"{place_of(runs)}: back-drive"
-    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
+    place = f"{paths_of(runs)}: back-drive"
+    notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
     gain = gain_std(runs, TORQUE, torque_gain_std)
     for run in runs:
         refuse_powered(run)
-    channels = [usable(run, TORQUE, notes, HELD) for run in runs]
-    by_run = dict(zip((run.path for run in runs), channels, strict=True))
-    levels = gather(
+    torques = {run.path: usable_channel(run, TORQUE, HELD) for run in runs}
+    gathered = gather_means(
         runs,
         (VELOCITY, TORQUE),
-        notes,
-        lambda run, name: by_run[run.path] if name == TORQUE else usable(run, name, notes, HELD),
+        lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, HELD),
         HELD,
     )
-    levels = reached(runs, levels, place, notes)
+    turning = at_setpoint(runs, gathered.value, place)
+    levels = turning.value
+    notes += [note for torque in torques.values() for note in torque.notes]
+    notes += [*gathered.notes, *turning.notes]
     line = fit_drag(levels, -levels.value[TORQUE], place)
     fastest = float(np.max(np.abs(levels.setpoint)))
     refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
-    notes += remarks(line, levels.std[TORQUE], "N*m")
+    notes += fit_notes(line, levels.std[TORQUE], "N*m")
     if not both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
 
-    numbered = list(enumerate(zip(runs, channels, strict=True)))
-    released = [one for number, (run, torque) in numbered for one in lettings_go(run, number, torque, notes)]
+    numbered = [(number, run, torques[run.path].value) for number, run in enumerate(runs)]
+    breakaways = joined(breakaways_of(run, number, torque) for number, run, torque in numbered)
     damping = line.slope("viscous_damping")
-    turns = [one for number, (run, torque) in numbered for one in turns_of(run, number, torque, damping, notes)]
-    results = [breakaway(released, gain, notes)] if released else []
-    for one in results:
-        refuse_below_zero(one, place, "torque and angle")
+    turns = joined(turns_of(run, number, torque, damping) for number, run, torque in numbered)
+    notes += [*breakaways.notes, *turns.notes]
+    results = []
+    if breakaways.value:
+        released = breakaway(breakaways.value, gain)
+        refuse_below_zero(released.value, place, "torque and angle")
+        results.append(released.value)
+        notes += released.notes
     results += coefficients(line, gain)
     plots = [plot_of_drag(levels, line)]
-    if turns:
+    if turns.value:
         try:
-            found, plot = cogging_of(turns, gain, notes)
-            results += found
+            cogging = cogging_of(turns.value, gain)
+            cogging_results, plot = cogging.value
+            results += cogging_results
             plots += [plot] if plot is not None else []
+            notes += cogging.notes
         except NotIdentifiable as fault:
             notes.append(str(fault))
-    notes += doubts({"the torque sensor": gain}, "all torques")
-    notes[:0] = doubted(runs, results, [TORQUE], [VELOCITY])
+    notes += calibration_notes({"the torque sensor": gain}, "all torques")
+    notes[:0] = unit_notes(runs, results, [TORQUE], [VELOCITY])
     paths = tuple(str(run.path) for run in runs)
     return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
 
@@ -111,25 +118,27 @@ def refuse_powered(run: Run) -> None:
     if not run.has(ENABLED):
         return
     enabled = run.channel(ENABLED)
-    for hold in HELD.levels(run):
+    for hold in HELD.holds_of(run):
         part = (enabled.time >= hold.start) & (enabled.time < hold.stop)
         if np.any(enabled.values[part] > 0.0):
             raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")
 
 
-def breakaway(released: Sequence[LettingGo], gain: float, notes: list[str]) -> Estimate:
-    """Mean breakaway torque over both directions; without an interval where there is no repeat."""
-    trials, values = [one.trial for one in released], [one.torque for one in released]
+def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimate]:
+    """Estimate the mean breakaway torque over both directions; it has no interval without a repeat."""
+    trials, values = [each.trial for each in breakaways], [each.torque for each in breakaways]
+    notes = []
     if len({trial.side for trial in trials}) == 1:
         notes.append("breakaway in one direction only: the zero of the torque sensor is part of it")
     try:
-        return mean_of(values, trials, "breakaway_torque", "N*m", gain)
+        estimate = mean_of(values, trials, "breakaway_torque", "N*m", gain_std)
     except NotIdentifiable:
         notes.append("breakaway without a repeat: how it scatters is not known")
-        return Estimate("breakaway_torque", float(np.mean(values)), NAN, NAN, NAN, "N*m")
+        estimate = Estimate("breakaway_torque", float(np.mean(values)), NAN, NAN, NAN, "N*m")
+    return Noted(estimate, tuple(notes))
 
 
-def plot_of_drag(levels: Levels, line: LineFit) -> Plot:
+def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
     """Torque against the motion over speed, each direction, and the fit."""
     velocity = levels.value[VELOCITY]
     zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]

@@ -11,17 +11,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate, Plot, Result, Series
+from leactl.analysis.estimate import Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.quality import current_convention
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.analysis.voltage_waves.harmonics import harmonics_of
 from leactl.analysis.voltage_waves.line_voltages import PAIRS
-from leactl.analysis.voltage_waves.pole_pairs import counted, whole
-from leactl.analysis.voltage_waves.turning_holds import Part, parts_of
-from leactl.analysis.voltage_waves.wave_means import Shares, constant_of, drift_of
+from leactl.analysis.voltage_waves.pole_pairs import waves_per_turn, whole_pole_pairs
+from leactl.analysis.voltage_waves.turning_holds import TurningHold, turning_holds
+from leactl.analysis.voltage_waves.wave_means import CommonUncertainties, constant_of, drift_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
 
@@ -79,18 +79,21 @@ def analyze(
     NotIdentifiable : no pair with waves, too few of them, or a count of pole pairs that is no whole number.
     InputError : a torque constant that is no positive number.
     """
-    place = f"{place_of(runs)}: back-EMF"
-    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
-    parts = [part for run in runs for part in parts_of(run, notes)]
+    place = f"{paths_of(runs)}: back-EMF"
+    notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
+    every_hold = joined(turning_holds(run) for run in runs)
+    parts = every_hold.value
+    notes += every_hold.notes
     if not parts:
         raise NotIdentifiable("\n".join([f"{place}: no hold with waves that can be used", *notes]))
-    count, poles, pole_notes = pole_pairs_of(parts, place)
-    notes += pole_notes
-    winding = winding_of(runs[0], notes)
+    pole_pairs = pole_pairs_of(parts, place)
+    count, poles = pole_pairs.value
+    winding = winding_of(runs[0])
+    notes += [*pole_pairs.notes, *winding.notes]
 
     series = {name: [poles * part.sizes[name] for part in parts if name in part.sizes] for name in PAIRS}
     series = {name: found for name, found in series.items() if found}
-    shares = Shares(
+    shares = CommonUncertainties(
         scale=max(part.scale_std for part in parts),
         time_base=TIME_BASE,
         resolution=max(part.resolution for part in parts),
@@ -100,8 +103,10 @@ def analyze(
     both = all(part.complete for part in parts)
     line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if both else shares.of_one_pair)
     if any(part.left_over > SUM_OF_THREE for part in parts):
-        line = covering(line, series, notes)
-    kb = scaled(line, TO_Q[winding], "back_emf_constant", UNITS)
+        widened = covering(line, series)
+        line = widened.value
+        notes += widened.notes
+    kb = scaled(line, TO_Q[winding.value], "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
         constant_of(f"line_to_line_constant_{name}", UNITS, found, shares.of_one_pair) for name, found in series.items()
@@ -112,57 +117,59 @@ def analyze(
     results.append(
         constant_of("electrical_frequency", "Hz", [part.angle.frequencies for part in parts], shares.of_time)
     )
-    results += torque_constant_ratio(runs, kb, torque_constant, torque_constant_std, notes)
-    results += harmonics_of(parts)
+    ratio = torque_constant_ratio(runs, kb, torque_constant, torque_constant_std)
+    results += [*ratio.value, *harmonics_of(parts)]
 
-    notes += remarks(parts, series, shares, both)
-    notes[:0] = doubted(runs, [kb], ["phase_voltage"])
+    notes += [*ratio.notes, *remarks(parts, series, shares, both)]
+    notes[:0] = unit_notes(runs, [kb], ["phase_voltage"])
     paths = tuple(str(run.path) for run in runs)
     return Result(
         "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(parts, poles), plot_of_wave(parts, poles))
     )
 
 
-def pole_pairs_of(parts: Sequence[Part], place: str) -> tuple[Estimate, int, list[str]]:
-    """Waves a turn, the whole number that they mean, and a note where the run's model says another.
+def pole_pairs_of(parts: Sequence[TurningHold], place: str) -> Noted[tuple[Estimate, int]]:
+    """Estimate the waves a turn and the number of pole pairs; a note says where a run's model has another number.
 
     Raises
     ------
     NotIdentifiable : no whole number, or not the same in all holds.
     """
-    found = [counted(len(part.angle.edges) - 1, part.shaft) for part in parts]
+    counts = [waves_per_turn(len(part.angle.edges) - 1, part.shaft) for part in parts]
     numbers = {
-        whole(value, std, f"{part.run.path} from {part.start:.2f} s")
-        for part, (value, std) in zip(parts, found, strict=True)
+        whole_pole_pairs(value, std, f"{part.run.path} from {part.start:.2f} s")
+        for part, (value, std) in zip(parts, counts, strict=True)
     }
     if len(numbers) > 1:
         raise NotIdentifiable(f"{place}: pole pairs of {' and '.join(map(str, sorted(numbers)))} in different holds")
     poles = numbers.pop()
-    values, errors = np.array(found).T
-    value, std = float(values.mean()), math.sqrt(float(np.sum(errors**2))) / len(found)
+    values, errors = np.array(counts).T
+    value, std = float(values.mean()), math.sqrt(float(np.sum(errors**2))) / len(counts)
     half = 1.96 * std
     notes = []
-    for path, told in {str(part.run.path): model_of(part.run).get("pole_pairs") for part in parts}.items():
-        if told == 2 * poles:
-            notes.append(f"{path}: the model has {told} pole pairs; {poles} were counted: its figure is that of poles")
-        elif isinstance(told, int) and told != poles:
+    for path, modelled in {str(part.run.path): model_of(part.run).get("pole_pairs") for part in parts}.items():
+        if modelled == 2 * poles:
             notes.append(
-                f"{path}: the model has {told} pole pairs; {poles} were counted, by which the speed is taken:"
-                f" the model or the encoder's counts a turn are wrong; by {told} every constant would be"
-                f" {told / poles:.3g} times as large"
+                f"{path}: the model has {modelled} pole pairs; {poles} were counted: its figure is that of poles"
             )
-    return Estimate("pole_pairs", value, std, value - half, value + half, "1"), poles, notes
+        elif isinstance(modelled, int) and modelled != poles:
+            notes.append(
+                f"{path}: the model has {modelled} pole pairs; {poles} were counted, by which the speed is taken:"
+                f" the model or the encoder's counts a turn are wrong; by {modelled} every constant would be"
+                f" {modelled / poles:.3g} times as large"
+            )
+    return Noted((Estimate("pole_pairs", value, std, value - half, value + half, "1"), poles), tuple(notes))
 
 
-def winding_of(run: Run, notes: list[str]) -> str:
-    """Wye or delta, as the run's model has it; wye where it does not say."""
-    told = model_of(run).get("winding")
-    if told not in TO_Q:
-        notes.append(f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)")
-        return "wye"
-    if told == "delta":
-        notes.append("the winding is a delta: Kb_q = sqrt(3/2) Kb_ll in its own frame, Kb_ll / sqrt(2) as a wye's")
-    return str(told)
+def winding_of(run: Run) -> Noted[str]:
+    """Return `wye` or `delta` as the run's model states it; `wye` where it states neither."""
+    winding = model_of(run).get("winding")
+    if winding not in TO_Q:
+        return Noted("wye", (f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)",))
+    if winding == "delta":
+        note = "the winding is a delta: Kb_q = sqrt(3/2) Kb_ll in its own frame, Kb_ll / sqrt(2) as a wye's"
+        return Noted("delta", (note,))
+    return Noted(str(winding))
 
 
 def scaled(item: Estimate, factor: float, name: str, units: str) -> Estimate:
@@ -171,19 +178,20 @@ def scaled(item: Estimate, factor: float, name: str, units: str) -> Estimate:
     return Estimate(name, value, std, low, high, units)
 
 
-def covering(line: Estimate, series: dict[str, list[np.ndarray]], notes: list[str]) -> Estimate:
-    """The mean of pairs of which one is wrong, nobody knows which: its interval holds how they scatter about it."""
-    means = [float(np.mean([np.nanmean(size) for size in found])) for found in series.values()]
+def covering(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estimate]:
+    """Widen the interval of the pairs' mean by their scatter: one of them is wrong, and it is not known which."""
+    means = [float(np.mean([np.nanmean(hold_sizes) for hold_sizes in sizes])) for sizes in series.values()]
     error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
     half = math.hypot(0.5 * (line.high - line.low), t_quantile(len(means) - 1) * error)
-    notes.append(
+    std = math.hypot(line.std, error)
+    note = (
         "line_to_line_constant and back_emf_constant: the pairs contradict each other, so that the uncertainty holds"
         f" their scatter of {error / line.value:.2%} on the mean"
     )
-    return Estimate(line.name, line.value, math.hypot(line.std, error), line.value - half, line.value + half, UNITS)
+    return Noted(Estimate(line.name, line.value, std, line.value - half, line.value + half, UNITS), (note,))
 
 
-def unevenness(series: dict[str, list[np.ndarray]], shares: Shares) -> Estimate:
+def unevenness(series: dict[str, list[np.ndarray]], shares: CommonUncertainties) -> Estimate:
     """Largest less smallest pair over their mean; the scale that they share is in none of it."""
     own = [constant_of(name, UNITS, found, shares.between_pairs) for name, found in series.items()]
     values = [item.value for item in own]
@@ -195,9 +203,11 @@ def unevenness(series: dict[str, list[np.ndarray]], shares: Shares) -> Estimate:
 
 
 def torque_constant_ratio(
-    runs: Sequence[Run], kb: Estimate, given: float | None, std: float | None, notes: list[str]
-) -> list[Estimate]:
-    """Kt over Kb, which a wrong convention of current makes 0.82, 1.22 or 1.73; nothing where no Kt is known.
+    runs: Sequence[Run], kb: Estimate, given: float | None, std: float | None
+) -> Noted[list[Estimate]]:
+    """Estimate Kt over Kb; the list is empty where no Kt is known.
+
+    The ratio is 1 in theory; a wrong convention of current makes it 0.82, 1.22 or 1.73.
 
     Raises
     ------
@@ -207,23 +217,28 @@ def torque_constant_ratio(
         raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
     if std is not None and not (math.isfinite(std) and std >= 0.0):
         raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
-    told = given if given is not None else model_of(runs[0]).get("torque_constant")
-    if not isinstance(told, int | float) or isinstance(told, bool) or told <= 0.0:
-        notes.append("no torque constant is known to compare with: give --torque-constant")
-        return []
+    kt = given if given is not None else model_of(runs[0]).get("torque_constant")
+    if not isinstance(kt, int | float) or isinstance(kt, bool) or kt <= 0.0:
+        return Noted([], ("no torque constant is known to compare with: give --torque-constant",))
     source = "as given" if given is not None else "of the model in the run"
-    ratio = told / kb.value
-    relative = math.hypot(kb.std / kb.value, (std or 0.0) / told)
-    why = current_convention.named_by_voltages(ratio, given is not None)
-    if why:
-        notes.append(f"the torque constant {told:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {why}")
-    half = ratio * math.hypot(0.5 * (kb.high - kb.low) / kb.value, 1.96 * (std or 0.0) / told)
+    ratio = kt / kb.value
+    relative = math.hypot(kb.std / kb.value, (std or 0.0) / kt)
+    notes = []
+    reason = current_convention.reason_for_ratio(ratio, given is not None)
+    if reason:
+        notes.append(
+            f"the torque constant {kt:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {reason}"
+        )
+    half = ratio * math.hypot(0.5 * (kb.high - kb.low) / kb.value, 1.96 * (std or 0.0) / kt)
     doubt = "its own uncertainty is in the ratio's" if std else "its own uncertainty is not in the ratio's"
-    notes.append(f"torque_constant_ratio is with {told:g} N*m/A, {source}; {doubt}")
-    return [Estimate("torque_constant_ratio", ratio, relative * ratio, ratio - half, ratio + half, "1")]
+    notes.append(f"torque_constant_ratio is with {kt:g} N*m/A, {source}; {doubt}")
+    estimate = Estimate("torque_constant_ratio", ratio, relative * ratio, ratio - half, ratio + half, "1")
+    return Noted([estimate], tuple(notes))
 
 
-def remarks(parts: Sequence[Part], series: dict[str, list[np.ndarray]], shares: Shares, complete: bool) -> list[str]:
+def remarks(
+    parts: Sequence[TurningHold], series: dict[str, list[np.ndarray]], shares: CommonUncertainties, complete: bool
+) -> list[str]:
     """What a reader must know of the channels, the pairs and the speed."""
     notes = [
         "uncertainties hold the scatter of the waves, the converter's steps and time base"
@@ -262,7 +277,7 @@ def remarks(parts: Sequence[Part], series: dict[str, list[np.ndarray]], shares: 
     return notes
 
 
-def plot_over_time(parts: Sequence[Part], poles: int) -> Plot:
+def plot_over_time(parts: Sequence[TurningHold], poles: int) -> Plot:
     """Kb line to line of every wave over the time of its middle."""
     points = []
     for name in PAIRS:
@@ -277,7 +292,7 @@ def plot_over_time(parts: Sequence[Part], poles: int) -> Plot:
     return Plot("time [s]", f"Kb line to line [{UNITS}]", tuple(points), (line,))
 
 
-def plot_of_wave(parts: Sequence[Part], poles: int) -> Plot:
+def plot_of_wave(parts: Sequence[TurningHold], poles: int) -> Plot:
     """The mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     points = []

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Grid, Plot, Result, Series, listed, tally
+from leactl.analysis.estimate import NAN, Estimate, Grid, Noted, Plot, Result, Series, listed, tally
 from leactl.analysis.quality.gate import AT_REST
 from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_phase
 from leactl.analysis.signals.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
@@ -53,8 +53,10 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
     plots: list[Plot] = []
     grids: list[Grid] = []
     for label, members in by_protocol(runs).items():
-        answers = [of_run(run, channel, notes) for run in members]
-        kept = comparable(members, answers, notes)
+        answers = [of_run(run, channel) for run in members]
+        comparable_runs = comparable(members, answers)
+        kept = comparable_runs.value
+        notes += [*(note for answer in answers for note in answer.notes), *comparable_runs.notes]
         means = averaged([answers[index].results for index in kept], [str(members[index].path) for index in kept])
         results += [replace(item, name=f"{label}{item.name}") for item in means]
         plots += [plot for index in kept for plot in answers[index].plots]
@@ -82,8 +84,9 @@ def by_protocol(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return groups
 
 
-def of_run(run: Run, channel: Sequence[str] | None, notes: list[str]) -> Result:
-    """What one run by itself gives; what is left out goes into the notes."""
+def of_run(run: Run, channel: Sequence[str] | None) -> Result:
+    """Analyse one run by itself; its notes name what is left out."""
+    notes: list[str] = []
     measured = chosen(run, channel)
     holds = held(run)
     too_few: dict[tuple[str, ...], list[str]] = {}  # labels of holds by the channels that they know too little of
@@ -91,16 +94,18 @@ def of_run(run: Run, channel: Sequence[str] | None, notes: list[str]) -> Result:
     for names, labels in too_few.items():
         reason = f"fewer than {FEWEST_SAMPLES} samples over its settled part"
         notes += tally({reason: list(names)}, f"{run.path}: {listed(labels)}")
-    notes += [note for name, one in measured.items() for note in unmoved(run, name, one)]
+    notes += [note for name, values in measured.items() for note in unmoved(run, name, values)]
     plots: list[Plot] = []
     grids: list[Grid] = []
     for label, step in excited(run):
-        estimates, more_plots, more_grids = gain_and_phase(run, label, step, measured, notes)
-        results, plots, grids = results + estimates, plots + more_plots, grids + more_grids
+        response = gain_and_phase(run, label, step, measured)
+        step_results, step_plots, step_grids = response.value
+        results, plots, grids = results + step_results, plots + step_plots, grids + step_grids
+        notes += response.notes
     if channel or len(measured) <= MOST_PLOTTED:
-        plots += [plot for name, one in measured.items() for plot in pictures(name, one, holds)]
-    grids += [histogram(name, one) for name, one in measured.items() if np.isfinite(one.values).any()]
-    return Result("channels", (str(run.path),), tuple(results), (), tuple(plots), (), tuple(grids))
+        plots += [plot for name, values in measured.items() for plot in pictures(name, values, holds)]
+    grids += [histogram(name, values) for name, values in measured.items() if np.isfinite(values.values).any()]
+    return Result("channels", (str(run.path),), tuple(results), tuple(notes), tuple(plots), (), tuple(grids))
 
 
 def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
@@ -115,18 +120,18 @@ def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
         yield f"{run.path}: {name} reads exactly {seen[0]:.6g} {channel.units} throughout: is its sensor connected?"
 
 
-def comparable(runs: Sequence[Run], answers: Sequence[Result], notes: list[str]) -> list[int]:
-    """Which runs are averaged: all but those that ended early and so have other results than one that did not.
+def comparable(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int]]:
+    """Return the indices of the runs to average; notes name the others.
 
-    Where all ended early, the one with the most results is what the others are compared with.
+    A run that ended early is left out if its results differ from those of the first complete run, or, where all ended
+    early, of the run with the most results.
     """
     names = [{item.name for item in answer.results} for answer in answers]
     whole = [run.status in ("complete", "") for run in runs]
     first = max(range(len(runs)), key=lambda index: (whole[index], len(names[index]), -index))
     kept = [index for index in range(len(runs)) if whole[index] or names[index] == names[first]]
     reason = f"left out: it ended early and has other steps or channels than {runs[first].path}"
-    notes += [f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept]
-    return kept
+    return Noted(kept, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept))
 
 
 def chosen(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:

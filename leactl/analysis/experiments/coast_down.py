@@ -12,16 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined, tally
 from leactl.analysis.experiments.friction import TorqueConstants, torque_constants
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.levels import Held, settled_mean, span
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.levels import HoldSelector, settled_mean, span
 from leactl.analysis.statistics.intervals import rounding_of, step_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, least_squares
-from leactl.analysis.statistics.trial_means import Trial, mean_of
+from leactl.analysis.statistics.trial_means import TrialLabel, mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
@@ -36,7 +36,7 @@ RESULTS = {
 }
 
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
-HELD = Held("velocity_rad_s", "rad/s")
+HELD = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
 SLOWEST = 0.1  # of the speed before: below, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
@@ -50,7 +50,7 @@ DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_dr
 class RunOut:
     """One run-out: d + a w + q w^2 is its deceleration [rad/s^2] at speed w."""
 
-    trial: Trial
+    trial: TrialLabel
     before: float  # rad/s, magnitude of the speed that was held
     current: float  # A, that held it, along the motion
     rounding: float  # relative standard uncertainty of that by the steps of its readings, the same in every trial
@@ -93,75 +93,77 @@ def analyze(
     NotIdentifiable : fewer than two run-outs in a direction more than once.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
-    place = f"{place_of(runs)}: coast-down"
-    notes = expect_setup(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
-    found = [run_out for number, run in enumerate(runs) for run_out in run_outs_of(run, number, notes)]
-    sides = {run_out.trial.side for run_out in found}
-    if len(found) <= len(sides) or not found:
+    place = f"{paths_of(runs)}: coast-down"
+    notes = setup_notes(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
+    usable_run_outs = joined(run_outs_of(run, number) for number, run in enumerate(runs))
+    run_outs = usable_run_outs.value
+    notes += usable_run_outs.notes
+    sides = {run_out.trial.side for run_out in run_outs}
+    if len(run_outs) <= len(sides) or not run_outs:
         why = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
-            f"{place}: found {len(found)} run-outs in {len(sides)} directions{why}; "
+            f"{place}: found {len(run_outs)} run-outs in {len(sides)} directions{why}; "
             "two or more in one direction are needed for their scatter"
         )
     if len(sides) == 1:
         notes.append("run-outs in one direction only: a zero error of the current is part of the inertia")
-    trials = [run_out.trial for run_out in found]
+    trials = [run_out.trial for run_out in run_outs]
     results = []
     try:
         constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
         notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
-        results += scaled(found, trials, constants)
+        results += scaled(run_outs, trials, constants)
         refuse_below_zero(results[0], place, "current and velocity")
     except NotIdentifiable as fault:
         notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
         units = {"rotor_inertia": "kg*m^2", **DRAG}
         results += [Estimate(name, NAN, NAN, NAN, NAN, unit) for name, unit in units.items()]
-    for place_in_fit, (name, unit) in enumerate(OVER_INERTIA.items()):
-        values = [run_out.fit[place_in_fit] for run_out in found]
+    for index, (name, unit) in enumerate(OVER_INERTIA.items()):
+        values = [run_out.fit[index] for run_out in run_outs]
         results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
-    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
-    return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(found),))
+    return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(run_outs),))
 
 
-def scaled(found: Sequence[RunOut], trials: Sequence[Trial], constants: TorqueConstants) -> list[Estimate]:
-    """Inertia from drag over deceleration at the speed that was held, and the drag's parts times it."""
+def scaled(run_outs: Sequence[RunOut], trials: Sequence[TrialLabel], constants: TorqueConstants) -> list[Estimate]:
+    """Estimate the inertia, drag torque over deceleration at the held speed, and the coefficients of the drag."""
     inertias = [
-        float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in found
+        float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in run_outs
     ]
-    relative = math.hypot(constants.relative_std, max(run_out.rounding for run_out in found))
+    relative = math.hypot(constants.relative_std, max(run_out.rounding for run_out in run_outs))
     results = [mean_of(inertias, trials, "rotor_inertia", "kg*m^2", relative)]
-    for place_in_fit, (name, unit) in enumerate(DRAG.items()):
-        values = [inertia * run_out.fit[place_in_fit] for inertia, run_out in zip(inertias, found, strict=True)]
+    for index, (name, unit) in enumerate(DRAG.items()):
+        values = [inertia * run_out.fit[index] for inertia, run_out in zip(inertias, run_outs, strict=True)]
         results.append(mean_of(values, trials, name, unit, relative))
     return results
 
 
-def run_outs_of(run: Run, number: int, notes: list[str]) -> list[RunOut]:
-    """The run-outs of a run that can be used; why others cannot goes into the notes."""
-    found: list[RunOut] = []
+def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
+    """Return the usable run-outs of run `number`; notes say why others cannot be used."""
+    run_outs: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
-    velocity, current = (usable(run, name, notes, HELD, least=1) for name in (VELOCITY, CURRENT))
+    velocity, current = (usable_channel(run, name, HELD, least=1) for name in (VELOCITY, CURRENT))
     for step in (step for step in steps if step.name == COAST):
         try:
-            found.append(run_out_of(run, number, step, velocity, current))
+            run_outs.append(run_out_of(run, number, step, velocity.value, current.value))
         except NotIdentifiable as fault:
             left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
+    notes = [*velocity.notes, *current.notes]
     if not any(step.name == COAST for step in steps):
         notes.append(f"{run.path}: no step named '{COAST}'")
-    notes += tally(left_out, f"{run.path}")
-    return found
+    return Noted(run_outs, (*notes, *tally(left_out, f"{run.path}")))
 
 
 def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Channel) -> RunOut:
-    """One run-out and the hold before it.
+    """Fit the run-out of one step `coast`, and take its speed and current from the hold before it.
 
     Raises
     ------
     NotIdentifiable : why it cannot be used.
     """
-    before = [hold for hold in HELD.levels(run) if hold.stop <= step.start + 1e-9]
+    before = [hold for hold in HELD.holds_of(run) if hold.stop <= step.start + 1e-9]
     if not before:
         raise NotIdentifiable("no held velocity before it")
     speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
@@ -190,13 +192,15 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     if along.max() > (1.0 + LIKE) * abs(speed.value):
         raise NotIdentifiable("the rotor was faster than in the hold before it")
     fitted, fit = fit_of(time - time[0], along)
-    own = current.values[span(current, before[-1].start, before[-1].stop)]
-    rounding = rounding_of(own, step_of(current.values)) / abs(drive.value)
-    trial, drawn = Trial(number, side), side * drive.value
-    found = RunOut(trial, abs(speed.value), drawn, rounding, time - time[0], along, fitted, fit)
-    if found.deceleration <= 0.0:
+    held_current = current.values[span(current, before[-1].start, before[-1].stop)]
+    rounding = rounding_of(held_current, step_of(current.values)) / abs(drive.value)
+    along_motion = side * drive.value
+    run_out = RunOut(
+        TrialLabel(number, side), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit
+    )
+    if run_out.deceleration <= 0.0:
         raise NotIdentifiable("the rotor did not slow down")
-    return found
+    return run_out
 
 
 def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]]:
@@ -214,13 +218,14 @@ def integral(values: Array, time: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(parts)])
 
 
-def plot_of(found: Sequence[RunOut]) -> Plot:
-    """Speed over time of every run-out, and the fit to the first of each direction."""
+def plot_of(run_outs: Sequence[RunOut]) -> Plot:
+    """Plot the speed of every run-out over time, and the fit to the first run-out in each direction."""
     points, lines = [], []
     for label, side in (("forward", 1), ("backward", -1)):
-        own = [run_out for run_out in found if run_out.trial.side == side]
-        if own:
-            time, speed = (np.concatenate([getattr(one, name) for one in own]) for name in ("time", "speed"))
+        same_side = [run_out for run_out in run_outs if run_out.trial.side == side]
+        if same_side:
+            time = np.concatenate([run_out.time for run_out in same_side])
+            speed = np.concatenate([run_out.speed for run_out in same_side])
             points.append(Series(label, tuple(time.tolist()), tuple(speed.tolist())))
-            lines.append(Series(label, tuple(own[0].time.tolist()), tuple(own[0].fitted.tolist())))
+            lines.append(Series(label, tuple(same_side[0].time.tolist()), tuple(same_side[0].fitted.tolist())))
     return Plot("time [s]", "speed [rad/s]", tuple(points), tuple(lines))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from leactl.analysis.estimate import Result
-from leactl.analysis.responses.noise_records import Loop
+from leactl.analysis.responses.noise_records import NoiseExperiment
 from leactl.analysis.responses.noise_response import noise_response
 from leactl.runfile.read.reader import Run
 
@@ -14,7 +14,9 @@ RESULTS = {
 }
 
 # the paper's cut-off [Hz] of the record over that of its noise, so that a loop of any speed is filtered alike
-LOOP = Loop("current-noise", "q_axis_current_reference", "q_axis_current", "offset_A", "locked", (10, 225.0 / 218.0))
+LOOP = NoiseExperiment(
+    "current-noise", "q_axis_current_reference", "q_axis_current", "offset_A", "locked", (10, 225.0 / 218.0)
+)
 
 
 def analyze(runs: Sequence[Run]) -> Result:

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.checks import drift_of, refuse_swapped
+from leactl.analysis.efficiency.checks import refuse_swapped, with_drift
 from leactl.analysis.efficiency.drive_losses import drives_loss
-from leactl.analysis.efficiency.known_parameters import Told, calibration_of, sources_of
+from leactl.analysis.efficiency.known_parameters import GivenParameters, calibration_of, sources_of
 from leactl.analysis.efficiency.maps import currents_and_voltages, grid_of, speeds_and_torques
 from leactl.analysis.efficiency.means import MapMeans
-from leactl.analysis.efficiency.operating_points import gather
+from leactl.analysis.efficiency.operating_points import gather_grid
 from leactl.analysis.estimate import NAN, Estimate, Grid, Result
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
@@ -105,26 +105,30 @@ def analyze(
     NotIdentifiable : no hold of a grid, none that was held, or no voltage and no resistance to work it out from.
     InputError : an uncertainty below zero, or readings whose signs contradict each other.
     """
-    place = f"{place_of(runs)}: efficiency"
-    notes = expect_setup(runs, ("coupled",), "another machine has to drive or to be driven")
-    told = Told(phase_resistance, back_emf_constant, winding_temperature)
+    place = f"{paths_of(runs)}: efficiency"
+    notes = setup_notes(runs, ("coupled",), "another machine has to drive or to be driven")
+    given = GivenParameters(phase_resistance, back_emf_constant, winding_temperature)
     relative = {
         "resistance": resistance_std, "back_emf_constant": back_emf_constant_std, "torque_gain": torque_gain_std,
         "current_gain": current_gain_std, "voltage_gain": voltage_gain_std,
     }  # fmt: skip
-    points = gather(runs, notes)
-    calibration, stds = calibration_of(runs, points, told, relative, notes)
-    refuse_swapped(points, place)
-    points = drift_of(points, runs, calibration, notes)
+    gathered = gather_grid(runs)
+    known = calibration_of(runs, gathered.value, given, relative)
+    calibration, stds = known.value
+    refuse_swapped(gathered.value, place)
+    drifting = with_drift(gathered.value, runs, calibration)
+    points = drifting.value
+    notes += [*gathered.notes, *known.notes, *drifting.notes]
     results: list[Estimate] = []
     grids: list[Grid] = []
     maps: list[MapMeans] = []
     for role, prefix in (("test", ""), ("load", "load_")):
         for driving, word in ((True, "driving"), (False, "driven")):
-            own = points.where(np.array([(one.driving == role) == driving for one in points.holds], np.bool_))
-            if not own.holds or ("q_axis_current", role) not in own.value:
+            in_map = np.array([(grid_hold.driving == role) == driving for grid_hold in points.holds], np.bool_)
+            map_points = points.where(in_map)
+            if not map_points.holds or ("q_axis_current", role) not in map_points.value:
                 continue
-            means = MapMeans(own, role, driving, calibration, stds)
+            means = MapMeans(map_points, role, driving, calibration, stds)
             if not means.reached:
                 notes.append(f"no point was held at which the {role} actuator was {word}")
                 continue
@@ -134,20 +138,21 @@ def analyze(
             notes += means.remarks(f"{role} {word}")
     if not results:
         raise NotIdentifiable("\n".join([f"{place}: no point of the grid was held", *notes]))
-    results += drives_loss(runs, points, calibration, notes)
-    notes.append(sources_of(stds))
+    drives = drives_loss(runs, points, calibration)
+    results += drives.value
+    notes += [*drives.notes, sources_of(stds)]
     paths = tuple(str(run.path) for run in runs)
     plots = (speeds_and_torques(maps), currents_and_voltages(maps))
     return Result("efficiency", paths, tuple(results), tuple(notes), plots, grids=tuple(grids))
 
 
 def estimates(means: MapMeans, name: str) -> list[Estimate]:
-    """Every figure of one map."""
-    found = [means.mean("efficiency", f"{name}_efficiency", "1")]
-    found += [means.spread(f"{name}_efficiency_spread"), means.highest(f"{name}_efficiency_highest")]
-    found += [means.mean(what, f"{name}_{word}", units) for word, (what, units) in MEANS.items()]
+    """Return efficiency, powers and losses of one map; `name` opens the names of the results."""
+    results = [means.mean("efficiency", f"{name}_efficiency", "1")]
+    results += [means.spread(f"{name}_efficiency_spread"), means.highest(f"{name}_efficiency_highest")]
+    results += [means.mean(quantity, f"{name}_{word}", units) for word, (quantity, units) in MEANS.items()]
     if not means.driving:
         efficiency = means.over_map("efficiency")
         share = float(np.mean(efficiency[np.isfinite(efficiency)] < 0.0))
-        found.append(Estimate(f"{name}_negative_share", share, NAN, NAN, NAN, "1"))
-    return found
+        results.append(Estimate(f"{name}_negative_share", share, NAN, NAN, NAN, "1"))
+    return results

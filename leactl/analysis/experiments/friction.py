@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, tally
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import SWAPPED
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import torque_constant_of_model
-from leactl.analysis.signals.levels import Levels, gather, require_levels
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.signals.levels import HoldMeans, gather_means, require_levels
+from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -79,42 +79,44 @@ def analyze(
     NotIdentifiable : no torque constant, fewer than two levels at which the rotor turned, or too few points.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
-    place = f"{place_of(runs)}: friction"
+    place = f"{paths_of(runs)}: friction"
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
-    notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
-    gathered = gather(runs, (CURRENT, VELOCITY), notes, lambda run, name: usable(run, name, notes))
-    levels = steady(runs, gathered, place, notes)
+    notes = setup_notes(runs, ("free",), "friction of whatever else is on the shaft is counted in")
+    gathered = gather_means(runs, (CURRENT, VELOCITY), usable_channel)
+    turning = steady(runs, gathered.value, place)
+    levels = turning.value
+    notes += [*gathered.notes, *turning.notes]
     sign = np.sign(levels.value[VELOCITY])
     torque = constants.values[levels.run] * levels.value[CURRENT]
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
     notes.append(constants.note)
 
-    each = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
+    single_lines = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
     if len(np.unique(sign)) == 2:
         line = together(levels, torque, sign, place)
         results = line_results(line, "", unit, constants.relative_std)
-        for name, found in each.items():
-            if isinstance(found, NotIdentifiable):
-                notes.append(f"{name} levels alone give no line: {str(found).removeprefix(place + ': ')}")
+        for name, single in single_lines.items():
+            if isinstance(single, NotIdentifiable):
+                notes.append(f"{name} levels alone give no line: {str(single).removeprefix(place + ': ')}")
             else:
-                results += line_results(found, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
+                results += line_results(single, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
     else:
         direction = float(sign[0])
         name = next(name for name, value in DIRECTIONS.items() if value == direction)
-        found = each[name]
-        if isinstance(found, NotIdentifiable):
-            raise found
-        line = found
+        single = single_lines[name]
+        if isinstance(single, NotIdentifiable):
+            raise single
+        line = single
         results = line_results(line, "", unit, constants.relative_std, direction)
         notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
     damping = line.slope("viscous_damping")
     noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], damping * levels.std[VELOCITY])
-    notes += remarks(line, noise, unit)
+    notes += fit_notes(line, noise, unit)
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
     names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
     whole = [item for item in results if not item.name.endswith(tuple(DIRECTIONS))]
-    notes[:0] = doubted(runs, whole, [CURRENT], [VELOCITY], torque_constant)
+    notes[:0] = unit_notes(runs, whole, [CURRENT], [VELOCITY], torque_constant)
     results.sort(key=lambda item: next(k for k, name in enumerate(names) if item.name.startswith(name)))
     return Result("friction", paths, tuple(results), tuple(notes), (plot,))
 
@@ -141,12 +143,12 @@ def torque_constants(
     relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
     known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
     note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
-    note += "".join(f"; {one}" for one in doubts({"current": gain}, "them")) if gain else ""
+    note += "".join(f"; {one}" for one in calibration_notes({"current": gain}, "them")) if gain else ""
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 
-def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
-    """Only the levels at which the rotor turned steadily with its current; the others are named in the notes.
+def steady(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMeans]:
+    """Keep the holds in which the rotor turned steadily with its current; notes name the others and why.
 
     The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
     last quarter more than the second half.
@@ -177,8 +179,11 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
         for index in np.flatnonzero(applies & kept):
             left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
         kept &= ~applies
-    for (number, reason), holds in sorted(left_out.items()):
-        notes += tally({reason: holds}, f"{runs[number].path}")
+    notes = [
+        note
+        for (number, reason), holds in sorted(left_out.items())
+        for note in tally({reason: holds}, f"{runs[number].path}")
+    ]
     distinct = len(np.unique(np.round(levels.setpoint[kept], 9)))
     if distinct < 2:
         why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
@@ -186,16 +191,16 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
             f"{place}: found {distinct} levels of current at which the rotor turned steadily"
             f"{f' ({why})' if why else ''}; two or more are needed"
         )
-    return levels.where(kept)
+    return Noted(levels.where(kept), tuple(notes))
 
 
-def regressors(levels: Levels, sign: Array) -> dict[str, Array]:
+def regressors(levels: HoldMeans, sign: Array) -> dict[str, Array]:
     """Velocity, and its sign where both are there."""
     columns = {"viscous_damping": levels.value[VELOCITY]}
     return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
 
 
-def together(levels: Levels, torque: Array, sign: Array, place: str) -> LineFit:
+def together(levels: HoldMeans, torque: Array, sign: Array, place: str) -> LineFit:
     """Both directions with one b, one f and an offset for each run; the slope needs two levels in one direction."""
     faults = []
     for direction in DIRECTIONS.values():
@@ -209,7 +214,7 @@ def together(levels: Levels, torque: Array, sign: Array, place: str) -> LineFit:
     return fit_lines(regressors(levels, sign), torque, levels, place)
 
 
-def alone(levels: Levels, torque: Array, direction: float, place: str) -> LineFit | NotIdentifiable:
+def alone(levels: HoldMeans, torque: Array, direction: float, place: str) -> LineFit | NotIdentifiable:
     """The line of one direction, or why there is none."""
     of_it = np.sign(levels.value[VELOCITY]) == direction
     if not of_it.any():
@@ -239,7 +244,7 @@ def line_results(
     return [*found, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
 
 
-def plot_of(levels: Levels, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
+def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
     """Torque of the current over speed, both along the motion, so that the directions lie beside each other."""
     velocity = levels.value[VELOCITY]
     intercept = float(line.fit.coefficients @ line.mean_intercept)

@@ -8,17 +8,18 @@ magnets, or in a stator without iron, is known from a run of its own and given.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.experiments.friction import torque_constants
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
-from leactl.analysis.signals.levels import Held, Levels, gather
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
+from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
@@ -34,7 +35,7 @@ RESULTS = {
 }
 
 CURRENT = "q_axis_current"
-HELD = Held("velocity_rad_s", "rad/s")
+HELD = HoldSelector("velocity_rad_s", "rad/s")
 IRON = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
 DRAWN = 40  # speeds of a line in the figure
 
@@ -78,18 +79,20 @@ def analyze(
     NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
     InputError : a given number that makes no sense, or current and velocity of opposite senses.
     """
-    place = f"{place_of(runs)}: no-load loss"
+    place = f"{paths_of(runs)}: no-load loss"
     alone = {
         "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
         "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
-    notes = expect_setup(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    every = gather(runs, (VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
-    levels = reached(runs, every, place, notes)
+    notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
+    gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, held=HELD), HELD)
+    turning = at_setpoint(runs, gathered.value, place)
+    levels = turning.value
+    notes += [*gathered.notes, *turning.notes]
     torque = constants.values[levels.run] * levels.value[CURRENT]
     line = fit_drag(levels, torque, place)
-    notes += [constants.note, *remarks(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
+    notes += [constants.note, *fit_notes(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
     if not both_ways(levels):
         notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
     full = float(np.max(np.abs(levels.setpoint)))
@@ -97,8 +100,10 @@ def analyze(
     refuse_below_zero(loss, place, "current and velocity")
     results = coefficients(line, constants.relative_std)
     results += [Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"), loss]
-    results += iron(results, alone, notes)
-    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    iron_losses = iron(results, alone)
+    results += iron_losses.value
+    notes += iron_losses.notes
+    notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
     return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))
 
@@ -120,19 +125,23 @@ def mechanical(name: str, value: float | None, std: float | None) -> Mechanical 
     return Mechanical(value, std or 0.0)
 
 
-def iron(found: Sequence[Estimate], alone: dict[str, Mechanical | None], notes: list[str]) -> list[Estimate]:
-    """Hysteresis and eddy currents: the drag less what friction alone takes."""
-    by_name = {item.name: item for item in found}
-    told, unknown = [], []
+def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> Noted[list[Estimate]]:
+    """Estimate hysteresis torque and eddy damping: coefficients of the drag less those of friction alone.
+
+    Where the friction is not known, the value is NaN and the interval reaches from zero to all of the drag.
+    """
+    by_name = {item.name: item for item in drag}
+    losses, unknown, notes = [], [], []
     for name, shared in IRON.items():
-        whole, known = by_name[shared], alone[shared]
+        whole, known = by_name[shared], friction[shared]
         if known is None:
             unknown.append(name)
-            told.append(Estimate(name, NAN, NAN, 0.0, max(whole.high, 0.0), whole.units))
+            losses.append(Estimate(name, NAN, NAN, 0.0, max(whole.high, 0.0), whole.units))
             continue
         half = math.hypot(whole.high - whole.value, t_quantile(math.inf) * known.std)
         value = whole.value - known.value
-        told.append(Estimate(name, value, math.hypot(whole.std, known.std), value - half, value + half, whole.units))
+        std = math.hypot(whole.std, known.std)
+        losses.append(Estimate(name, value, std, value - half, value + half, whole.units))
         if value + half < 0.0:
             notes.append(f"{name} is below zero: the friction that is given is more than all of the drag")
     if unknown:
@@ -140,10 +149,10 @@ def iron(found: Sequence[Estimate], alone: dict[str, Mechanical | None], notes: 
             f"{' and '.join(unknown)}: not identifiable from the speed alone, anything from zero to all of the drag;"
             " give mechanical_friction and mechanical_damping of the rotor without iron loss"
         )
-    return told
+    return Noted(losses, tuple(notes))
 
 
-def plot_of(levels: Levels, torque: Array, line: LineFit) -> Plot:
+def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
     """Loss over speed, each direction, and the fit with its three parts on top of one another."""
     velocity = levels.value[VELOCITY]
     zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from leactl.analysis.estimate import Covariance, Result
-from leactl.analysis.heating.capability import carried
+from leactl.analysis.estimate import Covariance, Noted, Result, joined
+from leactl.analysis.heating.capability import current_capability
 from leactl.analysis.heating.estimates import (
     LATE,
     LEAST_SEEN,
@@ -26,17 +26,17 @@ from leactl.analysis.heating.estimates import (
     resistance_results,
     slow_constants_seen,
     steadiness,
-    untold,
+    without_value,
 )
 from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
-from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, natural_covariance, uncertainty
+from leactl.analysis.heating.parameters import NAMES, Instruments, natural_covariance, thermal_parameters, uncertainty
 from leactl.analysis.heating.plots import plots_of
-from leactl.analysis.heating.record import frames_of, stretches
+from leactl.analysis.heating.record import frames_of, heating_records
 from leactl.analysis.heating.resistance import REFERENCE, resistance_line
 from leactl.analysis.quality.calibration_uncertainty import gain_std
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 
@@ -116,10 +116,10 @@ def analyze(
     NotIdentifiable : no current, or no network of two bodies follows what was seen.
     InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
     """
-    place = f"{place_of(runs)}: thermal"
+    place = f"{paths_of(runs)}: thermal"
     supply = [
-        gain_std(runs, name, told)
-        for name, told in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
+        gain_std(runs, name, given)
+        for name, given in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
     ]
     instruments = Instruments(camera_offset_std, camera_gain_std, *supply)
     refuse_options(
@@ -129,32 +129,41 @@ def analyze(
     limit = winding_limit if winding_limit is not None else limit_of(model)
     if limit <= ambient:
         raise InputError(f"{place}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC")
-    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
-    phase_of_line = phase_share(model, notes)
-    records = [part for run in runs for part in stretches(run, notes)]
-    fit = fit_network(records, Unknowns(camera_offset_std, camera_lag), place)
-    unknown = sum(frames_of(run) for run in runs) - sum(len(one.time) for one in fit.stretches)
-    if unknown > LEFT_OUT * sum(len(one.time) for one in fit.stretches):
-        notes.append(f"left out {unknown} frames at which the supply was not recorded")
+    notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
+    phase_of_line = phase_share(model)
+    records = joined(heating_records(run) for run in runs)
+    notes += [*phase_of_line.notes, *records.notes]
+    fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), place)
+    fitted_frames = sum(len(record.time) for record in fit.records)
+    left_out = sum(frames_of(run) for run in runs) - fitted_frames
+    if left_out > LEFT_OUT * fitted_frames:
+        notes.append(f"left out {left_out} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, place)
-    air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]
-    instruments = as_seen(instruments, fit, notes)
-    known = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
+    air = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
+    widened = widened_by_offset(instruments, fit)
+    instruments = widened.value
+    parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
 
-    seen = slow_constants_seen(fit)
-    results = network_results(known, seen, notes)
-    results += resistance_results(known, line, phase_of_line, notes)
-    results += residual_results(fit, spread, notes)
-    results += steadiness(fit.stretches, notes)
-    results += camera_results(fit, spread, camera_offset_std, notes)
-    notes[:0] = doubted(
+    constants_seen = slow_constants_seen(fit)
+    estimates = joined(
+        [
+            network_results(parameters, constants_seen),
+            resistance_results(parameters, line, phase_of_line.value),
+            residual_results(fit, spread),
+            steadiness(fit.records),
+            camera_results(fit, spread, camera_offset_std),
+        ]
+    )
+    results = estimates.value
+    notes += [*widened.notes, *estimates.notes]
+    notes[:0] = unit_notes(
         runs, [item for item in results if item.name == "phase_resistance"], ["line_voltage"], ["line_current"]
     )
-    currents = carried(known, phase_of_line, limit, ambient)
-    if seen < LEAST_SEEN:
-        currents = [untold(one) if one.name in STEADY else one for one in currents]
-    notes += remarks(known, fit.stretches, instruments)
+    currents = current_capability(parameters, phase_of_line.value, limit, ambient)
+    if constants_seen < LEAST_SEEN:
+        currents = [without_value(current) if current.name in STEADY else current for current in currents]
+    notes += remarks(parameters, fit.records, instruments)
     notes.append(
         f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"
     )
@@ -164,28 +173,28 @@ def analyze(
         (*results, *currents),
         tuple(dict.fromkeys(notes)),
         plots_of(fit, line, currents),
-        (Covariance(NAMES, tuple(tuple(row) for row in natural_covariance(known).tolist())),),
+        (Covariance(NAMES, tuple(tuple(row) for row in natural_covariance(parameters).tolist())),),
     )
 
 
-def as_seen(instruments: Instruments, fit: NetworkFit, notes: list[str]) -> Instruments:
-    """The instruments, with a camera that is further off the sensor of the air than is told of it known no better."""
-    off = [
+def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instruments]:
+    """Widen the camera's uncertainties to the largest offset fitted against the ambient sensor, if it is clear."""
+    offsets = [
         abs(float(fit.point[at]))
-        for index in range(len(fit.stretches))
+        for index in range(len(fit.records))
         for name in ("offset_winding", "offset_housing")
-        if (at := fit.own(index, name)) is not None
+        if (at := fit.index_of(index, name)) is not None
     ]
-    worst = max(off, default=0.0)
+    worst = max(offsets, default=0.0)
     if worst <= LATE * instruments.camera_offset:
-        return instruments
-    rise = max(float(np.nanmax(one.winding) - np.nanmin(one.winding)) for one in fit.stretches)
-    found = replace(instruments, camera_offset=worst, camera_gain=math.hypot(instruments.camera_gain, worst / rise))
-    notes.append(
+        return Noted(instruments)
+    rise = max(float(np.nanmax(record.winding) - np.nanmin(record.winding)) for record in fit.records)
+    camera_gain = math.hypot(instruments.camera_gain, worst / rise)
+    note = (
         f"the camera is {worst:.1f} K off the sensor of the air: its uncertainty is taken as that much in place of"
-        f" {instruments.camera_offset:g} K, and as {found.camera_gain:.1%} of the rise"
+        f" {instruments.camera_offset:g} K, and as {camera_gain:.1%} of the rise"
     )
-    return found
+    return Noted(replace(instruments, camera_offset=worst, camera_gain=camera_gain), (note,))
 
 
 def refuse_options(options: Mapping[str, float | None]) -> None:
@@ -204,15 +213,15 @@ def limit_of(model: Mapping[str, Any]) -> float:
     return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else WINDING_LIMIT
 
 
-def phase_share(model: Mapping[str, Any], notes: list[str]) -> float:
-    """Resistance of a phase over that between two leads, by the winding that a model tells."""
+def phase_share(model: Mapping[str, Any]) -> Noted[float]:
+    """Return the resistance of a phase over that between two leads, by the winding that a model states."""
     winding = model.get("winding")
     if winding not in PHASE_OF_LINE:
-        notes.append("no model tells the winding; taken as a wye")
-        return PHASE_OF_LINE["wye"]
+        return Noted(PHASE_OF_LINE["wye"], ("no model tells the winding; taken as a wye",))
     if winding == "delta":
-        notes.append(
+        note = (
             "the winding is a delta: all its phases are heated, 2/3 of the heat in one; active windings are those of"
             " that phase, and a mean weighted 2/3 to 1/3 is too hot"
         )
-    return PHASE_OF_LINE[str(winding)]
+        return Noted(PHASE_OF_LINE["delta"], (note,))
+    return Noted(PHASE_OF_LINE[str(winding)])

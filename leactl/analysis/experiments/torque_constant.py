@@ -11,15 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
-from leactl.analysis.quality.current_convention import named
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
+from leactl.analysis.quality.current_convention import reason_for_torque_constant
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import torque_constant_of_model
-from leactl.analysis.signals.levels import Levels, gather, require_levels
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.signals.levels import HoldMeans, gather_means, require_levels
+from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -57,13 +57,15 @@ def analyze(
     NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
     InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
-    place = f"{place_of(runs)}: torque constant"
-    notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
+    place = f"{paths_of(runs)}: torque constant"
+    notes = setup_notes(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
-    levels = of_one_kind(every, notes)
+    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
+    directed = with_direction(gathered.value)
+    levels = directed.value
+    notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
 
@@ -76,40 +78,42 @@ def analyze(
     line = fit_lines(columns, torque, levels, place)
     expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
     unit = levels.units[TORQUE]
-    notes += remarks(line, expected, unit)
-    notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
-    notes += doubts({"torque": torque_std, "current": current_std}, "the torque constants")
+    notes += fit_notes(line, expected, unit)
+    notes += [f"{run.path}: {what}" for run in runs for what in convention_notes(run, line.slope("torque_constant"))]
+    notes += calibration_notes({"torque": torque_std, "current": current_std}, "the torque constants")
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
     refuse_below_zero(results[0], place, "torque and current")
-    results += one_side_each(levels, place, both_stds, notes) if both else []
     if both:
+        single_sides = slopes_by_side(levels, place, both_stds)
+        results += single_sides.value
+        notes += single_sides.notes
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
     results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
-    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
+    notes[:0] = unit_notes(runs, results[:1], [TORQUE], [CURRENT])
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
 
 
-def convention(run: Run, found: float) -> list[str]:
-    """A note where the torque constant is off the model's by just what a wrong convention of current makes."""
+def convention_notes(run: Run, torque_constant: float) -> list[str]:
+    """Return a note where torque constant and model differ by the factor of a wrong convention of current."""
     try:
-        ratio = found / torque_constant_of_model(run)
+        ratio = torque_constant / torque_constant_of_model(run)
     except InputError:  # a foreign run may carry none, or none that can be read
         return []
-    why = named(ratio)
-    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {why}"] if why else []
+    reason = reason_for_torque_constant(ratio)
+    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {reason}"] if reason else []
 
 
-def of_one_kind(levels: Levels, notes: list[str]) -> Levels:
-    """Without the holds that do not say their direction, where others do."""
-    silent = levels.direction == 0
-    if not silent.any() or silent.all():
-        return levels
-    where = [hold for hold, left_out in zip(levels.holds, silent, strict=True) if left_out]
-    notes.append(f"left out {len(where)}: no direction, where other holds have one ({listed(where)})")
-    return levels.where(~silent)
+def with_direction(levels: HoldMeans) -> Noted[HoldMeans]:
+    """Leave out holds without a direction where other holds have one; a note names them."""
+    undirected = levels.direction == 0
+    if not undirected.any() or undirected.all():
+        return Noted(levels)
+    left_out = [hold for hold, drop in zip(levels.holds, undirected, strict=True) if drop]
+    note = f"left out {len(left_out)}: no direction, where other holds have one ({listed(left_out)})"
+    return Noted(levels.where(~undirected), (note,))
 
 
 def magnitude(signed: Estimate) -> Estimate:
@@ -119,24 +123,24 @@ def magnitude(signed: Estimate) -> Estimate:
     return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
 
 
-def one_side_each(levels: Levels, place: str, relative_std: float, notes: list[str]) -> list[Estimate]:
-    """Slopes of the rising and of the falling levels alone, where there are enough of them."""
-    found = []
+def slopes_by_side(levels: HoldMeans, place: str, relative_std: float) -> Noted[list[Estimate]]:
+    """Estimate the slopes of the rising and of the falling levels alone; a note says which have too few levels."""
+    slopes, notes = [], []
     for name, sign in SIDES.items():
-        own = levels.where(levels.direction == sign)
-        columns = {"slope": own.value[CURRENT]}
+        side = levels.where(levels.direction == sign)
+        columns = {"slope": side.value[CURRENT]}
         try:
-            require_levels(place, "current", own.setpoint, own.value[CURRENT], own.std[CURRENT])
-            line = fit_lines(columns, own.value[TORQUE], own, place)
+            require_levels(place, "current", side.setpoint, side.value[CURRENT], side.std[CURRENT])
+            line = fit_lines(columns, side.value[TORQUE], side, place)
         except NotIdentifiable as fault:
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
             continue
         units = f"{levels.units[TORQUE]}/A"
-        found.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
-    return found
+        slopes.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
+    return Noted(slopes, tuple(notes))
 
 
-def plot_of(levels: Levels, line: LineFit) -> Plot:
+def plot_of(levels: HoldMeans, line: LineFit) -> Plot:
     """Level means by direction, each run's offset taken out, and the fitted lines."""
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     intercepts = line.fit.coefficients[len(line.slopes) :]

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
-from leactl.analysis.experiments.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
+from leactl.analysis.experiments.torque_constant import CURRENT, SIDES, TORQUE, convention_notes, with_direction
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.signals.levels import Levels, gather, require_levels
-from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.signals.levels import HoldMeans, gather_means, require_levels
+from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -92,12 +92,15 @@ def analyze(
     NotIdentifiable : fewer than five magnitudes of current within the sensor's range, or too few points.
     InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
-    place = f"{place_of(runs)}: torque pulses"
-    notes = expect_setup(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
+    place = f"{paths_of(runs)}: torque pulses"
+    notes = setup_notes(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes, lambda run, name: usable(run, name, notes)), notes)
+    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
+    directed = with_direction(gathered.value)
+    levels = directed.value
+    notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
     magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
@@ -119,35 +122,39 @@ def analyze(
     try:
         line = fitted(current / peak, peak, torque, columns, levels, place)
     except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
-        raise NotIdentifiable("; ".join([str(fault), *doubted(runs, [], [TORQUE], [CURRENT])])) from None
+        raise NotIdentifiable("; ".join([str(fault), *unit_notes(runs, [], [TORQUE], [CURRENT])])) from None
     bent = Bent(line, peak)
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
-    notes += remarks(line, expected, levels.units[TORQUE])
-    notes += [f"{run.path}: {what}" for run in runs for what in convention(run, bent.constant)]
-    notes += doubts({"torque": torque_std, "current": current_std}, "torques and torque_constant")
+    notes += fit_notes(line, expected, levels.units[TORQUE])
+    notes += [f"{run.path}: {what}" for run in runs for what in convention_notes(run, bent.constant)]
+    notes += calibration_notes({"torque": torque_std, "current": current_std}, "torques and torque_constant")
     notes.append("a torque sensor that bends is in the loss")
 
     unit = levels.units[TORQUE]
     constant = line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)
     refuse_below_zero(constant, place, "torque and current")
+    straight = straight_up_to(bent)
+    notes += straight.notes
     results = [
         constant,
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
         at_peak(bent, unit, both_stds),
         loss_at_peak(bent, current_std),
-        straight_up_to(bent, notes),
+        straight.value,
     ]
     if "sticking_torque" in line.slopes:
-        found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}), torque_std)
-        results.append(found)
+        sticking = -weights(line, {"sticking_torque": 1.0})
+        results.append(line.fit.estimate("sticking_torque", unit, sticking, torque_std))
         notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
-    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
+    notes[:0] = unit_notes(runs, results[:1], [TORQUE], [CURRENT])
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, bent)
     return Result("torque-pulses", paths, tuple(results), tuple(notes), (plot,))
 
 
-def fitted(ratio: Array, peak: float, torque: Array, others: dict[str, Array], levels: Levels, place: str) -> LineFit:
+def fitted(
+    ratio: Array, peak: float, torque: Array, others: dict[str, Array], levels: HoldMeans, place: str
+) -> LineFit:
     """The curve through the levels, by straight lines along its slopes until they do not move."""
     constant, bends = 0.0, [0.0] * len(BENDS)
     for _ in range(ROUNDS):
@@ -214,8 +221,8 @@ def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
     return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
 
 
-def straight_up_to(bent: Bent, notes: list[str]) -> Estimate:
-    """The lowest current at which a share of `STRAIGHT` is missing."""
+def straight_up_to(bent: Bent) -> Noted[Estimate]:
+    """Estimate the lowest current at which a share `STRAIGHT` of the torque is missing; NaN where none is."""
     fit = bent.line.fit
     currents = np.linspace(0.0, bent.peak, 1001)[1:]
     losses, halves = np.empty_like(currents), np.empty_like(currents)
@@ -229,14 +236,14 @@ def straight_up_to(bent: Bent, notes: list[str]) -> Estimate:
 
     value, low, high = first(losses), first(losses + halves), first(losses - halves)
     if math.isinf(value):
-        notes.append(f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above")
-        return Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A")
+        note = f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above"
+        return Noted(Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A"), (note,))
     slope = (bent.loss(value * 1.01)[0] - bent.loss(value * 0.99)[0]) / (0.02 * value)
     std = float(halves[np.searchsorted(currents, value)]) / t_quantile(fit.dof) / abs(slope) if slope else NAN
-    return Estimate("straight_up_to", value, std, low, high, "A")
+    return Noted(Estimate("straight_up_to", value, std, low, high, "A"))
 
 
-def plot_of(levels: Levels, bent: Bent) -> Plot:
+def plot_of(levels: HoldMeans, bent: Bent) -> Plot:
     """What the torque lacks of the straight line through small currents, both signs on one side."""
     line, sign, current = bent.line, np.sign(levels.setpoint), levels.value[CURRENT]
     points = []

@@ -10,15 +10,16 @@ Welch and Satterthwaite.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.experiments.torque_constant import TORQUE
-from leactl.analysis.quality.usable_readings import usable
-from leactl.analysis.signals.levels import Held, Levels, gather
+from leactl.analysis.quality.usable_readings import usable_channel
+from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
 from leactl.analysis.statistics.intervals import half_width, step_of
-from leactl.analysis.statistics.linefit import LineFit, cells_of, fit_lines, place_of, remarks
+from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setpoint_groups
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -39,7 +40,7 @@ RESULTS = {
     "expanded_uncertainty": "N*m",
 }
 
-HELD = Held("weight_Nm", "N*m", "bench")
+HELD = HoldSelector("weight_Nm", "N*m", "bench")
 WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
 GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
@@ -52,7 +53,7 @@ SWINGS = 0.002  # of the highest torque, between the quarters of a hold
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceTorque:
     """What the torque of the weights is known to."""
 
     factor: float  # gravity at the place over the one that the holds tell
@@ -66,7 +67,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Part:
+class BudgetComponent:
     """One part of the budget: its standard uncertainty [N*m] at the highest torque, and what that rests on."""
 
     name: str
@@ -102,10 +103,12 @@ def analyze(
     NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
     InputError : a given number that makes no sense.
     """
-    place = f"{place_of(runs)}: torque sensor calibration"
-    notes: list[str] = []
-    reference = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m, notes)
-    levels = gather(runs, (TORQUE,), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    place = f"{paths_of(runs)}: torque sensor calibration"
+    weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
+    reference = weighed.value
+    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, held=HELD), HELD)
+    levels = gathered.value
+    notes = [*weighed.notes, *gathered.notes]
     weights = np.unique(np.round(levels.setpoint, 9))
     if len(weights) < FEWEST_WEIGHTS:
         raise NotIdentifiable(
@@ -116,15 +119,16 @@ def analyze(
     line = fitted(applied, levels, place)
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
-    notes += remarks(line, levels.std[TORQUE], "N*m")
-    own = line.estimate("sensitivity", "sensitivity", "1")
-    if abs(factor) < FOLLOWS * own.std:
+    notes += fit_notes(line, levels.std[TORQUE], "N*m")
+    factor_std = line.estimate("sensitivity", "sensitivity", "1").std
+    if abs(factor) < FOLLOWS * factor_std:
         raise NotIdentifiable(
             f"{place}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
         )
     notes += judged(line, levels, factor, highest)
-    parts = budget(runs, levels, line, own.std, highest, notes)
-    parts.append(Part("reference", highest * reference.whole_std))
+    measured = budget(runs, levels, line, factor_std, highest)
+    parts = [*measured.value, BudgetComponent("reference", highest * reference.whole_std)]
+    notes += measured.notes
     results = [
         sensitivity(line, reference),
         line.fit.estimate("zero", "N*m", line.mean_intercept),
@@ -142,9 +146,8 @@ def reference_of(
     gravity_std: float | None,
     mass_relative_std: float | None,
     arm_std_m: float | None,
-    notes: list[str],
-) -> Reference:
-    """What is known of gravity, masses and arm; what is not given is taken wide, and said.
+) -> Noted[ReferenceTorque]:
+    """Return factor and uncertainty of the weights' torque; a note names the defaults taken for what is not given.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def reference_of(
             raise InputError(f"{name} {number:g}: zero or more was expected")
     arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
     if not arms or min(arms) <= 0.0:
-        raise NotIdentifiable(f"{place_of(runs)}: no hold tells the arm of its weights (arm_m)")
+        raise NotIdentifiable(f"{paths_of(runs)}: no hold tells the arm of its weights (arm_m)")
     somewhere = gravity is None and gravity_std is None
     taken = {
         "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,
@@ -166,16 +169,16 @@ def reference_of(
         "arm_std_m": ARM_STD_M,
     }
     lacking = [f"{name} {taken[name]:.2g}" for name, number in stds.items() if number is None and taken[name]]
-    if lacking:
-        notes.append(f"not given and taken: {listed(lacking)}; gravity {gravity or WEIGHED_BY:g} m/s^2")
-    own = {name: taken[name] if number is None else number for name, number in stds.items()}
-    at_place = gravity or WEIGHED_BY
-    known = 0.0 if somewhere else own["gravity_std"] / at_place
-    relative = math.hypot(known, own["mass_relative_std"], own["arm_std_m"] / min(arms))
-    return Reference(at_place / WEIGHED_BY, relative, GRAVITY_WITHIN / at_place if somewhere else 0.0)
+    used = {name: taken[name] if number is None else number for name, number in stds.items()}
+    local_gravity = gravity or WEIGHED_BY
+    relative_gravity_std = 0.0 if somewhere else used["gravity_std"] / local_gravity
+    relative_std = math.hypot(relative_gravity_std, used["mass_relative_std"], used["arm_std_m"] / min(arms))
+    within = GRAVITY_WITHIN / local_gravity if somewhere else 0.0
+    note = f"not given and taken: {listed(lacking)}; gravity {local_gravity:g} m/s^2"
+    return Noted(ReferenceTorque(local_gravity / WEIGHED_BY, relative_std, within), (note,) if lacking else ())
 
 
-def fitted(applied: Array, levels: Levels, place: str) -> LineFit:
+def fitted(applied: Array, levels: HoldMeans, place: str) -> LineFit:
     """Reading over torque, with what goes with time or side as far as the holds tell it.
 
     Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
@@ -200,7 +203,7 @@ def loop_at(applied: Array) -> Array:
     return np.asarray(4.0 * share * (1.0 - share))
 
 
-def sensitivity(line: LineFit, reference: Reference) -> Estimate:
+def sensitivity(line: LineFit, reference: ReferenceTorque) -> Estimate:
     """The factor, with what the weights' torque is known to."""
     own = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
     half = half_width((own.high - own.value) / t_quantile(math.inf), math.inf, reference.within * own.value)
@@ -208,7 +211,7 @@ def sensitivity(line: LineFit, reference: Reference) -> Estimate:
     return Estimate(own.name, own.value, std, own.value - half, own.value + half, own.units)
 
 
-def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list[str]:
+def judged(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
     """What the sensor's owner should do or look at."""
     notes = []
     if factor < 0.0:
@@ -229,14 +232,20 @@ def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list
 
 
 def budget(
-    runs: Sequence[Run], levels: Levels, line: LineFit, slope_std: float, highest: float, notes: list[str]
-) -> list[Part]:
-    """What a straight line does not tell, as standard uncertainties of a torque [N*m]; NaN where it was not seen."""
+    runs: Sequence[Run], levels: HoldMeans, line: LineFit, slope_std: float, highest: float
+) -> Noted[list[BudgetComponent]]:
+    """Return the budget's components that follow from the readings, as standard uncertainties [N*m].
+
+    A component that the runs do not show is NaN, and a note says so.
+    """
+    notes = []
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
     if LOOP in line.slopes:  # the loop is a part of the budget
         residuals = residuals + line.slope(LOOP) / factor * line.fit.projected[:, line.slopes.index(LOOP)]
-    cells = np.unique(np.column_stack([cells_of(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(-1)
+    cells = np.unique(np.column_stack([setpoint_groups(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(
+        -1
+    )
     counts = np.bincount(cells)
     within = residuals - (np.bincount(cells, residuals) / counts)[cells]
     dof = float(len(residuals) - len(counts))
@@ -254,17 +263,18 @@ def budget(
     straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
     zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
     steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
-    return [
-        Part("repeatability", repeat, dof or math.inf),
-        Part("sensitivity", highest * slope_std / factor, line.fit.dof),
-        Part("linearity", max(straight) / math.sqrt(3.0)),
-        Part("hysteresis", 0.5 * max(both) / math.sqrt(3.0) if both else NAN),
-        Part("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
-        Part("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
+    parts = [
+        BudgetComponent("repeatability", repeat, dof or math.inf),
+        BudgetComponent("sensitivity", highest * slope_std / factor, line.fit.dof),
+        BudgetComponent("linearity", max(straight) / math.sqrt(3.0)),
+        BudgetComponent("hysteresis", 0.5 * max(both) / math.sqrt(3.0) if both else NAN),
+        BudgetComponent("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
+        BudgetComponent("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
     ]
+    return Noted(parts, tuple(notes))
 
 
-def combined(parts: Sequence[Part]) -> list[Estimate]:
+def combined(parts: Sequence[BudgetComponent]) -> list[Estimate]:
     """Root of the sum of squares, its coverage factor and the expanded uncertainty; unknown parts are left out."""
     known = [part for part in parts if math.isfinite(part.std)]
     std = math.sqrt(sum(part.std**2 for part in known))
@@ -277,7 +287,7 @@ def combined(parts: Sequence[Part]) -> list[Estimate]:
     ]
 
 
-def plot_of(levels: Levels, line: LineFit, applied: Array) -> Plot:
+def plot_of(levels: HoldMeans, line: LineFit, applied: Array) -> Plot:
     """What readings depart from the straight line, over the torque of the weights."""
     points = []
     for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):

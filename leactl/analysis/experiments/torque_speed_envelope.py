@@ -13,24 +13,24 @@ from itertools import product
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.experiments.torque_constant import CURRENT, TORQUE
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import SWAPPED
-from leactl.analysis.quality.usable_readings import usable, within_range
+from leactl.analysis.quality.usable_readings import usable_channel, within_range
 from leactl.analysis.run_model import rotor_inertia_of_model
-from leactl.analysis.signals.corner import Limited, Mask, corner, groups_of, repeats_of
+from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, groups_of, repeats_of
 from leactl.analysis.signals.drag import VELOCITY
-from leactl.analysis.signals.levels import CURRENT_HELD, Levels, gather
+from leactl.analysis.signals.levels import CURRENT_HOLDS, HoldMeans, gather_means
 from leactl.analysis.statistics.intervals import step_of
-from leactl.analysis.statistics.linefit import DRIFTS_BELOW, expect_setup, place_of
+from leactl.analysis.statistics.linefit import DRIFTS_BELOW, paths_of, setup_notes
 from leactl.analysis.statistics.regression import (
     Array,
-    departure,
-    judged_by,
+    indicator_columns,
     least_squares,
-    one_column_each,
+    partial_f_test,
     t_quantile,
+    widened_by,
 )
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
@@ -77,49 +77,53 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         its channel shows, or a torque or velocity that hangs.
     InputError : an uncertainty below zero, or a current against its setpoint.
     """
-    place = f"{place_of(runs)}: torque-speed envelope"
-    notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
-    every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: readings(run, name, notes))
-    levels = driving(every, place, notes)
+    place = f"{paths_of(runs)}: torque-speed envelope"
+    notes = setup_notes(runs, ("coupled",), "another machine has to hold the speed")
+    gathered = gather_means(runs, (TORQUE, VELOCITY, CURRENT), readings)
+    driven = driving(gathered.value, place)
+    levels = driven.value
     refuse_still(levels, place)
     asked = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(asked) > 1:
         raise NotIdentifiable(
-            f"{place}: holds ask for {listed(f'{one:g} A' for one in asked)}; one current was expected"
+            f"{place}: holds ask for {listed(f'{current:g} A' for current in asked)}; one current was expected"
         )
     limit = float(asked[0])
     speed, flowing = np.abs(levels.value[VELOCITY]), np.abs(levels.value[CURRENT])
     limited = flowing < (1.0 - MISSING) * limit
     held = limit - flowing <= np.maximum(HELD * limit, CLEAR * levels.std[CURRENT])
-    taken = by_inertia(runs, levels, notes)
-    torque = np.abs(levels.value[TORQUE]) + taken
-    zero = math.hypot(zero_std(runs, notes), INERTIA_STD * float(np.max(np.abs(taken))))
+    inertia_torque = by_inertia(runs, levels)
+    torque = np.abs(levels.value[TORQUE]) + inertia_torque.value
+    sensor_zero = zero_std(runs)
+    zero = math.hypot(sensor_zero.value, INERTIA_STD * float(np.max(np.abs(inertia_torque.value))))
     shared = Shared(zero, gain_std(runs, TORQUE, torque_gain_std))
+    notes += [*gathered.notes, *driven.notes, *inertia_torque.notes, *sensor_zero.notes]
     highest = [
         *best("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
         *best("power", "W", speed, torque, limited, levels, shared),
     ]
     notes += [f"{item.name} without a repeat: how it scatters is not known" for item in highest if no_interval(item)]
-    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HELD.levels(run))[1]]
+    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.holds_of(run))[1]]
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
-        highest = [above(one, max(stops)) for one in highest]
-    found = Limited(speed, flowing, limit, limited, held, levels.run)
-    at_corner = corner(runs, found, notes, place)
-    notes += drift_of(found, at_corner)
+        highest = [above(estimate, max(stops)) for estimate in highest]
+    holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run)
+    at_corner = corner_speed(runs, holds, place)
+    bus_voltage = bus(runs)
     results = [
         *highest,
-        at_corner,
+        at_corner.value,
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
-        *bus(runs, notes),
+        *bus_voltage.value,
     ]
-    notes += doubts({"the torque sensor": shared.gain}, "torque and power")
+    notes += [*at_corner.notes, *drift_of(holds, at_corner.value), *bus_voltage.notes]
+    notes += calibration_notes({"the torque sensor": shared.gain}, "torque and power")
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
 
-def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
-    """Only holds in which the actuator gave power; others are named.
+def driving(levels: HoldMeans, place: str) -> Noted[HoldMeans]:
+    """Keep the holds in which the actuator gave mechanical power; a note names the others.
 
     Raises
     ------
@@ -130,15 +134,14 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     if np.mean(flows < 0.0) > 0.5:
         raise InputError(f"{place}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}")
     gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
-    braking = [hold for hold, one in zip(levels.holds, gives, strict=True) if not one]
+    braking = [hold for hold, drove in zip(levels.holds, gives, strict=True) if not drove]
     if not gives.any():
         raise NotIdentifiable(f"{place}: found no hold in which the actuator drove ({len(braking)} holds)")
-    if braking:
-        notes.append(f"left out {len(braking)}: the actuator gave no power ({listed(braking)})")
-    return levels.where(gives)
+    note = f"left out {len(braking)}: the actuator gave no power ({listed(braking)})"
+    return Noted(levels.where(gives), (note,) if braking else ())
 
 
-def refuse_still(levels: Levels, place: str) -> None:
+def refuse_still(levels: HoldMeans, place: str) -> None:
     """A torque or a velocity that never changes, whatever the hold, would leave a highest power without scatter.
 
     Raises
@@ -146,33 +149,35 @@ def refuse_still(levels: Levels, place: str) -> None:
     NotIdentifiable : all holds of a run have one reading.
     """
     for quantity, run in product((TORQUE, VELOCITY), np.unique(levels.run)):
-        found = levels.value[quantity][levels.run == run]
-        if len(found) > 1 and np.ptp(found) <= SAME_READING * abs(found[0]):
+        means = levels.value[quantity][levels.run == run]
+        if len(means) > 1 and np.ptp(means) <= SAME_READING * abs(means[0]):
             raise NotIdentifiable(
-                f"{place}: {quantity} of test reads {found[0]:.4g} {levels.units[quantity]} in all {len(found)} holds:"
+                f"{place}: {quantity} of test reads {means[0]:.4g} {levels.units[quantity]} in all {len(means)} holds:"
                 " it hangs, or its resolution hides every change"
             )
 
 
-def readings(run: Run, quantity: str, notes: list[str]) -> Channel:
-    """A channel with what does not count as missed; a current at the end of its range would be taken for a limit.
+def readings(run: Run, quantity: str) -> Noted[Channel]:
+    """Return a channel with NaN for saturated and repeated readings; refuse a saturated current.
+
+    A current at the end of its range would be taken for a limit of the drive.
 
     Raises
     ------
     NotIdentifiable : the current is there in a hold, or the torque in all of them.
     """
-    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HELD.levels(run))[1]):
+    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.holds_of(run))[1]):
         at = ", ".join(f"{value:g} A" for value in ends)
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
-    return usable(run, quantity, notes, least=1)
+    return usable_channel(run, quantity, least=1)
 
 
-def above(found: Estimate, stop: float) -> Estimate:
-    """What is left of a highest figure whose sensor stops at a torque: a bound from below, and no speed."""
-    if found.name.startswith("speed"):
-        return replace(found, value=NAN)
-    low = max(found.value, stop) if found.units == "N*m" else found.value
-    return replace(found, value=NAN, std=NAN, low=low, high=math.inf)
+def above(highest: Estimate, stop: float) -> Estimate:
+    """Turn a highest torque or power into a lower bound, and its speed into NaN, since the sensor ends at `stop`."""
+    if highest.name.startswith("speed"):
+        return replace(highest, value=NAN)
+    low = max(highest.value, stop) if highest.units == "N*m" else highest.value
+    return replace(highest, value=NAN, std=NAN, low=low, high=math.inf)
 
 
 def no_interval(item: Estimate) -> bool:
@@ -180,14 +185,15 @@ def no_interval(item: Estimate) -> bool:
     return item.name.startswith("highest") and math.isnan(item.std)
 
 
-def by_inertia(runs: Sequence[Run], levels: Levels, notes: list[str]) -> Array:
-    """What of the torque in each hold went into the rotor, along the motion [N*m]: less than nothing where it slows."""
+def by_inertia(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
+    """Return the torque that accelerated the rotor in each hold, along the motion [N*m]; negative where it slowed."""
     quarters = levels.quarters[VELOCITY] * np.sign(levels.value[VELOCITY])[:, np.newaxis]
-    places = (np.arange(4) - 1.5) / 4.0  # of the quarters' middles, from the middle of the hold, over its length
+    middles = (np.arange(4) - 1.5) / 4.0  # of the quarters, from the middle of the hold, over its length
     length = np.array([hold.stop - hold.start for hold in levels.holds])
-    growth = np.nan_to_num(quarters @ places) / float(places @ places) / length
+    acceleration = np.nan_to_num(quarters @ middles) / float(middles @ middles) / length
     drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
     inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run]
+    notes = []
     if drifted > STEADY * float(np.max(np.abs(levels.value[VELOCITY]))):
         lacking = np.isnan(inertias).any()
         what = "in its torque, and in no interval: give the model a rotor_inertia, or settle longer"
@@ -195,15 +201,16 @@ def by_inertia(runs: Sequence[Run], levels: Levels, notes: list[str]) -> Array:
             f"the speed changed by up to {drifted:.2g} rad/s within a hold: the rotor's inertia is"
             f" {what if lacking else 'put back'}"
         )
-    return np.asarray(np.nan_to_num(inertias) * growth)
+    return Noted(np.asarray(np.nan_to_num(inertias) * acceleration), tuple(notes))
 
 
-def zero_std(runs: Sequence[Run], notes: list[str]) -> float:
-    """Standard uncertainty of the torque's zero, by the scatter of what it was tared with [N*m]: 0 where nothing tells.
+def zero_std(runs: Sequence[Run]) -> Noted[float]:
+    """Return the standard uncertainty of the torque's zero [N*m], by the noise of its readings before the first step.
 
-    Readings that follow one another are compared, since the zero itself moves where it is tared.
+    It is the largest of the runs, and 0 where no run has enough readings. The noise is taken from differences of
+    neighbouring readings, since the zero itself moves while the sensor is tared.
     """
-    found = []
+    stds, notes = [], []
     for run in runs:
         torque, steps = run.channel(TORQUE), run.steps
         rest = torque.values[(torque.time < steps[0].start) & np.isfinite(torque.values)]
@@ -211,8 +218,8 @@ def zero_std(runs: Sequence[Run], notes: list[str]) -> float:
             notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
             continue
         noise = float(np.median(np.abs(np.diff(rest)))) / (QUARTILE * math.sqrt(2.0))
-        found.append(max(noise, step_of(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
-    return max(found, default=0.0)
+        stds.append(max(noise, step_of(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
+    return Noted(max(stds, default=0.0), tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ class Shared:
 
 
 def best(
-    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: Levels, shared: Shared
+    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: HoldMeans, shared: Shared
 ) -> list[Estimate]:
     """The highest mean of torque times a factor over the repeats of one speed, and that speed.
 
@@ -237,12 +244,12 @@ def best(
     own = group == int(np.argmax(means))
     at = Estimate(f"speed_of_highest_{name}", float(speed[own].mean()), NAN, NAN, NAN, "rad/s")
     alike = kind == kind[np.flatnonzero(own)[0]]
-    speeds = one_column_each(group[alike])
+    speeds = indicator_columns(group[alike])
     try:
         fit = least_squares(speeds, torque[alike], speeds, name)
     except NotIdentifiable:
         return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), at]
-    fit = judged_by(fit, departure(speeds, torque[alike], one_column_each(levels.run[alike])))
+    fit = widened_by(fit, partial_f_test(speeds, torque[alike], indicator_columns(levels.run[alike])))
     weights = (np.unique(group[alike]) == group[own][0]) * float(factor[own].mean())
     value, scattered = fit.combined(weights)
     alike_std = value * math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
@@ -251,7 +258,7 @@ def best(
     return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), at]
 
 
-def drift_of(holds: Limited, found: Estimate) -> list[str]:
+def drift_of(holds: SpeedHolds, found: Estimate) -> list[str]:
     """A note where the corner moves from repeat to repeat by more than chance, and than its interval is wide.
 
     What a change of resistance does to the current goes with the current itself; over the fall of the current with the
@@ -261,11 +268,11 @@ def drift_of(holds: Limited, found: Estimate) -> list[str]:
         return []
     speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
     beyond = speed - found.value
-    fall = float((holds.asked - current) @ beyond / (beyond @ beyond))  # A for each rad/s
-    speeds, repeats = one_column_each(groups_of(speed)), one_column_each(repeat)
+    fall = float((holds.setpoint - current) @ beyond / (beyond @ beyond))  # A for each rad/s
+    speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
-    shift = (speed + current / fall) * holds.asked / mean
-    if (departs := departure(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
+    shift = (speed + current / fall) * holds.setpoint / mean
+    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
     if abs(moved) < found.high - found.low:
@@ -276,17 +283,15 @@ def drift_of(holds: Limited, found: Estimate) -> list[str]:
     ]
 
 
-def bus(runs: Sequence[Run], notes: list[str]) -> list[Estimate]:
-    """The lowest bus voltage while the levels were held; none where it is not recorded."""
-    seen = [channel.values[np.isfinite(channel.values)] for run in runs for channel in run.channels(BUS)]
-    seen = [values for values in seen if len(values)]
-    if not seen:
-        notes.append("no bus_voltage is recorded: the envelope is of an unknown supply")
-        return []
-    low, high = min(float(values.min()) for values in seen), max(float(values.max()) for values in seen)
-    if low < (1.0 - SAG) * high:
-        notes.append(f"the supply sagged from {high:.4g} to {low:.4g} V: the envelope is the supply's too")
-    return [Estimate(BUS, low, NAN, NAN, NAN, "V")]
+def bus(runs: Sequence[Run]) -> Noted[list[Estimate]]:
+    """Return the lowest bus voltage of the runs; the list is empty where none is recorded."""
+    recorded = [channel.values[np.isfinite(channel.values)] for run in runs for channel in run.channels(BUS)]
+    recorded = [values for values in recorded if len(values)]
+    if not recorded:
+        return Noted([], ("no bus_voltage is recorded: the envelope is of an unknown supply",))
+    low, high = min(float(values.min()) for values in recorded), max(float(values.max()) for values in recorded)
+    note = f"the supply sagged from {high:.4g} to {low:.4g} V: the envelope is the supply's too"
+    return Noted([Estimate(BUS, low, NAN, NAN, NAN, "V")], (note,) if low < (1.0 - SAG) * high else ())
 
 
 def plot_of(speed: Array, torque: Array, limited: Mask) -> Plot:

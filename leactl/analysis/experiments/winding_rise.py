@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
-from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
-from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
+from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of, positive
 from leactl.analysis.statistics.intervals import half_width, rounding_limit, rounding_of, step_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -62,7 +62,7 @@ class Copper:
 
 
 @dataclass(frozen=True)
-class Known:
+class MeasuredResistance:
     """A resistance [ohm] and what it is known to."""
 
     value: float
@@ -98,11 +98,11 @@ def analyze(
     NotIdentifiable : more than one run, no current, too few readings, or no resistance coefficient in the model.
     InputError : an uncertainty below zero, or leads that are swapped.
     """
-    place = place_of(runs)
+    place = paths_of(runs)
     if len(runs) > 1:
         raise NotIdentifiable(f"{place}: one run at a time; each begins from a temperature of its own")
     run = runs[0]
-    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
+    notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
     copper, heating = copper_of(run), heating_of(run)
     gains = {
         "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
@@ -110,16 +110,18 @@ def analyze(
     }
     gain = math.hypot(*gains.values())
     cold, hot = cold_resistance(heating, place), hot_resistance(heating)
-    at_first, at_first_std = cold_temperature(run, heating.before, notes)
-    per_ratio = 1.0 / copper.coefficient + at_first - copper.reference  # K for a resistance twice the cold one
+    ambient = cold_temperature(run, heating.before)
+    temperature, temperature_std = ambient.value
+    per_ratio = 1.0 / copper.coefficient + temperature - copper.reference  # K for a resistance twice the cold one
+    late_change = change(heating, per_ratio / cold.value)
     results = (
         cold.estimate("cold_resistance", gain),
         hot.estimate("hot_resistance", gain),
-        winding_rise(cold, hot, per_ratio, at_first_std, copper),
-        change(heating, per_ratio / cold.value, notes),
+        winding_rise(cold, hot, per_ratio, temperature_std, copper),
+        late_change.value,
     )
-    notes += doubts(gains, "the resistances and not on the rise")
-    notes[:0] = doubted(runs, results[:1], ["line_voltage"], ["line_current"])
+    notes += [*ambient.notes, *late_change.notes, *calibration_notes(gains, "the resistances and not on the rise")]
+    notes[:0] = unit_notes(runs, results[:1], ["line_voltage"], ["line_current"])
     every = max(1, len(heating.time) // SHOWN)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
@@ -157,7 +159,7 @@ def heating_of(run: Run) -> Heating:
     return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
 
 
-def cold_resistance(heating: Heating, place: str) -> Known:
+def cold_resistance(heating: Heating, place: str) -> MeasuredResistance:
     """Resistance at the moment of switching on."""
     first = heating.time < COLD_S
     if int(np.sum(first)) < FEWEST:
@@ -171,14 +173,14 @@ def cold_resistance(heating: Heating, place: str) -> Known:
     limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
     if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
         own *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
-    return Known(value, own, fit.dof, limit, heating.of_current)
+    return MeasuredResistance(value, own, fit.dof, limit, heating.of_current)
 
 
-def hot_resistance(heating: Heating) -> Known:
+def hot_resistance(heating: Heating) -> MeasuredResistance:
     """Mean resistance of the last half minute."""
     last = heating.time >= heating.time[-1] - HOT_S
     value, own, limit = mean_of_part(heating, last)
-    return Known(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
+    return MeasuredResistance(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
 
 
 def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
@@ -198,7 +200,9 @@ def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -
     return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
 
 
-def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, copper: Copper) -> Estimate:
+def winding_rise(
+    cold: MeasuredResistance, hot: MeasuredResistance, per_ratio: float, at_first_std: float, copper: Copper
+) -> Estimate:
     """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
@@ -238,23 +242,26 @@ def copper_of(run: Run) -> Copper:
     return Copper(coefficient, float(width), float(reference))
 
 
-def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:
-    """Temperature of the winding before it was heated [degC]: that of the air."""
+def cold_temperature(run: Run, before: float) -> Noted[tuple[float, float]]:
+    """Return the temperature of the air before the moment `before` [s], and its standard uncertainty [degC]."""
     for air in run.channels(AMBIENT, "bench") or run.channels(AMBIENT):
         refuse_not_celsius(run, air)
         rest = air.values[(air.time < before) & np.isfinite(air.values)]
         if len(rest):
-            return float(np.mean(rest)), 1.0
-    notes.append(f"no ambient temperature before heating; taken as {UNKNOWN_COLD[0]:g} degC, within 6 K")
-    return UNKNOWN_COLD
+            return Noted((float(np.mean(rest)), 1.0))
+    note = f"no ambient temperature before heating; taken as {UNKNOWN_COLD[0]:g} degC, within 6 K"
+    return Noted(UNKNOWN_COLD, (note,))
 
 
-def change(heating: Heating, kelvin_per_ohm: float, notes: list[str]) -> Estimate:
-    """How far the rise still went in the last half hour of heating, minute against minute; steady is 1 K or less."""
+def change(heating: Heating, kelvin_per_ohm: float) -> Noted[Estimate]:
+    """Estimate the change of the rise over the last half hour of heating [K]; at most 1 K counts as steady.
+
+    The mean of the last minute is compared with that of the minute half an hour before.
+    """
     name = "change_in_last_30_min"
     if heating.time[-1] < STEADY_S + BLOCK_S:
-        notes.append(f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min")
-        return Estimate(name, NAN, NAN, NAN, NAN, "K")
+        note = f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min"
+        return Noted(Estimate(name, NAN, NAN, NAN, NAN, "K"), (note,))
     end = heating.time[-1]
     then, now = (
         mean_of_part(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
@@ -265,11 +272,11 @@ def change(heating: Heating, kelvin_per_ohm: float, notes: list[str]) -> Estimat
     limits = [part[2] * kelvin_per_ohm for part in (then, now)]
     half = half_width(scattered, math.inf, *limits)
     std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
-    found = Estimate(name, value, std, value - half, value + half, "K")
-    if max(abs(found.low), abs(found.high)) <= STEADY_K:
-        notes.append(f"steady: no more than {STEADY_K:g} K in the last 30 min of heating")
-    elif found.low > STEADY_K or found.high < -STEADY_K:
-        notes.append(f"no steady state: {found.value:+.1f} K in the last 30 min of heating")
+    estimate = Estimate(name, value, std, value - half, value + half, "K")
+    if max(abs(estimate.low), abs(estimate.high)) <= STEADY_K:
+        note = f"steady: no more than {STEADY_K:g} K in the last 30 min of heating"
+    elif estimate.low > STEADY_K or estimate.high < -STEADY_K:
+        note = f"no steady state: {estimate.value:+.1f} K in the last 30 min of heating"
     else:
-        notes.append(f"whether it is steady ({STEADY_K:g} K in 30 min) cannot be told from these readings")
-    return found
+        note = f"whether it is steady ({STEADY_K:g} K in 30 min) cannot be told from these readings"
+    return Noted(estimate, (note,))

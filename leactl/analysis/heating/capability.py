@@ -1,11 +1,11 @@
-"""What the actuator of a thermal fit can carry, with the fit's own uncertainty.
+"""Currents that the actuator of a thermal fit can carry, with the uncertainty of the fit.
 
-`leactl thermal limits` says the same of a motor file and its tolerances, for the worst actuator within them; here it is
-the one that was heated.
+`leactl thermal limits` computes them from a motor file and its tolerances, for the worst actuator within them; here
+they are those of the actuator that was heated.
 """
 
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.heating.parameters import Known
+from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE
 from leactl.model.capability import FOR_EVER, STANDING, TURNING, Winding, current_held
 
@@ -13,17 +13,22 @@ PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 MOTIONS = {"": TURNING, "_standing": STANDING}
 
 
-def carried(known: Known, phase_of_line: float, limit: float, ambient: float) -> list[Estimate]:
-    """Continuous and peak q-axis currents [A] from ambient, all phases alike as in the paper, and standing."""
-    found = []
+def current_capability(
+    parameters: FittedParameters, phase_of_line: float, limit: float, ambient: float
+) -> list[Estimate]:
+    """Estimate continuous and peak q-axis currents [A] from ambient, turning (all phases alike) and standing.
+
+    `phase_of_line` is the resistance of a phase over that between two leads; limit and ambient are in degC.
+    """
+    estimates = []
     for motion, share in MOTIONS.items():
         for duration in (FOR_EVER, *PEAKS_S):
             kind = "continuous_current" if duration == FOR_EVER else f"peak_current_{duration:g}s"
 
-            def current(one: Known, duration: float = duration, share: float = share) -> float:
-                cold = phase_of_line * float(one.point[5])
-                winding = Winding(one.network, cold, float(one.point[6]), REFERENCE)
+            def current(moved: FittedParameters, duration: float = duration, share: float = share) -> float:
+                cold = phase_of_line * float(moved.point[5])
+                winding = Winding(moved.network, cold, float(moved.point[6]), REFERENCE)
                 return current_held(winding, limit - ambient, ambient, duration, share)
 
-            found.append(known.estimate(kind + motion, "A", current))
-    return found
+            estimates.append(parameters.estimate(kind + motion, "A", current))
+    return estimates

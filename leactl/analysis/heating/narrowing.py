@@ -29,7 +29,7 @@ WINDING = ("phase_resistance", "resistance_coefficient")
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What the instruments of heated runs may be off by, at the most."""
+    """Largest errors of the instruments of heated runs."""
 
     camera_gain: float = 0.02  # of the rise that it shows; thermal cameras are sold with +-2 K or +-2 %
     camera_offset: float = 2.0  # K, of its zero; also what the zero may drift by from cold to hot
@@ -37,7 +37,7 @@ class Accuracy:
 
 
 def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
-    """The motor file of the actuator that was heated: network and resistance as fitted, tolerances as the fit leaves.
+    """Return the motor file of the heated actuator: parameters as fitted, tolerances as the fit leaves them.
 
     Parameters
     ----------
@@ -56,22 +56,22 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         raise InputError(
             f"motor '{motor.name}': a {motor.winding}; how two leads heat it is not modelled, a wye was expected"
         )
-    found = analyze(
+    result = analyze(
         runs,
         camera_offset_std=0.5 * accuracy.camera_offset,
         camera_gain_std=0.0,
         voltage_gain_std=0.0,
         current_gain_std=0.0,
     )
-    values = {one.name: one.value for one in found.results}
-    if untold := [name for name in (*NETWORK, *WINDING) if not math.isfinite(values[name])]:
+    values = {estimate.name: estimate.value for estimate in result.results}
+    if missing := [name for name in (*NETWORK, *WINDING) if not math.isfinite(values[name])]:
         raise NotIdentifiable(
-            f"{found.runs[-1]}: tells no {', '.join(untold)}; heat and cool for longer: {'; '.join(found.notes)}"
+            f"{result.runs[-1]}: tells no {', '.join(missing)}; heat and cool for longer: {'; '.join(result.notes)}"
         )
     _refuse_outside(motor, motor.tolerances, values, accuracy)
     supply = motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
     tolerances = motor.tolerances.model_copy(
-        update=_tolerances(found, values, accuracy)
+        update=_tolerances(result, values, accuracy)
         | {
             "line_current": accuracy.current_repeats,
             # at the worst the other meter reads low where the supply of the runs read high
@@ -89,21 +89,22 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
     )
 
 
-def _tolerances(found: Result, values: dict[str, float], accuracy: Accuracy) -> dict[str, float]:
-    """Tolerances of network and resistance, of a fit that was told `camera_offset` as two standard uncertainties.
+def _tolerances(result: Result, values: dict[str, float], accuracy: Accuracy) -> dict[str, float]:
+    """Tolerances of network and resistance, from a fit with half of `camera_offset` as standard uncertainty.
 
-    A zero that is off shifts the temperature at which the resistance has its value, and leaves its slope in ohm/K. So
-    the whole offset counts for the resistance, in place of its standard uncertainty, and nothing for the coefficient.
+    An offset of the camera shifts the temperature at which the resistance has its value, and leaves its slope in ohm/K.
+    So the whole offset counts for the resistance, in place of its standard uncertainty, and nothing for the
+    coefficient.
     """
-    names, covariance = found.covariances[0].names, np.array(found.covariances[0].values)
-    spread = {name: math.sqrt(covariance[k, k]) / values[name] for k, name in enumerate(names)}
+    names, covariance = result.covariances[0].names, np.array(result.covariances[0].values)
+    relative_std = {name: math.sqrt(covariance[k, k]) / values[name] for k, name in enumerate(names)}
     offset = values["resistance_coefficient"] * accuracy.camera_offset  # of the resistance, relative
     offset_std = 0.5 * offset
 
     def without_offset(name: str) -> float:
-        return DEVIATIONS * math.sqrt(max(spread[name] ** 2 - offset_std**2, 0.0))
+        return DEVIATIONS * math.sqrt(max(relative_std[name] ** 2 - offset_std**2, 0.0))
 
-    return {name: _rounded(DEVIATIONS * spread[name]) for name in NETWORK} | {
+    return {name: _rounded(DEVIATIONS * relative_std[name]) for name in NETWORK} | {
         # relative, that of two phases in series is that of one
         "phase_resistance": _rounded(without_offset("line_resistance") + offset),
         "resistance_coefficient": _rounded(without_offset("resistance_coefficient")),
@@ -111,21 +112,21 @@ def _tolerances(found: Result, values: dict[str, float], accuracy: Accuracy) -> 
 
 
 def _camera(accuracy: Accuracy, runs: Sequence[Run]) -> float:
-    """Share of a rise that the camera may be off by: data sheets tell kelvins or a share, whichever is more."""
+    """Relative error of a rise that the camera may have: data sheets state kelvins or a share, whichever is more."""
     return max(accuracy.camera_gain, accuracy.camera_offset / _rise(runs))
 
 
 def _unexplained(values: dict[str, float], runs: Sequence[Run]) -> float:
-    """What two bodies do not follow beyond noise, as a share of the largest rise; all, where the noise is not known."""
+    """Misfit of the network beyond noise, as a share of the largest rise; all of it where the noise is not known."""
     over_noise = values["rmse_over_noise"]
     misfit = 1.0 if not math.isfinite(over_noise) else math.sqrt(max(1.0 - 1.0 / over_noise**2, 0.0))
     return DEVIATIONS * misfit * values["rmse"] / _rise(runs)
 
 
 def _rise(runs: Sequence[Run]) -> float:
-    """The largest rise [K] that a place of the winding showed."""
+    """Return the largest rise [K] of a winding temperature."""
     readings = [channel.values for run in runs for channel in run.channels("winding_temperature")]
-    return max(float(np.nanmax(one) - np.nanmin(one)) for one in readings)
+    return max(float(np.nanmax(reading) - np.nanmin(reading)) for reading in readings)
 
 
 def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:

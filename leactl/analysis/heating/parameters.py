@@ -13,9 +13,9 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.heating.network import NETWORK, NetworkFit
-from leactl.analysis.heating.record import Array, Stretch
+from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
-from leactl.analysis.heating.scatter import Scatter, parts_of, scatter_of, spread_of_sums
+from leactl.analysis.heating.scatter import Scatter, binned_residuals, covariance_of_sums, scatter_of
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.model.thermal_network import Conductances
 
@@ -29,7 +29,7 @@ NAMES = (
     "resistance_coefficient",
 )
 UNITS = ("K/W", "K/W", "K/W", "J/K", "J/K", "ohm", "1/K")
-UNKNOWN = 0.5  # relative standard uncertainty, from which on a figure is none
+UNKNOWN = 0.5  # relative standard uncertainty from which a figure counts as not identifiable
 STEP = 1e-4  # of central differences, relative
 FLOOR = 1e-15  # of the largest information, below which a direction has none
 
@@ -45,80 +45,83 @@ class Instruments:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
-    """One source of uncertainty: its covariance, and the degrees of freedom that is known by."""
+class UncertaintySource:
+    """One source of uncertainty: its covariance matrix, and the degrees of freedom of that."""
 
     covariance: Array
     dof: float
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """Conductance past the housing [W/K], the other six of `NAMES`, and where their uncertainty comes from."""
+class FittedParameters:
+    """Values of `NAMES` with the conductance past the housing [W/K] first, and the sources of their uncertainty."""
 
     point: Array
-    sources: tuple[Source, ...]
+    sources: tuple[UncertaintySource, ...]
 
     @property
     def covariance(self) -> Array:
-        """Of the point."""
-        return np.asarray(sum(one.covariance for one in self.sources), np.float64)
+        """Covariance of the point, shape (7, 7)."""
+        return np.asarray(sum(source.covariance for source in self.sources), np.float64)
 
     @property
     def network(self) -> Conductances:
-        """The thermal network; a conductance that came out below zero counts as none."""
+        """The thermal network; a negative conductance counts as zero."""
         wa, wh, ha, cw, ch = self.point[:NETWORK].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
-    def moved(self, by: Array) -> "Known":
-        """The same somewhere else."""
-        return Known(self.point + by, self.sources)
+    def moved(self, step: Array) -> "FittedParameters":
+        """Return the parameters at another point with the same uncertainty."""
+        return FittedParameters(self.point + step, self.sources)
 
-    def estimate(self, name: str, units: str, figure: Callable[["Known"], float]) -> Estimate:
-        """A figure above zero that follows, with an interval even in its logarithm; NaN where it is not known."""
+    def estimate(self, name: str, units: str, figure: Callable[["FittedParameters"], float]) -> Estimate:
+        """Estimate a positive figure that follows from the parameters; NaN where its relative uncertainty is over 50 %.
+
+        The interval is symmetric in the figure's logarithm.
+        """
         value, slopes = figure(self), np.zeros(len(self.point))
         steps = STEP * self.point
         steps[0] = STEP / self.point[2]
         for k, step in enumerate(steps):
-            by = np.zeros(len(self.point))
-            by[k] = step
-            slopes[k] = (figure(self.moved(by)) - figure(self.moved(-by))) / (2.0 * step)
-        variances = [float(slopes @ one.covariance @ slopes) for one in self.sources]
+            moved = np.zeros(len(self.point))
+            moved[k] = step
+            slopes[k] = (figure(self.moved(moved)) - figure(self.moved(-moved))) / (2.0 * step)
+        variances = [float(slopes @ source.covariance @ slopes) for source in self.sources]
         std = math.sqrt(max(sum(variances), 0.0))
         if not (value > 0.0 and std < UNKNOWN * value):
             return Estimate(name, NAN, NAN, NAN, NAN, units)
-        shares = sum(one**2 / source.dof for one, source in zip(variances, self.sources, strict=True))
-        half = t_quantile(sum(variances) ** 2 / shares if shares > 0.0 else math.inf) * std / value
-        return Estimate(name, value, std, value * math.exp(-half), value * math.exp(half), units)
+        dof_sum = sum(variance**2 / source.dof for variance, source in zip(variances, self.sources, strict=True))
+        log_half_width = t_quantile(sum(variances) ** 2 / dof_sum if dof_sum > 0.0 else math.inf) * std / value
+        return Estimate(name, value, std, value * math.exp(-log_half_width), value * math.exp(log_half_width), units)
 
 
-def parallel(known: Known) -> float:
-    """Rwa in parallel with Rwh and Rha in series [K/W]: the rise of the winding for each watt in the end."""
-    n = known.network
-    return 1.0 / (n.winding_ambient + 1.0 / (1.0 / n.winding_housing + 1.0 / n.housing_ambient))
+def parallel(parameters: FittedParameters) -> float:
+    """Return Rwa in parallel with Rwh and Rha in series [K/W]: the steady rise of the winding for each watt."""
+    network = parameters.network
+    return 1.0 / (network.winding_ambient + 1.0 / (1.0 / network.winding_housing + 1.0 / network.housing_ambient))
 
 
-def natural(known: Known) -> Array:
-    """The point with the resistance past the housing in place of its conductance."""
-    return np.concatenate([[1.0 / known.point[0]], known.point[1:]])
+def natural(parameters: FittedParameters) -> Array:
+    """Return the parameters in the order and units of `NAMES`, the resistance past the housing first."""
+    return np.concatenate([[1.0 / parameters.point[0]], parameters.point[1:]])
 
 
-def natural_covariance(known: Known) -> Array:
-    """Of `NAMES`, in their order and units."""
-    turn = np.ones(len(known.point))
-    turn[0] = -1.0 / known.point[0] ** 2
-    return np.asarray(known.covariance * np.outer(turn, turn))
+def natural_covariance(parameters: FittedParameters) -> Array:
+    """Return the covariance of the parameters in the order and units of `NAMES`, shape (7, 7)."""
+    factors = np.ones(len(parameters.point))
+    factors[0] = -1.0 / parameters.point[0] ** 2
+    return np.asarray(parameters.covariance * np.outer(factors, factors))
 
 
 def correlation(covariance: Array) -> Array:
-    """Covariance over both standard uncertainties."""
+    """Return the correlation matrix of a covariance."""
     spread = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(spread, spread))
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance of all unknowns of a network's fit."""
+    """Covariances of all unknowns of a network's fit, by noise and by drift, shape (unknowns, unknowns)."""
 
     noise: Array
     drift: Array
@@ -126,69 +129,77 @@ class Uncertainty:
 
 
 def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
-    """What noise and drift leave of the unknowns of least squares, priors included."""
-    seen = [np.isfinite(left) for left in fit.residuals]
+    """Compute the covariance of the unknowns of least squares from noise and drift of the residuals, and the priors."""
+    seen_frames = [np.isfinite(residual) for residual in fit.residuals]
     information = np.diag(fit.prior)
-    for columns, there in zip(fit.columns, seen, strict=True):
+    for columns, frames_seen in zip(fit.columns, seen_frames, strict=True):
         for node in (0, 1):
-            kept = columns[node][there[node]]
-            information = information + kept.T @ kept
+            rows_seen = columns[node][frames_seen[node]]
+            information = information + rows_seen.T @ rows_seen
     scale = 1.0 / np.sqrt(np.diag(information))
     scaled = information * np.outer(scale, scale)
     inverse = np.linalg.inv(scaled + FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
-    times = [one.time for one in fit.stretches]
-    parts = parts_of(times, fit.residuals, fit.columns)
-    scatter = scatter_of(parts)
-    noise, drift = (sum(column) for column in zip(*(spread_of_sums(part, scatter) for part in parts), strict=True))
+    times = [record.time for record in fit.records]
+    bins = binned_residuals(times, fit.residuals, fit.columns)
+    scatter = scatter_of(bins)
+    noise, drift = (
+        sum(column) for column in zip(*(covariance_of_sums(record_bins, scatter) for record_bins in bins), strict=True)
+    )
     noise = noise + np.diag((fit.prior * offset_std) ** 2)
     return Uncertainty(inverse @ noise @ inverse, inverse @ drift @ inverse, scatter)
 
 
-def known_of(fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float) -> Known:
-    """Network and resistance together; `air` is that around the actuator [degC]."""
+def thermal_parameters(
+    fit: NetworkFit, uncertainty: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
+) -> FittedParameters:
+    """Combine network and resistance with their sources of uncertainty; `air` is the ambient temperature [degC]."""
     network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK])])
-    turn = np.diag([1.0, *network[1:]])
+    jacobian = np.diag([1.0, *network[1:]])
     point = np.concatenate([network, [line.level, line.coefficient]])
 
-    def whole(covariance: Array, at: int) -> Array:
-        out = np.zeros((len(point), len(point)))
-        out[at : at + len(covariance), at : at + len(covariance)] = covariance
-        return out
+    def embedded(covariance: Array, first: int) -> Array:
+        full = np.zeros((len(point), len(point)))
+        full[first : first + len(covariance), first : first + len(covariance)] = covariance
+        return full
 
     sources = [
-        Source(whole(turn @ found.noise[:NETWORK, :NETWORK] @ turn, 0), math.inf),
-        Source(whole(turn @ found.drift[:NETWORK, :NETWORK] @ turn, 0), found.scatter.dof),
-        Source(whole(line.noise, NETWORK), math.inf),
-        Source(whole(line.drift, NETWORK), line.dof),
-        Source(whole(line.timing, NETWORK), math.inf),
+        UncertaintySource(embedded(jacobian @ uncertainty.noise[:NETWORK, :NETWORK] @ jacobian, 0), math.inf),
+        UncertaintySource(
+            embedded(jacobian @ uncertainty.drift[:NETWORK, :NETWORK] @ jacobian, 0), uncertainty.scatter.dof
+        ),
+        UncertaintySource(embedded(line.noise, NETWORK), math.inf),
+        UncertaintySource(embedded(line.drift, NETWORK), line.dof),
+        UncertaintySource(embedded(line.timing, NETWORK), math.inf),
     ]
     wa, wh, ha, cw, ch, level, coefficient = point
-    apart = coefficient * (REFERENCE - air)
+    coefficient_times_distance = coefficient * (REFERENCE - air)
     scaled = np.array([-wa, wh, ha, -cw, -ch, 0.0, 0.0])
-    camera = scaled + np.array([0.0] * 5 + [-level * apart, coefficient * (apart - 1.0)])
-    offset = np.array([0.0] * 5 + [-level * coefficient, coefficient**2])
-    volts = -scaled + np.array([0.0] * 5 + [level, 0.0])
-    amperes = -scaled + np.array([0.0] * 5 + [-level, 0.0])
-    volts_std = math.hypot(instruments.voltage_gain, resolution_of(fit.stretches, "voltage"))
-    amperes_std = math.hypot(instruments.current_gain, resolution_of(fit.stretches, "current"))
-    stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.stretches)
-    for std, slopes in zip(stds, (camera, offset, volts, amperes, scaled), strict=True):
-        sources.append(Source(std**2 * np.outer(slopes, slopes), math.inf))
-    return Known(point, tuple(sources))
+    camera_slopes = scaled + np.array(
+        [0.0] * 5 + [-level * coefficient_times_distance, coefficient * (coefficient_times_distance - 1.0)]
+    )
+    offset_slopes = np.array([0.0] * 5 + [-level * coefficient, coefficient**2])
+    voltage_slopes = -scaled + np.array([0.0] * 5 + [level, 0.0])
+    current_slopes = -scaled + np.array([0.0] * 5 + [-level, 0.0])
+    volts_std = math.hypot(instruments.voltage_gain, resolution_of(fit.records, "voltage"))
+    amperes_std = math.hypot(instruments.current_gain, resolution_of(fit.records, "current"))
+    stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.records)
+    for std, slopes in zip(stds, (camera_slopes, offset_slopes, voltage_slopes, current_slopes, scaled), strict=True):
+        sources.append(UncertaintySource(std**2 * np.outer(slopes, slopes), math.inf))
+    return FittedParameters(point, tuple(sources))
 
 
-def noise_of_heat(stretches: Sequence[Stretch]) -> float:
-    """What the noise of the supply's readings leaves open of the mean heat, relative."""
-    heat = np.concatenate([one.supply.heat[one.supply.on] for one in stretches])
+def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
+    """Relative standard uncertainty of the mean heat by the noise of the supply's readings."""
+    heat = np.concatenate([record.supply.heat[record.supply.on] for record in records])
     noise = math.sqrt(float(np.mean((heat[2:] - 2.0 * heat[1:-1] + heat[:-2]) ** 2)) / 6.0)
     return noise / math.sqrt(len(heat)) / float(np.mean(heat))
 
 
-def resolution_of(stretches: Sequence[Stretch], name: str) -> float:
-    """What resolution leaves open of readings while on that neither noise nor drift moves over a step, relative.
+def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
+    """Relative standard uncertainty of the supply's readings by their resolution, where no noise averages it out.
 
     Readings that are the same throughout do not show their step, and count as exact.
     """
-    values = np.concatenate([np.abs(getattr(one.supply, name)[one.supply.on]) for one in stretches])
+    values = np.concatenate([np.abs(getattr(record.supply, name)[record.supply.on]) for record in records])
     step = float(np.min(np.diff(np.unique(values)), initial=np.inf))
     return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step < np.inf else 0.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, listed
+from leactl.analysis.estimate import NAN, Noted, listed
 from leactl.analysis.quality.gate import hanging
-from leactl.analysis.quality.hanging import longest_row
+from leactl.analysis.quality.hanging import longest_repeat
 from leactl.analysis.quality.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.model.thermal_network import ACTIVE_SHARE
@@ -25,17 +25,17 @@ Mask = npt.NDArray[np.bool_]
 
 WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambient_temperature"
 CURRENT, VOLTAGE = "line_current", "line_voltage"
-NOT_CELSIUS = 200.0  # degC, and never below: no winding is left to, and a room is 290 to 300 in kelvin
+NOT_CELSIUS = 200.0  # degC: no winding stays above it throughout, and a room in kelvin is at 290 to 300
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
-LEAST_A = 0.1  # that heats anything worth a fit
-SEEN = 0.5  # of the frames of the place seen best, that a place must be seen in to count
+LEAST_A = 0.1  # below, nothing is heated that a fit could use
+SEEN = 0.5  # of the frames of the best location, that a location must be seen in to count
 LONGEST_LAG_S = 900.0  # of the camera's clock by the supply's
 BRIDGED_S = 2.0  # without readings of the supply, that a straight line is drawn over
 SHORTEST_S, FEWEST = 60.0, 100  # of a stretch with heat and frames
 
 
 @dataclass(frozen=True, eq=False)
-class Supply:
+class SupplyRecord:
     """Current and voltage of the two leads on one clock, none missing."""
 
     time: Array  # s
@@ -45,34 +45,34 @@ class Supply:
 
     @property
     def heat(self) -> Array:
-        """What goes into the winding [W]."""
+        """Electrical power into the winding [W], shape (readings,)."""
         return self.current * self.voltage
 
     @property
     def on(self) -> Mask:
-        """Readings with the current switched on."""
+        """Readings with the current switched on, shape (readings,)."""
         return np.asarray(np.abs(self.current) > FLOWS * np.max(np.abs(self.current)))
 
-    def within(self, part: slice) -> "Supply":
-        """A part of it."""
+    def within(self, part: slice) -> "SupplyRecord":
+        """Return a part of the readings."""
         return replace(self, time=self.time[part], current=self.current[part], voltage=self.voltage[part])
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """A part of a run whose heat is known throughout; NaN where the camera missed a frame."""
+class HeatingRecord:
+    """Temperatures of a part of a run whose heat is known throughout; NaN where the camera missed a frame."""
 
     place: str
     time: Array  # s, of the camera's clock
     winding: Array  # degC, equivalent
     housing: Array  # degC
     active: Array  # degC
-    supply: Supply
+    supply: SupplyRecord
     ambient: Array | None  # degC, at the stamps of the supply
 
 
-def stretches(run: Run, notes: list[str]) -> list[Stretch]:
-    """What a run holds, cut where the heat is not known; notes tell what is left out.
+def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
+    """Return the parts of a run in which heat and temperatures are both known; notes say what is left out.
 
     Raises
     ------
@@ -80,16 +80,18 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
     NotIdentifiable : no current flows, or heat and frames never come together for long enough.
     InputError : temperatures that are not in degC, or a resistance below zero.
     """
-    supply = supply_of(run, notes)
+    supply = supply_of(run)
     camera = run.channels(WINDING)[0] if run.has(WINDING) else run.channel(WINDING)
-    regions = winding_of(run, camera.time, notes)
-    housing = mean_of(run, run.channels(HOUSING) or [run.channel(HOUSING)], camera.time, notes)
-    winding, active = regions
+    winding_means = winding_of(run, camera.time)
+    housing_mean = mean_of(run, run.channels(HOUSING) or [run.channel(HOUSING)], camera.time)
+    winding, active = winding_means.value
+    housing = housing_mean.value
     refuse_exchanged(run, active, housing, "active windings", "housing")
-    air = ambient_of(run, notes)
-    found = []
-    for part in unbroken(supply.time):
-        heat = supply.within(part)
+    air = ambient_of(run)
+    notes = [*supply.notes, *winding_means.notes, *housing_mean.notes, *air.notes]
+    records = []
+    for part in unbroken(supply.value.time):
+        heat = supply.value.within(part)
         if not len(heat.time):
             continue
         ends = heat.time[[0, -1]]
@@ -99,158 +101,163 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
             if seen:
                 notes.append(f"{run.path}: left out {heat.time[0]:.0f} to {heat.time[-1]:.0f} s: {seen} frames of use")
             continue
-        ambient = None if air is None else np.interp(heat.time, *air)
-        of_camera = (camera.time[frames], winding[frames], housing[frames], active[frames])
-        found.append(Stretch(str(run.path), *of_camera, heat, ambient))
-    if not found:
+        ambient = None if air.value is None else np.interp(heat.time, *air.value)
+        temperatures = (camera.time[frames], winding[frames], housing[frames], active[frames])
+        records.append(HeatingRecord(str(run.path), *temperatures, heat, ambient))
+    if not records:
         raise NotIdentifiable(
             f"{run.path}: camera and supply never record together for {SHORTEST_S:g} s; both are needed"
         )
-    return found
+    return Noted(records, tuple(notes))
 
 
 def frames_of(run: Run) -> int:
-    """How many frames of the winding a run has, seen or not."""
+    """Return the number of frames of the winding in a run, missing ones included."""
     return len(run.channels(WINDING)[0].time)
 
 
-def supply_of(run: Run, notes: list[str]) -> Supply:
-    """Current and voltage of the leads on the voltage's clock; short gaps bridged."""
+def supply_of(run: Run) -> Noted[SupplyRecord]:
+    """Return current and voltage of the leads at the stamps of the voltage; a note counts the missing readings."""
     current, voltage = run.channel(CURRENT), run.channel(VOLTAGE)
     amperes, volts = np.isfinite(current.values), np.isfinite(voltage.values)
     if amperes.sum() < 2 or volts.sum() < 2:
         raise NotIdentifiable(f"{run.path}: {CURRENT} or {VOLTAGE} of test has no readings; the heat is not known")
     if voltage.stream == current.stream:
         amperes = volts = amperes & volts
-    for one in (current, voltage):
-        refuse_clipped(run, one)
+    for channel in (current, voltage):
+        refuse_clipped(run, channel)
     good = volts & (voltage.time >= current.time[amperes][0]) & (voltage.time <= current.time[amperes][-1])
-    if bridged := int(np.sum(~np.isfinite(voltage.values))) + int(np.sum(~np.isfinite(current.values))):
-        notes.append(f"{run.path}: {bridged} readings of the supply are missing")
+    missing = int(np.sum(~np.isfinite(voltage.values))) + int(np.sum(~np.isfinite(current.values)))
     time = voltage.time[good]
-    found = Supply(
+    supply = SupplyRecord(
         time,
         np.interp(time, current.time[amperes], current.values[amperes]),
         voltage.values[good],
         voltage.sampling == current.sampling == "mean",
     )
-    most = float(np.max(np.abs(found.current), initial=0.0))
+    most = float(np.max(np.abs(supply.current), initial=0.0))
     if most < LEAST_A:
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test never exceeds {most:.3g} A: nothing was heated")
-    on = found.on
-    if float(np.mean(found.voltage[on] * found.current[on])) <= 0.0:
-        ohm = float(np.median(found.voltage[on] / found.current[on]))
+    on = supply.on
+    if float(np.mean(supply.voltage[on] * supply.current[on])) <= 0.0:
+        ohm = float(np.median(supply.voltage[on] / supply.current[on]))
         raise InputError(
             f"{run.path}: {VOLTAGE} over {CURRENT} of test is {ohm:.3g} ohm; a resistance above zero was expected:"
             " one of the two has its leads swapped"
         )
-    return found
+    note = f"{run.path}: {missing} readings of the supply are missing"
+    return Noted(supply, (note,) if missing else ())
 
 
-def winding_of(run: Run, time: Array, notes: list[str]) -> tuple[Array, Array]:
-    """Equivalent temperature of the winding, and that of its active part [degC]."""
-    places = run.channels(WINDING)
-    active = [one for one in places if one.location.startswith("active")]
-    inactive = [one for one in places if one.location.startswith("inactive")]
-    if len(places) == 1 and not active and not inactive:
-        notes.append(
+def winding_of(run: Run, time: Array) -> Noted[tuple[Array, Array]]:
+    """Return the mean temperature of all phases and that of the active ones [degC] at the camera's stamps."""
+    channels = run.channels(WINDING)
+    active = [channel for channel in channels if channel.location.startswith("active")]
+    inactive = [channel for channel in channels if channel.location.startswith("inactive")]
+    if len(channels) == 1 and not active and not inactive:
+        note = (
             f"{run.path}: one {WINDING} without a region is taken as the mean of all phases; the resistance goes with"
             " that of the active ones, so its coefficient comes out too high where the supply feeds two leads"
         )
-        whole = mean_of(run, places, time, notes)
-        return whole, whole
-    for region, found in (("active", active), ("inactive", inactive)):
-        if not found:
+        whole = mean_of(run, channels, time)
+        return Noted((whole.value, whole.value), (note, *whole.notes))
+    for region, region_channels in (("active", active), ("inactive", inactive)):
+        if not region_channels:
             raise MissingChannel(
                 f"{run.path}: no {WINDING} of test at a location '{region}_...'; it has"
-                f" {listed(one.location or 'no location' for one in places)}. The winding's mean takes"
+                f" {listed(channel.location or 'no location' for channel in channels)}. The winding's mean takes"
                 " 2/3 active and 1/3 inactive"
             )
-    hot, cold = mean_of(run, active, time, notes), mean_of(run, inactive, time, notes)
-    refuse_exchanged(run, hot, cold, "active windings", "inactive ones")
-    return ACTIVE_SHARE * hot + (1.0 - ACTIVE_SHARE) * cold, hot
+    hot, cold = mean_of(run, active, time), mean_of(run, inactive, time)
+    refuse_exchanged(run, hot.value, cold.value, "active windings", "inactive ones")
+    winding = ACTIVE_SHARE * hot.value + (1.0 - ACTIVE_SHARE) * cold.value
+    return Noted((winding, hot.value), (*hot.notes, *cold.notes))
 
 
-def mean_of(run: Run, places: Sequence[Channel], time: Array, notes: list[str]) -> Array:
-    """Mean over the places of a region [degC] at the camera's stamps; NaN where one of them was not seen.
+def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
+    """Average the channels of a region [degC] at the camera's stamps; NaN where one of them has no reading.
 
-    A place that is seen in fewer than half as many frames as the best does not count: a mean over whichever places are
-    there would jump with what tells them apart. Nor does a place that hangs, where its region has another.
+    A channel with readings in fewer than half as many frames as the best does not count: a mean over whichever channels
+    have a reading would jump with the differences between them. A channel that hangs does not count either, if its
+    region has another.
     """
-    places, columns = without_hanging(run, places, notes), []
-    for one in places:
-        refuse_not_celsius(run, one)
-        one = within_range(run, one, notes)
-        same = len(one.time) == len(time) and np.array_equal(one.time, time)
-        columns.append(one.values if same else onto(time, one))
+    moving = without_hanging(run, channels)
+    channels, notes, columns = moving.value, [*moving.notes], []
+    for channel in channels:
+        refuse_not_celsius(run, channel)
+        unclipped = without_clipped(run, channel)
+        notes += unclipped.notes
+        same = len(channel.time) == len(time) and np.array_equal(channel.time, time)
+        columns.append(unclipped.value.values if same else onto(time, unclipped.value))
     seen = np.array([np.isfinite(column).sum() for column in columns])
     if not seen.max(initial=0):
-        raise NotIdentifiable(f"{run.path}: {places[0].quantity} of test was never seen at {_names(places)}")
+        raise NotIdentifiable(f"{run.path}: {channels[0].quantity} of test was never seen at {_names(channels)}")
     kept = seen >= SEEN * seen.max()
     if not kept.all():
-        lost = [one.location for one, keep in zip(places, kept, strict=True) if not keep]
+        lost = [channel.location for channel, keep in zip(channels, kept, strict=True) if not keep]
         notes.append(f"{run.path}: left out {listed(lost)}: not seen in most frames")
-    if kept.sum() == 1 and len(places[0].location):
-        only = next(one.location for one, keep in zip(places, kept, strict=True) if keep)
+    if kept.sum() == 1 and len(channels[0].location):
+        only = next(channel.location for channel, keep in zip(channels, kept, strict=True) if keep)
         notes.append(f"{run.path}: {only} alone stands for its region; differences within the region do not show")
     mean = np.mean([column for column, keep in zip(columns, kept, strict=True) if keep], axis=0)
     if missing := int(np.sum(~np.isfinite(mean))):
-        notes.append(f"{run.path}: {_names(places)}: {missing} of {len(mean)} frames missing; left out")
-    return np.asarray(mean, np.float64)
+        notes.append(f"{run.path}: {_names(channels)}: {missing} of {len(mean)} frames missing; left out")
+    return Noted(np.asarray(mean, np.float64), tuple(notes))
 
 
-def without_hanging(run: Run, places: Sequence[Channel], notes: list[str]) -> list[Channel]:
-    """The places that do not hang; where all of them do, what they read before and after."""
-    rows = [longest_row(one.values) for one in places]
-    hung = [row is not None and bool(hanging(run, one, row)) for one, row in zip(places, rows, strict=True)]
+def without_hanging(run: Run, channels: Sequence[Channel]) -> Noted[list[Channel]]:
+    """Leave out channels that hang; where all of them hang, replace only the repeated readings by NaN."""
+    rows = [longest_repeat(channel.values) for channel in channels]
+    hung = [row is not None and bool(hanging(run, channel, row)) for channel, row in zip(channels, rows, strict=True)]
     if not any(hung):
-        return list(places)
-    lost = [one.location or one.quantity for one, hangs in zip(places, hung, strict=True) if hangs]
+        return Noted(list(channels))
+    lost = [channel.location or channel.quantity for channel, hangs in zip(channels, hung, strict=True) if hangs]
     if not all(hung):
-        notes.append(f"{run.path}: left out {listed(lost)}, which hangs")
-        return [one for one, hangs in zip(places, hung, strict=True) if not hangs]
-    notes.append(f"{run.path}: {listed(lost)} hangs; those frames are left out")
-    found = []
-    for one, row in zip(places, rows, strict=True):
+        moving = [channel for channel, hangs in zip(channels, hung, strict=True) if not hangs]
+        return Noted(moving, (f"{run.path}: left out {listed(lost)}, which hangs",))
+    cut = []
+    for channel, row in zip(channels, rows, strict=True):
         assert row is not None  # it hangs
-        values = one.values.copy()
+        values = channel.values.copy()
         values[row.first + 1 : row.last + 1] = NAN
-        found.append(replace(one, values=values))
-    return found
+        cut.append(replace(channel, values=values))
+    return Noted(cut, (f"{run.path}: {listed(lost)} hangs; those frames are left out",))
 
 
-def ambient_of(run: Run, notes: list[str]) -> tuple[Array, Array] | None:
-    """Stamps and values of the air [degC], what was missed left out; None where the run does not have it."""
+def ambient_of(run: Run) -> Noted[tuple[Array, Array] | None]:
+    """Return stamps [s] and temperatures of the air [degC], both of shape (readings,); None where none is recorded."""
     channels = run.channels(AMBIENT, "bench") or run.channels(AMBIENT)
-    for one in channels:
-        refuse_not_celsius(run, one)
-    read = [one for one in channels if np.isfinite(one.values).sum() > 1]
+    for channel in channels:
+        refuse_not_celsius(run, channel)
+    read = [channel for channel in channels if np.isfinite(channel.values).sum() > 1]
     if not read:
-        notes.append(
-            f"{run.path}: no {AMBIENT}: the air is taken as one temperature throughout, fitted with the network"
-        )
-        return None
+        note = f"{run.path}: no {AMBIENT}: the air is taken as one temperature throughout, fitted with the network"
+        return Noted(None, (note,))
     time = read[0].time[np.isfinite(read[0].values)]
-    values = np.mean([np.interp(time, o.time[g := np.isfinite(o.values)], o.values[g]) for o in read], axis=0)
-    return time, np.asarray(values, np.float64)
+    columns = [
+        np.interp(time, channel.time[good], channel.values[good])
+        for channel in read
+        for good in [np.isfinite(channel.values)]
+    ]
+    return Noted((time, np.asarray(np.mean(columns, axis=0), np.float64)))
 
 
 def refuse_exchanged(run: Run, warmer: Array, colder: Array, name: str, other: str) -> None:
-    """Refuse regions of which the one that carries the current stays colder than another: places are exchanged.
+    """Raise if the region that carries the current stays colder than the other: their locations are exchanged.
 
     Judged at the tenth of the frames in which both lie furthest apart, that is while one of them is heated.
     """
-    both = np.isfinite(warmer) & np.isfinite(colder)
-    apart = (warmer - colder)[both]
-    if len(apart) and float(np.mean(apart[np.abs(apart) >= np.quantile(np.abs(apart), 0.9)])) < 0.0:
+    both_finite = np.isfinite(warmer) & np.isfinite(colder)
+    difference = (warmer - colder)[both_finite]
+    if len(difference) and float(np.mean(difference[np.abs(difference) >= np.quantile(np.abs(difference), 0.9)])) < 0.0:
         raise InputError(
-            f"{run.path}: the {other} get {-float(apart.min()):.1f} K warmer than the {name}, which carry the current:"
-            " places of the camera are exchanged"
+            f"{run.path}: the {other} get {-float(difference.min()):.1f} K warmer than the {name}, which carry the"
+            " current: places of the camera are exchanged"
         )
 
 
 def refuse_clipped(run: Run, channel: Channel) -> None:
-    """Refuse a reading of the supply that stops at a value: what is beyond is heat that nothing tells."""
+    """Raise if a reading of the supply is clipped: the heat beyond is not known."""
     end = clipped(channel)
     if end is not None:
         share = float(np.mean(channel.values == end))
@@ -260,19 +267,19 @@ def refuse_clipped(run: Run, channel: Channel) -> None:
         )
 
 
-def within_range(run: Run, channel: Channel, notes: list[str]) -> Channel:
-    """A place of the camera without the frames in which it stops at a value; a note says how many."""
+def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
+    """Replace readings at the end of a camera's range by NaN; a note says how many."""
     end = clipped(channel)
     if end is None:
-        return channel
-    there = channel.values == end
+        return Noted(channel)
+    at_end = channel.values == end
     where = channel.location or channel.quantity
-    notes.append(f"{run.path}: {where} is clipped at {end:.4g} {channel.units} in {there.sum()} frames; left out")
-    return replace(channel, values=np.where(there, NAN, channel.values))
+    note = f"{run.path}: {where} is clipped at {end:.4g} {channel.units} in {at_end.sum()} frames; left out"
+    return Noted(replace(channel, values=np.where(at_end, NAN, channel.values)), (note,))
 
 
 def refuse_not_celsius(run: Run, channel: Channel) -> None:
-    """Refuse what can only be kelvin under another name."""
+    """Raise if a temperature can only be in kelvin."""
     least = float(np.nanmin(channel.values, initial=np.inf))
     if NOT_CELSIUS < least < np.inf:
         where = f" at {channel.location}" if channel.location else ""
@@ -283,24 +290,24 @@ def refuse_not_celsius(run: Run, channel: Channel) -> None:
 
 
 def onto(time: Array, channel: Channel) -> Array:
-    """Values at other stamps, straight in between; NaN where the channel has none on either side within two paces."""
-    good = np.isfinite(channel.values)
-    stamps = channel.time[good]
+    """Interpolate values at other stamps; NaN where the neighbouring readings are over two sampling intervals apart."""
+    finite = np.isfinite(channel.values)
+    stamps = channel.time[finite]
     if len(stamps) < 2:
         return np.full(len(time), NAN)
-    values = np.interp(time, stamps, channel.values[good], left=NAN, right=NAN)
-    after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
-    values[np.diff(stamps)[after - 1] > 2.0 * float(np.median(np.diff(channel.time)))] = NAN
+    values = np.interp(time, stamps, channel.values[finite], left=NAN, right=NAN)
+    next_stamp = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
+    values[np.diff(stamps)[next_stamp - 1] > 2.0 * float(np.median(np.diff(channel.time)))] = NAN
     return values
 
 
 def unbroken(time: Array) -> list[slice]:
-    """Parts of a clock without a gap that is too long to draw a line over."""
+    """Return the parts of a clock without gaps that are too long to bridge."""
     steps = np.diff(time)
     longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]
     return [slice(a, b) for a, b in itertools.pairwise(cuts)]
 
 
-def _names(places: Sequence[Channel]) -> str:
-    return listed(one.location or one.quantity for one in places)
+def _names(channels: Sequence[Channel]) -> str:
+    return listed(channel.location or channel.quantity for channel in channels)

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.heating.network import NetworkFit
-from leactl.analysis.heating.record import Array, Stretch
-from leactl.analysis.heating.scatter import parts_of, scatter_of, spread_of_sums
+from leactl.analysis.heating.record import Array, HeatingRecord
+from leactl.analysis.heating.scatter import binned_residuals, covariance_of_sums, scatter_of
 from leactl.errors import NotIdentifiable
 
 REFERENCE = 25.0  # degC, at which the resistance is told
 SETTLING_S = 30.0  # after it is switched on: the surface that a camera sees is behind the copper
 SWITCHING_S = 2.0  # before it is switched off
-PACE_S, READINGS = 1.0, 3  # means that the line goes through: over so long, and over so many readings and frames
+PACE_S, READINGS = 1.0, 3  # bins of the line: at least so long [s], and so many readings and frames
 FEWEST = 30  # means
 LEAST_ON_S = SETTLING_S + (FEWEST + 2) * PACE_S + SWITCHING_S  # each mean lies between two others
 
@@ -42,72 +42,81 @@ class ResistanceLine:
 
 
 def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
-    """Fit the resistance over the active windings' temperature.
+    """Fit the resistance of two leads over the temperature of the active windings.
 
     Raises
     ------
     NotIdentifiable : the current was on for too short a time; `place` opens the message.
     """
-    found = [while_on(*one) for one in zip(fit.stretches, fit.lags, fit.rates, strict=True)]
-    time, temperature, around, rate, resistance = (np.concatenate(column) for column in zip(*found, strict=True))
-    if len(time) < FEWEST or np.ptp(around) <= 0.0:
+    readings = [while_on(*record_sums) for record_sums in zip(fit.records, fit.lags, fit.rates, strict=True)]
+    time, temperature, neighbour_temperature, rate, resistance = (
+        np.concatenate(column) for column in zip(*readings, strict=True)
+    )
+    if len(time) < FEWEST or np.ptp(neighbour_temperature) <= 0.0:
         raise NotIdentifiable(
             f"{place}: the current was on, and the active windings seen, for too short a time to tell their resistance;"
             f" {LEAST_ON_S:g} s are needed"
         )
     design = np.column_stack([np.ones(len(time)), temperature - REFERENCE])
-    instruments = np.column_stack([np.ones(len(time)), around - REFERENCE])
+    instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE])
     inverse = np.linalg.inv(instruments.T @ design)
     level, slope = inverse @ (instruments.T @ resistance)
-    left = resistance - design @ np.array([level, slope])
-    edges = np.cumsum([0, *(len(one[0]) for one in found)])
-    there = [slice(a, b) for a, b in itertools.pairwise(edges.tolist()) if b > a]
-    parts = parts_of(
-        [time[at] for at in there], [left[None, at] for at in there], [instruments[None, at] for at in there]
+    residuals = resistance - design @ np.array([level, slope])
+    edges = np.cumsum([0, *(len(record_sums[0]) for record_sums in readings)])
+    record_slices = [slice(a, b) for a, b in itertools.pairwise(edges.tolist()) if b > a]
+    bins = binned_residuals(
+        [time[part] for part in record_slices],
+        [residuals[None, part] for part in record_slices],
+        [instruments[None, part] for part in record_slices],
     )
-    scatter = scatter_of(parts).weighed
-    sums = [spread_of_sums(part, scatter) for part in parts]
+    scatter = scatter_of(bins).weighed
+    sums = [covariance_of_sums(record_bins, scatter) for record_bins in bins]
     # of (level, slope) first, then of the coefficient, which is slope over level
-    turn = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
-    noise, drift = (turn @ sum(one[k] for one in sums) @ turn.T for k in (0, 1))
-    late = turn @ (instruments.T @ (slope * rate))
-    reading = max(float(np.median(np.diff(one.supply.time))) for one in fit.stretches)
-    about = float(np.sum((resistance - resistance.mean()) ** 2))
+    jacobian = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
+    noise, drift = (jacobian @ sum(record_sums[k] for record_sums in sums) @ jacobian.T for k in (0, 1))
+    timing_slopes = jacobian @ (instruments.T @ (slope * rate))
+    reading_interval = max(float(np.median(np.diff(record_sums.supply.time))) for record_sums in fit.records)
+    total_square = float(np.sum((resistance - resistance.mean()) ** 2))
     return ResistanceLine(
         float(level),
         float(slope / level),
         noise,
         drift,
-        reading**2 / 12.0 * np.outer(late, late),
+        reading_interval**2 / 12.0 * np.outer(timing_slopes, timing_slopes),
         scatter.dof,
-        1.0 - float(left @ left) / about if about > 0.0 else math.nan,
+        1.0 - float(residuals @ residuals) / total_square if total_square > 0.0 else math.nan,
         temperature,
         resistance,
     )
 
 
-def while_on(stretch: Stretch, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Means: time [s], active windings, these by the means around [degC], winding's rate [K/s], resistance [ohm]."""
-    supply, stamps = stretch.supply, stretch.time - lag
+def while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return means over bins while the current is on, shape (bins,) each.
+
+    They are time [s], temperature of the active windings [degC], the mean of that in the bins before and after [degC],
+    rate of the winding's temperature [K/s], and resistance [ohm].
+    """
+    supply, stamps = record.supply, record.time - lag
     changes = np.flatnonzero(np.diff(supply.on.astype(np.int8), prepend=0, append=0))
-    held = np.zeros(len(supply.time), bool)
+    steady = np.zeros(len(supply.time), bool)
     for first, last in zip(changes[::2], changes[1::2] - 1, strict=True):
         began = supply.time[first] + (SETTLING_S if first else 0.0)
-        held |= (supply.time > began) & (supply.time < supply.time[last] - SWITCHING_S)
-    pace = max(PACE_S, READINGS * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps))))
-    by_supply, by_camera = (((clock - supply.time[0]) / pace).astype(np.int64) for clock in (supply.time, stamps))
-    size = int(by_supply[-1]) + 1
-    seen = np.isfinite(stretch.active) & (by_camera < size)
-    whole = np.bincount(by_supply[held], minlength=size) == np.bincount(by_supply, minlength=size)
+        steady |= (supply.time > began) & (supply.time < supply.time[last] - SWITCHING_S)
+    bin_width = max(PACE_S, READINGS * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps))))
+    by_supply, by_camera = (((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps))
+    bins = int(by_supply[-1]) + 1
+    frame_seen = np.isfinite(record.active) & (by_camera < bins)
+    bin_complete = np.bincount(by_supply[steady], minlength=bins) == np.bincount(by_supply, minlength=bins)
     with np.errstate(invalid="ignore", divide="ignore"):
-        frames = np.bincount(by_camera[seen], minlength=size)
+        frames = np.bincount(by_camera[frame_seen], minlength=bins)
         temperature, rate, moment = (
-            np.bincount(by_camera[seen], column[seen], size) / frames for column in (stretch.active, rates[0], stamps)
+            np.bincount(by_camera[frame_seen], column[frame_seen], bins) / frames
+            for column in (record.active, rates[0], stamps)
         )
-        time = np.bincount(by_supply, supply.time, size) / np.bincount(by_supply, minlength=size)
+        time = np.bincount(by_supply, supply.time, bins) / np.bincount(by_supply, minlength=bins)
         temperature += rate * (time - moment)
-        resistance = np.bincount(by_supply, supply.voltage, size) / np.bincount(by_supply, supply.current, size)
-    around = np.full(size, np.nan)
-    around[1:-1] = 0.5 * (temperature[2:] + temperature[:-2])
-    good = whole & np.isfinite(temperature) & np.isfinite(around) & np.isfinite(resistance)
-    return time[good], temperature[good], around[good], rate[good], resistance[good]
+        resistance = np.bincount(by_supply, supply.voltage, bins) / np.bincount(by_supply, supply.current, bins)
+    neighbour_temperature = np.full(bins, np.nan)
+    neighbour_temperature[1:-1] = 0.5 * (temperature[2:] + temperature[:-2])
+    usable = bin_complete & np.isfinite(temperature) & np.isfinite(neighbour_temperature) & np.isfinite(resistance)
+    return time[usable], temperature[usable], neighbour_temperature[usable], rate[usable], resistance[usable]

@@ -18,13 +18,13 @@ from leactl.analysis.heating.record import Array
 
 PACE_S = 1.0  # residuals are looked at as means over this long, or over 1/4000 of a stretch
 MOST = 4000
-SOONEST, LATEST = 2.0, 0.1  # paces, part of a stretch: how long a drift may last
+SOONEST, LATEST = 2.0, 0.1  # bounds of a drift's decay time: bins, and share of all records
 TRIES = (10.0, 200.0)  # s
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Residuals and columns of one stretch in bins: sums for the estimate, means for what it is held against."""
+class BinnedResiduals:
+    """Residuals and derivatives of one record in bins of even length."""
 
     pace: float  # s
     residuals: Array  # (nodes, bins), means [K]; zero where nothing was seen
@@ -39,54 +39,69 @@ class Scatter:
 
     noise: Array  # (nodes,), variance of the noise of a bin
     drift: Array  # (nodes, nodes), covariance of the drift
-    lasts: float  # s, that a drift decays over
+    decay_time: float  # s, that a drift decays over
     span: float  # s, of record behind it
-    calm: Array  # (nodes,), variance of the noise of a bin if there is no drift
-    seen: float  # weight of the drift against none, after Akaike (Burnham & Anderson, 2002, section 2.9)
+    noise_without_drift: Array  # (nodes,), variance of the noise of a bin in a model without drift
+    drift_weight: float  # of the model with drift against that without, after Akaike (Burnham & Anderson, 2002, 2.9)
 
     @property
     def weighed(self) -> Self:
-        """The mean of both by their weights: of little data, chance alone makes a drift as large as the noise."""
-        noise = self.seen * self.noise + (1.0 - self.seen) * self.calm
-        return replace(self, noise=noise, drift=self.seen * self.drift)
+        """Average the models with and without drift by their weights: with little data, chance alone shows a drift."""
+        noise = self.drift_weight * self.noise + (1.0 - self.drift_weight) * self.noise_without_drift
+        return replace(self, noise=noise, drift=self.drift_weight * self.drift)
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom that the drift's variance rests on: a piece of record for each time that it lasts."""
-        return max(self.span / (2.0 * self.lasts) - 1.0, 1.0)
+        """Degrees of freedom of the drift's variance: the record's length over twice the drift's decay time."""
+        return max(self.span / (2.0 * self.decay_time) - 1.0, 1.0)
 
 
-def parts_of(times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]) -> list[Part]:
-    """Stretches in bins; residuals of shape (nodes, frames), NaN where missing, columns (nodes, frames, unknowns)."""
-    found = []
-    for time, left, column in zip(times, residuals, columns, strict=True):
+def binned_residuals(
+    times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]
+) -> list[BinnedResiduals]:
+    """Average residuals and sum derivatives in bins of each record.
+
+    Parameters
+    ----------
+    times : of each record [s], (frames,).
+    residuals : of each record, (nodes, frames), NaN where missing.
+    columns : derivatives of each record, (nodes, frames, unknowns).
+    """
+    every_record = []
+    for time, residual, column in zip(times, residuals, columns, strict=True):
         pace = max(PACE_S, float(time[-1] - time[0]) / MOST, 2.0 * float(np.median(np.diff(time))))
-        bins = ((time - time[0]) / pace).astype(np.int64)
-        size = int(bins[-1]) + 1
-        products = np.zeros((len(left), column.shape[2], column.shape[2]))
-        means, sums = np.zeros((len(left), size)), np.zeros((len(left), size, column.shape[2]))
-        for node, row in enumerate(left):
-            seen = np.isfinite(row)
-            count = np.bincount(bins[seen], minlength=size)
-            means[node] = np.bincount(bins[seen], row[seen], size) / np.maximum(count, 1)
-            products[node] = column[node][seen].T @ column[node][seen] * np.mean(count[count > 0])
+        bin_of_frame = ((time - time[0]) / pace).astype(np.int64)
+        count_of_bins = int(bin_of_frame[-1]) + 1
+        products = np.zeros((len(residual), column.shape[2], column.shape[2]))
+        means, sums = (
+            np.zeros((len(residual), count_of_bins)),
+            np.zeros((len(residual), count_of_bins, column.shape[2])),
+        )
+        for node, row in enumerate(residual):
+            finite = np.isfinite(row)
+            count = np.bincount(bin_of_frame[finite], minlength=count_of_bins)
+            means[node] = np.bincount(bin_of_frame[finite], row[finite], count_of_bins) / np.maximum(count, 1)
+            products[node] = column[node][finite].T @ column[node][finite] * np.mean(count[count > 0])
             for k in range(column.shape[2]):
-                sums[node, :, k] = np.bincount(bins[seen], column[node][seen, k], size)
-        found.append(Part(pace, means, sums, products))
-    return found
+                sums[node, :, k] = np.bincount(bin_of_frame[finite], column[node][finite, k], count_of_bins)
+        every_record.append(BinnedResiduals(pace, means, sums, products))
+    return every_record
 
 
-def scatter_of(parts: Sequence[Part]) -> Scatter:
-    """Noise and drift by restricted maximum likelihood."""
+def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
+    """Estimate noise and drift by restricted maximum likelihood."""
     from scipy.optimize import minimize
 
-    nodes = len(parts[0].residuals)
-    span = sum(part.pace * part.residuals.shape[1] for part in parts)
-    spread = np.array(
-        [max(math.sqrt(np.mean(np.concatenate([p.residuals[n] for p in parts]) ** 2)), 1e-9) for n in range(nodes)]
+    nodes = len(bins[0].residuals)
+    span = sum(record_bins.pace * record_bins.residuals.shape[1] for record_bins in bins)
+    rms = np.array(
+        [
+            max(math.sqrt(np.mean(np.concatenate([record_bins.residuals[n] for record_bins in bins]) ** 2)), 1e-9)
+            for n in range(nodes)
+        ]
     )
-    spectra = _spectra(parts, spread)
-    low, high = math.log(SOONEST * parts[0].pace), math.log(max(LATEST * span, 4.0 * parts[0].pace))
+    spectra = _spectra(bins, rms)
+    low, high = math.log(SOONEST * bins[0].pace), math.log(max(LATEST * span, 4.0 * bins[0].pace))
     lower = [(n, k) for n in range(nodes) for k in range(n + 1)]
     bounds = [(-14.0, 3.0)] * nodes + [(-3.0, 3.0)] * len(lower) + [(low, high)]
 
@@ -100,41 +115,48 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
     def cost(point: Array) -> float:
         return _unlikelihood(unpacked(point), spectra)
 
-    found = []
+    solutions = []
     for lasts in TRIES:
         start = [math.log(0.7)] * nodes + [0.3 if n == k else 0.0 for n, k in lower]
         begin = np.array([*start, min(max(math.log(lasts), low), high)])
-        found.append(minimize(cost, begin, method="L-BFGS-B", bounds=bounds))
-    best = min(found, key=lambda one: float(one.fun))
-    still = bounds[:nodes] + [(0.0, 0.0)] * len(lower) + [(low, low)]
-    calm = minimize(cost, [0.0] * (nodes + len(lower)) + [low], method="L-BFGS-B", bounds=still)
-    seen = 1.0 / (1.0 + math.exp(min(len(lower) + 1 - 0.5 * (calm.fun - best.fun), 700.0)))
-    told, scale = unpacked(best.x), np.outer(spread, spread)
-    without = np.exp(calm.x[:nodes]) * spread**2
-    return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span, without, seen)
+        solutions.append(minimize(cost, begin, method="L-BFGS-B", bounds=bounds))
+    best = min(solutions, key=lambda solution: float(solution.fun))
+    bounds_without_drift = bounds[:nodes] + [(0.0, 0.0)] * len(lower) + [(low, low)]
+    without_drift = minimize(cost, [0.0] * (nodes + len(lower)) + [low], method="L-BFGS-B", bounds=bounds_without_drift)
+    weight_of_drift = 1.0 / (1.0 + math.exp(min(len(lower) + 1 - 0.5 * (without_drift.fun - best.fun), 700.0)))
+    with_drift, scale = unpacked(best.x), np.outer(rms, rms)
+    noise_without_drift = np.exp(without_drift.x[:nodes]) * rms**2
+    return Scatter(
+        with_drift.noise * rms**2,
+        with_drift.drift * scale,
+        with_drift.decay_time,
+        span,
+        noise_without_drift,
+        weight_of_drift,
+    )
 
 
-def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:
-    """Covariance of sums of residuals weighted by the columns, by noise and by drift: (unknowns, unknowns) each."""
-    bins = part.columns.shape[1]
-    padded = np.fft.rfft(part.columns, 2 * bins, axis=1)
-    weight = _halves(2 * bins) / (2 * bins)
-    shape = drift_spectrum(scatter.lasts, part.pace, 2 * bins) * weight
-    by_noise = np.tensordot(scatter.noise, part.products, 1)
+def covariance_of_sums(record_bins: BinnedResiduals, scatter: Scatter) -> tuple[Array, Array]:
+    """Covariance of column-weighted sums of residuals, by noise and by drift, shape (unknowns, unknowns) each."""
+    bin_count = record_bins.columns.shape[1]
+    padded = np.fft.rfft(record_bins.columns, 2 * bin_count, axis=1)
+    weight = _halves(2 * bin_count) / (2 * bin_count)
+    shape = drift_spectrum(scatter.decay_time, record_bins.pace, 2 * bin_count) * weight
+    by_noise = np.tensordot(scatter.noise, record_bins.products, 1)
     mixed = np.einsum("nm,mfl->nfl", scatter.drift, padded)
     by_drift = np.einsum("nfk,nfl,f->kl", padded.conj(), mixed, shape, optimize=True).real
     return np.asarray(by_noise), np.asarray(by_drift)
 
 
 def drift_spectrum(lasts: float, pace: float, size: int) -> Array:
-    """Spectrum of a drift of unit variance in bins, at the frequencies of a real transform."""
-    stays = math.exp(-pace / lasts)
-    turn = 2.0 * np.pi * np.arange(size // 2 + 1) / size
-    return np.asarray((1.0 - stays**2) / (1.0 - 2.0 * stays * np.cos(turn) + stays**2), np.float64)
+    """Return the spectrum of a drift of unit variance in bins, at the frequencies of a real transform."""
+    decay = math.exp(-pace / lasts)
+    angles = 2.0 * np.pi * np.arange(size // 2 + 1) / size
+    return np.asarray((1.0 - decay**2) / (1.0 - 2.0 * decay * np.cos(angles) + decay**2), np.float64)
 
 
 def _halves(size: int) -> Array:
-    """How often each frequency of a real transform counts."""
+    """Return how often each frequency of a real transform counts."""
     weight = np.full(size // 2 + 1, 2.0)
     weight[0] = 1.0
     if size % 2 == 0:
@@ -144,7 +166,7 @@ def _halves(size: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Transforms of one stretch, real and imaginary parts one after the other, each weighted by how often it counts."""
+    """Transforms of one record, real and imaginary parts in sequence, weighted by how often each frequency counts."""
 
     residuals: Array  # (nodes, parts), over their spread
     columns: Array  # (nodes, parts, unknowns), over theirs
@@ -152,39 +174,46 @@ class Spectrum:
     pace: float  # s
 
 
-def _spectra(parts: Sequence[Part], spread: Array) -> list[Spectrum]:
-    columns = [part.columns / spread[:, None, None] for part in parts]
-    length = np.sqrt(sum(np.sum(one**2, axis=(0, 1)) for one in columns))
+def _spectra(bins: Sequence[BinnedResiduals], rms: Array) -> list[Spectrum]:
+    columns = [record_bins.columns / rms[:, None, None] for record_bins in bins]
+    length = np.sqrt(sum(np.sum(transform**2, axis=(0, 1)) for transform in columns))
     length[length == 0.0] = 1.0
-    found = []
-    for part, column in zip(parts, columns, strict=True):
-        size = part.residuals.shape[1]
+    spectra = []
+    for record_bins, column in zip(bins, columns, strict=True):
+        size = record_bins.residuals.shape[1]
         weight = np.sqrt(_halves(size) / size)
-        left = np.fft.rfft(part.residuals / spread[:, None], axis=1) * weight
-        turned = np.fft.rfft(column / length, axis=1) * weight[:, None]
-        rows, stacked = (np.concatenate([one.real, one.imag], axis=1) for one in (left, turned))
-        found.append(Spectrum(rows, stacked, size, part.pace))
-    return found
+        residual_transform = np.fft.rfft(record_bins.residuals / rms[:, None], axis=1) * weight
+        column_transform = np.fft.rfft(column / length, axis=1) * weight[:, None]
+        rows, stacked = (
+            np.concatenate([transform.real, transform.imag], axis=1)
+            for transform in (residual_transform, column_transform)
+        )
+        spectra.append(Spectrum(rows, stacked, size, record_bins.pace))
+    return spectra
 
 
-def _unlikelihood(told: Scatter, spectra: Sequence[Spectrum]) -> float:
-    """Minus twice the logarithm of the restricted likelihood.
+def _unlikelihood(scatter: Scatter, spectra: Sequence[Spectrum]) -> float:
+    """Return minus twice the logarithm of the restricted likelihood.
 
-    Noise and drift are made independent at each frequency by one turn for all, in which noise has variance one.
+    One rotation makes noise and drift independent at each frequency; in it, noise has variance one.
     """
-    root = 1.0 / np.sqrt(told.noise)
-    drifts, vectors = np.linalg.eigh(told.drift * np.outer(root, root))
-    turn = vectors.T * root
+    root = 1.0 / np.sqrt(scatter.noise)
+    drifts, vectors = np.linalg.eigh(scatter.drift * np.outer(root, root))
+    rotation = vectors.T * root
     total, rows, columns = 0.0, [], []
-    for one in spectra:
-        shape = drift_spectrum(told.lasts, one.pace, one.size)
+    for spectrum in spectra:
+        shape = drift_spectrum(scatter.decay_time, spectrum.pace, spectrum.size)
         density = 1.0 + np.maximum(drifts, 0.0)[:, None] * shape
-        total += float(_halves(one.size) @ np.log(density).sum(axis=0)) + one.size * float(np.log(told.noise).sum())
+        total += float(_halves(spectrum.size) @ np.log(density).sum(axis=0)) + spectrum.size * float(
+            np.log(scatter.noise).sum()
+        )
         scale = 1.0 / np.sqrt(np.tile(density, 2))
-        rows.append(((turn @ one.residuals) * scale).ravel())
-        columns.append((np.tensordot(turn, one.columns, 1) * scale[:, :, None]).reshape(-1, one.columns.shape[2]))
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    informed, crossed = column.T @ column, column.T @ row
+        rows.append(((rotation @ spectrum.residuals) * scale).ravel())
+        columns.append(
+            (np.tensordot(rotation, spectrum.columns, 1) * scale[:, :, None]).reshape(-1, spectrum.columns.shape[2])
+        )
+    all_rows, all_columns = np.concatenate(rows), np.concatenate(columns)
+    informed, crossed = all_columns.T @ all_columns, all_columns.T @ all_rows
     informed += 1e-12 * np.trace(informed) * np.eye(len(informed))
-    taken = float(crossed @ np.linalg.solve(informed, crossed))
-    return total + float(row @ row) + float(np.linalg.slogdet(informed)[1]) - taken
+    explained = float(crossed @ np.linalg.solve(informed, crossed))
+    return total + float(all_rows @ all_rows) + float(np.linalg.slogdet(informed)[1]) - explained

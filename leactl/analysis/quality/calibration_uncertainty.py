@@ -1,4 +1,4 @@
-"""What instruments multiply their readings by: its relative standard uncertainty, as told or as the channel has it."""
+"""Relative standard uncertainty of the factor that instruments multiply their readings by: given, or the channel's."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,33 +7,36 @@ from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 
 
-def gain_std(runs: Sequence[Run], quantity: str, told: float | None) -> float:
-    """That of a quantity of the test actuator; its channel's own unless told.
+def gain_std(runs: Sequence[Run], quantity: str, given: float | None) -> float:
+    """Return the relative standard uncertainty of a quantity's calibration: the given one, else the channels' largest.
 
     Raises
     ------
-    InputError : one below zero.
+    InputError : it is below zero or not finite.
     """
-    if told is None:
+    if given is None:
         return max((channel.scale_std for run in runs for channel in run.channels(quantity, role="test")), default=0.0)
-    if not (math.isfinite(told) and told >= 0.0):
+    if not (math.isfinite(given) and given >= 0.0):
         name = f"{quantity.rpartition('_')[2]}_gain_std"
-        raise InputError(f"{name} {told:g}: a relative standard uncertainty of zero or more was expected")
-    return told
+        raise InputError(f"{name} {given:g}: a relative standard uncertainty of zero or more was expected")
+    return given
 
 
-def doubts(stds: Mapping[str, float], where: str) -> list[str]:
-    """What a reader must know of factors on results, by whose they are; one of 0 is not known."""
-    told = {of: std for of, std in stds.items() if std}
-    silent = [of for of in stds if of not in told]
-    found = []
-    if told:
-        whole = math.hypot(*told.values())
-        found.append(f"{_factor(told)} on {where}; its {whole:.2g} is in their uncertainty")
-    if silent:
-        found.append(f"{_factor(silent)} on {where}, on top of their uncertainty")
-    return found
+def calibration_notes(stds: Mapping[str, float], results: str) -> list[str]:
+    """Return notes on instruments whose calibration scales the results; an uncertainty of 0 counts as unknown.
+
+    `stds` are relative standard uncertainties by instrument, `results` names what they scale.
+    """
+    known = {instrument: std for instrument, std in stds.items() if std}
+    unknown = [instrument for instrument in stds if instrument not in known]
+    notes = []
+    if known:
+        combined = math.hypot(*known.values())
+        notes.append(f"{_factor(known)} on {results}; its {combined:.2g} is in their uncertainty")
+    if unknown:
+        notes.append(f"{_factor(unknown)} on {results}, on top of their uncertainty")
+    return notes
 
 
-def _factor(of: Iterable[str]) -> str:
-    return f"an error in the calibration of {' or '.join(of)} is a factor"
+def _factor(instruments: Iterable[str]) -> str:
+    return f"an error in the calibration of {' or '.join(instruments)} is a factor"

@@ -1,4 +1,4 @@
-"""Ratios of torque constants by which a wrong convention of current shows, or of voltages by a back-EMF constant.
+"""Wrong conventions of current and voltage, recognised by the factor that each puts on a torque constant.
 
 q-axis current, power-invariant, is sqrt(3/2) times the amplitude of a phase and sqrt(3) times its rms value.
 """
@@ -19,20 +19,25 @@ VOLTAGES = {
 WITHIN = 0.02
 
 
-def named(ratio: float) -> str:
-    """What a torque constant this many times too large says of its current; empty where it says nothing."""
-    why = of(ratio, CONVENTIONS)
-    return f"{why}; check current_convention" if why else ""
+def reason_for_torque_constant(ratio: float) -> str:
+    """Return why a torque constant may be `ratio` times too large; empty where no wrong convention of current fits."""
+    reason = reason_for_factor(ratio, CONVENTIONS)
+    return f"{reason}; check current_convention" if reason else ""
 
 
-def named_by_voltages(ratio: float, measured: bool) -> str:
-    """The same where it is too large for a back-EMF constant; in a model that has it no current was `measured`."""
-    why, volts = named(ratio), of(ratio, VOLTAGES)
-    if why and not measured:
-        why = "the model's torque constant may be one per ampere of another current than that of the q axis"
-    return "; or ".join(filter(None, (why, volts) if measured else (volts, why)))
+def reason_for_ratio(ratio: float, measured: bool) -> str:
+    """Return why the ratio of torque constant to back-EMF constant is off; empty where nothing fits.
+
+    `measured` is False where the torque constant is a model's, for which no current was measured.
+    """
+    current_reason, voltage_reason = reason_for_torque_constant(ratio), reason_for_factor(ratio, VOLTAGES)
+    if current_reason and not measured:
+        current_reason = "the model's torque constant may be one per ampere of another current than that of the q axis"
+    return "; or ".join(
+        filter(None, (current_reason, voltage_reason) if measured else (voltage_reason, current_reason))
+    )
 
 
-def of(ratio: float, reasons: Mapping[float, str]) -> str:
-    """The reason whose factor this is; empty where there is none."""
-    return next((why for factor, why in reasons.items() if abs(ratio / factor - 1.0) < WITHIN), "")
+def reason_for_factor(ratio: float, reasons: Mapping[float, str]) -> str:
+    """Return the reason whose factor is within 2 % of the ratio; empty where there is none."""
+    return next((reason for factor, reason in reasons.items() if abs(ratio / factor - 1.0) < WITHIN), "")

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from leactl.analysis.quality.following import following
-from leactl.analysis.quality.hanging import Row, hangs, longest_row, stands_while
+from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_other_moves
 from leactl.analysis.quality.saturation import clipped
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
-from leactl.analysis.signals.levels import Held, span
+from leactl.analysis.signals.levels import HoldSelector, span
 from leactl.runfile.read.reader import Array, Channel, Run
 
 DEMANDS = {
@@ -23,7 +23,7 @@ DEMANDS = {
     "angle": "angle_reference",
 }
 HELD = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # the same in the parameters of a hold
-TOGETHER = {  # where one moves far, the other does not stand
+TOGETHER = {  # partners: while one moves far, the other must not stand
     "line_voltage": "line_current",
     "line_current": "line_voltage",
     "phase_voltage_ab": "phase_voltage_bc",
@@ -44,143 +44,148 @@ WARMEST_ROOM = 60.0  # degC, as 0 degC the other end of where people and instrum
 NOT_MEASURED = ("drive_enabled",)
 MISSING = 0.01  # of a channel's readings, above which a note says so
 NEARLY_ALL = 0.99  # of a channel's readings, that no analysis can do without
-APART = 0.5  # of the larger, between the path of an angle and the integral of its velocity: a filter's lag is less
-PLAIN = 0.2  # of the farthest way in a part: below, the zero of a tachometer may be what turns
-FEWEST_APART = 3  # parts in which they are apart
+APART = 0.5  # of the larger, that path and integral may differ by: the lag of a filter is less
+PLAIN = 0.2  # of the farthest travel in a part: below, a tachometer's zero may look like motion
+FEWEST_APART = 3  # parts of the record in which they must disagree
 PARTS = 64  # of a record, in each of which path and integral are compared
 CLEAR = 10.0  # counts of the encoder: below, the shaft may stand
-SURE = 5.0  # standard deviations of what a velocity's noise adds up to in a part: a chance of 1e-6 a part
+SURE = 5.0  # standard deviations of the noise that a velocity integrates to in a part: a chance of 1e-6 a part
 
 
-def doubts_of(run: Run) -> list[str]:
-    """Notes on the channels of a run that cannot be believed; those that contradict their demand are condemned."""
+def channel_doubts(run: Run) -> list[str]:
+    """Return notes on the doubtful channels of a run; channels that contradict their demand are condemned."""
     notes = beyond_limits([run], [name for name in LIMITS if run.channels(name)])
     notes += [note for role in ("test", "load") for note in contradicting_motion(run, role)]
     notes += [note for role in ("test", "load") for note in contradicting_voltages(run, role)]
     for stream, specs in run.streams.items():
-        for spec in specs:
-            if spec.quantity.endswith("_reference") or spec.quantity in NOT_MEASURED or not spec.quantity:
+        for channel_spec in specs:
+            if (
+                channel_spec.quantity.endswith("_reference")
+                or channel_spec.quantity in NOT_MEASURED
+                or not channel_spec.quantity
+            ):
                 continue
-            channel = run.channel_at(f"{stream}/{spec.name}")
+            channel = run.channel_at(f"{stream}/{channel_spec.name}")
             if not np.isfinite(channel.values).any():
                 continue
-            notes += judged(run, f"{stream}/{spec.name}", channel)
+            notes += notes_on_channel(run, f"{stream}/{channel_spec.name}", channel)
     return notes
 
 
-def judged(run: Run, name: str, channel: Channel) -> Iterator[str]:
-    """What is wrong with one channel, a note each."""
+def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
+    """Yield a note for each fault of one channel, and condemn the channel if it cannot be a measurement."""
     opening = f"{run.path}: {label_of(channel)}"
-    row = longest_row(channel.values)
-    hint = hanging(run, channel, row) if row is not None else ""
+    repeat = longest_repeat(channel.values)
+    hanging_reason = hanging(run, channel, repeat) if repeat is not None else ""
     reason = contradiction(run, channel)
-    if not reason and hint and channel.quantity in DEMANDS and row is not None:
-        reason = hint if row.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
-    if not reason and channel.quantity == "line_current" and row is not None and row.value:
-        reason = hint  # the heat is not known
+    if not reason and hanging_reason and channel.quantity in DEMANDS and repeat is not None:
+        reason = hanging_reason if repeat.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
+    if not reason and channel.quantity == "line_current" and repeat is not None and repeat.value:
+        reason = hanging_reason  # the heat is not known
     if reason:
         run.condemned[name] = f"{opening} {reason}"
         yield run.condemned[name]
         return
-    if hint or (hint := standing(run, channel, row)):
-        yield f"{opening} {hint}"
+    if hanging_reason or (hanging_reason := standing(run, channel, repeat)):
+        yield f"{opening} {hanging_reason}"
     demand = demand_of(run, channel)
-    found = following(demand, channel.values, from_zero=channel.quantity != "angle") if demand is not None else None
-    if found is not None and found.fault == "unit":
-        yield f"{opening} is {found.gain:.3g} times its demand: check its units"
-    between = np.flatnonzero(np.isfinite(channel.values))
-    lacking = float(np.mean(~np.isfinite(channel.values[between[0] : between[-1] + 1])))
-    if lacking > MISSING:
-        yield f"{opening}: {lacking:.1%} of its readings are missing"
+    answer = following(demand, channel.values, from_zero=channel.quantity != "angle") if demand is not None else None
+    if answer is not None and answer.fault == "unit":
+        yield f"{opening} is {answer.gain:.3g} times its demand: check its units"
+    finite = np.flatnonzero(np.isfinite(channel.values))
+    missing_share = float(np.mean(~np.isfinite(channel.values[finite[0] : finite[-1] + 1])))
+    if missing_share > MISSING:
+        yield f"{opening}: {missing_share:.1%} of its readings are missing"
 
 
 def label_of(channel: Channel) -> str:
-    """Quantity, role and device of a channel, and where it was measured if that is known."""
+    """Return quantity, role and device of a channel, and its location where that is known."""
     where = f" at {channel.location}" if channel.location else ""
     return f"{channel.quantity} of {channel.role}{where} ({channel.device or 'device not known'})"
 
 
 def contradiction(run: Run, channel: Channel) -> str:
-    """Why a channel cannot be a measurement at all; empty where it may."""
+    """Return why a channel cannot be a measurement; empty where it can."""
     demand = demand_of(run, channel)
     if demand is not None:
-        found = following(demand, channel.values, from_zero=channel.quantity != "angle")
-        fault = found.fault if found is not None else ""
-        at = most_wanted(demand)
-        asked = f"{demand[at]:.4g} {channel.units} were demanded at {channel.time[at]:.3g} s{step_at(run, channel, at)}"
-        reads = f"{channel.values[at]:.4g}"
+        answer = following(demand, channel.values, from_zero=channel.quantity != "angle")
+        fault = answer.fault if answer is not None else ""
+        largest = most_wanted(demand)
+        moment = f"{channel.time[largest]:.3g} s{step_at(run, channel, largest)}"
+        demanded = f"{demand[largest]:.4g} {channel.units} were demanded at {moment}"
+        reading = f"{channel.values[largest]:.4g}"
         if fault == "opposite":
-            return f"has the opposite sign of its demand: it reads {reads} where {asked}; {SWAPPED}"
+            return f"has the opposite sign of its demand: it reads {reading} where {demanded}; {SWAPPED}"
         if fault == "dead":
-            return f"does not follow its demand: it reads {reads} where {asked}; is its sensor connected?"
-    if channel.quantity in HEATED and len(others := neighbours(run, channel, region_of(channel))) > 1:
-        found = following(np.median(others, axis=0), channel.values, from_zero=False)
-        if found is not None and found.fault == "opposite":
-            return f"falls where the {len(others)} other places of its region rise: its sign is turned"
+            return f"does not follow its demand: it reads {reading} where {demanded}; is its sensor connected?"
+    if channel.quantity in HEATED and len(other_places := neighbours(run, channel, region_of(channel))) > 1:
+        answer = following(np.median(other_places, axis=0), channel.values, from_zero=False)
+        if answer is not None and answer.fault == "opposite":
+            return f"falls where the {len(other_places)} other places of its region rise: its sign is turned"
     if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
         return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
     if channel.quantity in NEVER_NEGATIVE and float(np.nanmedian(channel.values)) < 0.0:
-        most = float(np.nanmin(channel.values))
-        return f"reads down to {most:.4g} {channel.units}, above zero was expected: its leads are swapped"
+        lowest = float(np.nanmin(channel.values))
+        return f"reads down to {lowest:.4g} {channel.units}, above zero was expected: its leads are swapped"
     return ""
 
 
-def hanging(run: Run, channel: Channel, row: Row) -> str:
-    """Where a channel repeats one reading that it should not; empty where it may."""
-    if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, row):
+def hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
+    """Return where a channel repeats a reading although it should move; empty where it need not move."""
+    if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, repeat):
         return ""  # the analysis says so, and does without those readings
-    moved = any(stands_while(row, other) for other in companions(run, channel))
-    resting = channel.quantity in AT_REST and row.value == 0.0
-    if not moved and (resting or channel.quantity == "angle" or not hangs(channel.values, row)):
+    moved = any(stands_while_other_moves(repeat, other) for other in companions(run, channel))
+    at_rest_zero = channel.quantity in AT_REST and repeat.value == 0.0
+    if not moved and (at_rest_zero or channel.quantity == "angle" or not hangs(channel.values, repeat)):
         return ""
-    begin, end = float(channel.time[row.first]), float(channel.time[row.last])
-    what = "although what moves with it did" if moved else "although its noise shows elsewhere"
+    begin, end = float(channel.time[repeat.first]), float(channel.time[repeat.last])
+    evidence = "although what moves with it did" if moved else "although its noise shows elsewhere"
     return (
-        f"hangs: exactly {row.value:.6g} {channel.units} in {row.length} readings from {begin:.4g} to {end:.4g} s"
-        f"{step_at(run, channel, row.first)}, {what}"
+        f"hangs: exactly {repeat.value:.6g} {channel.units} in {repeat.length} readings from {begin:.4g} to {end:.4g} s"
+        f"{step_at(run, channel, repeat.first)}, {evidence}"
     )
 
 
-def standing(run: Run, channel: Channel, row: Row | None) -> str:
-    """What else is to be told of a reading that stays as it is, or that no laboratory has; empty for most."""
-    lasts = row is not None and row.value != 0.0 and row.length > STANDS * len(channel.values)
-    if row is not None and lasts and channel.quantity == "line_voltage":
-        begin, end = float(channel.time[row.first]), float(channel.time[row.last])
+def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
+    """Return why a constant reading or an ambient temperature is doubtful; empty for most channels."""
+    long_repeat = repeat is not None and repeat.value != 0.0 and repeat.length > STANDS * len(channel.values)
+    if repeat is not None and long_repeat and channel.quantity == "line_voltage":
+        begin, end = float(channel.time[repeat.first]), float(channel.time[repeat.last])
         return (
-            f"stays at exactly {row.value:.6g} {channel.units} from {begin:.4g} to {end:.4g} s"
-            f"{step_at(run, channel, row.first)}: it hangs, or the winding no longer warms"
+            f"stays at exactly {repeat.value:.6g} {channel.units} from {begin:.4g} to {end:.4g} s"
+            f"{step_at(run, channel, repeat.first)}: it hangs, or the winding no longer warms"
         )
     if channel.quantity == "ambient_temperature":
-        least = float(np.nanmedian(channel.values))
-        if not 0.0 <= least <= WARMEST_ROOM:
-            return f"reads {least:.1f} {channel.units}: are its sign and its unit right?"
-        if row is not None and row.length == np.isfinite(channel.values).sum() > FEWEST_APART:
-            return f"reads exactly {row.value:.6g} {channel.units} throughout: does it measure?"
+        median = float(np.nanmedian(channel.values))
+        if not 0.0 <= median <= WARMEST_ROOM:
+            return f"reads {median:.1f} {channel.units}: are its sign and its unit right?"
+        if repeat is not None and repeat.length == np.isfinite(channel.values).sum() > FEWEST_APART:
+            return f"reads exactly {repeat.value:.6g} {channel.units} throughout: does it measure?"
     return ""
 
 
-def leaves_its_range(channel: Channel, row: Row) -> bool:
-    """Whether a row is the end of a sensor's range, to which readings come and from which they go again."""
-    return clipped(channel) == row.value and row.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
+def leaves_its_range(channel: Channel, repeat: RepeatedReading) -> bool:
+    """Whether the repeated reading is the end of the sensor's range, which later readings leave again."""
+    return clipped(channel) == repeat.value and repeat.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
 
 
 def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
-    """The demand of a channel, or of another quantity of the same drive, at its own readings; None without one.
+    """Return the demand at a channel's own stamps, or that of another quantity of the same drive; None without one.
 
-    Where a run has no channel of it, the settled parts of its holds tell.
+    Where a run has no channel of the demand, the setpoints of its settled holds are used.
     """
     quantity = quantity or channel.quantity
     reference = beside(run, channel, DEMANDS.get(quantity))
     if reference is not None or quantity not in HELD:
         return reference
     demand = np.full(len(channel.time), np.nan)
-    for hold in Held(HELD[quantity], "", channel.role).levels(run):
+    for hold in HoldSelector(HELD[quantity], "", channel.role).holds_of(run):
         demand[span(channel, hold.start, hold.stop)] = hold.setpoint
     return demand if np.isfinite(demand).any() else None
 
 
 def companions(run: Run, channel: Channel) -> Iterator[Array]:
-    """What a channel cannot stand beside while it moves: its demand, its partner, the motion that a current drives."""
+    """Yield what a channel must move with: its demand, its partner, and the motion that a current drives."""
     others = [demand_of(run, channel), beside(run, channel, TOGETHER.get(channel.quantity))]
     if channel.quantity in HEATED:
         others += neighbours(run, channel)
@@ -190,28 +195,34 @@ def companions(run: Run, channel: Channel) -> Iterator[Array]:
 
 
 def neighbours(run: Run, channel: Channel, region: str | None = None) -> list[Array]:
-    """The same quantity at other places of the same actuator, or of a region of it, where they have the same stamps.
+    """Return the same quantity at other locations of the actuator, or of one region of it, with the same stamps.
 
-    A place that is condemned tells nothing of the others.
+    Condemned channels are left out.
     """
     names = [f"{channel.stream}/{spec.name}" for spec in run.streams[channel.stream]]
-    alike = [(channel.quantity, channel.role) == (spec.quantity, spec.role) for spec in run.streams[channel.stream]]
-    places = [run.channel_at(name) for name, one in zip(names, alike, strict=True) if one and name not in run.condemned]
+    same_quantity = [
+        (channel.quantity, channel.role) == (spec.quantity, spec.role) for spec in run.streams[channel.stream]
+    ]
+    channels = [
+        run.channel_at(name)
+        for name, is_same in zip(names, same_quantity, strict=True)
+        if is_same and name not in run.condemned
+    ]
     return [
         other.values
-        for other in places
+        for other in channels
         if other.location != channel.location and np.isfinite(other.values).any()
         if region in (None, region_of(other))
     ]
 
 
 def region_of(channel: Channel) -> str:
-    """The part of an actuator that a place is in: `active` of `active_2`; one part may cool while another warms."""
+    """Return the region of an actuator that a location is in: `active` of `active_2`."""
     return channel.location.partition("_")[0]
 
 
 def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:
-    """The one other channel of this quantity and the same role, where it has the same stamps."""
+    """Return the only other channel of a quantity with the same role and stamps; None where there is none."""
     others = run.channels(quantity, channel.role) if quantity else []
     if len(others) != 1 or others[0].stream != channel.stream or not np.isfinite(others[0].values).any():
         return None
@@ -219,47 +230,49 @@ def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:
 
 
 def most_wanted(demand: Array) -> int:
-    """The middle of the readings whose demand is largest: settled, where it is held."""
+    """Return the middle index of the readings whose demand is largest."""
     size = np.abs(np.nan_to_num(demand))
-    at = np.flatnonzero(size == size.max())
-    return int(at[len(at) // 2])
+    largest = np.flatnonzero(size == size.max())
+    return int(largest[len(largest) // 2])
 
 
-def step_at(run: Run, channel: Channel, at: int) -> str:
-    """The step of a run in which a reading was taken, in words."""
-    time = float(channel.time[at])
+def step_at(run: Run, channel: Channel, index: int) -> str:
+    """Return the step of a run in which reading `index` was taken, in words."""
+    time = float(channel.time[index])
     name = next((step.name for step in run.steps if step.start <= time < step.stop), "")
     return f" (step '{name}')" if name else ""
 
 
 def contradicting_motion(run: Run, role: str) -> Iterator[str]:
-    """A note where the path of an angle and the integral of the velocity do not agree that the shaft turned."""
+    """Yield a note where the path of the angle and the integral of the velocity disagree."""
     angles, velocities = run.channels("angle", role), run.channels("velocity", role)
     if len(angles) != 1 or len(velocities) != 1 or angles[0].stream != velocities[0].stream:
         return
     angle, velocity = angles[0], velocities[0]
-    good = np.isfinite(angle.values) & np.isfinite(velocity.values)
-    time, turned, speed = angle.time[good], angle.values[good], velocity.values[good]
+    both_finite = np.isfinite(angle.values) & np.isfinite(velocity.values)
+    time, turned, speed = angle.time[both_finite], angle.values[both_finite], velocity.values[both_finite]
     if len(time) < 2 * PARTS:
         return
-    pace = np.diff(time)
-    gone = np.concatenate([[0.0], np.cumsum(0.5 * pace * (speed[1:] + speed[:-1]))])
+    intervals = np.diff(time)
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * intervals * (speed[1:] + speed[:-1]))])
     cuts = np.linspace(0, len(time) - 1, PARTS + 1).astype(int)
-    path, integral = np.diff(turned[cuts]), np.diff(gone[cuts])
+    path, integral = np.diff(turned[cuts]), np.diff(travelled[cuts])
     # what the speed does between two readings, its noise included, may be missed by the integral
-    wander = np.diff(speed) * pace
-    missed = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(wander))])[cuts])
+    speed_changes = np.diff(speed) * intervals
+    uncertainty = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(speed_changes))])[cuts])
     # and what noise adds up to: in a part of few readings their differences alone may be small by chance
-    scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * wander**2)])[cuts])
-    missed += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
+    scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * speed_changes**2)])[cuts])
+    uncertainty += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
     steps = np.abs(np.diff(turned))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
-    clear = missed + CLEAR * (resolution if np.isfinite(resolution) else 0.0)
+    threshold = uncertainty + CLEAR * (resolution if np.isfinite(resolution) else 0.0)
     larger = np.maximum(np.abs(path), np.abs(integral))
-    apart = (larger > PLAIN * larger.max()) & (np.abs(path - integral) > np.maximum(APART * larger, clear))
-    if apart.sum() >= FEWEST_APART:
-        path, integral = path[apart], integral[apart]
-        begin, end = (float(time[cuts[at]]) for at in (np.flatnonzero(apart)[0], np.flatnonzero(apart)[-1] + 1))
+    contradicts = (larger > PLAIN * larger.max()) & (np.abs(path - integral) > np.maximum(APART * larger, threshold))
+    if contradicts.sum() >= FEWEST_APART:
+        path, integral = path[contradicts], integral[contradicts]
+        begin, end = (
+            float(time[cuts[at]]) for at in (np.flatnonzero(contradicts)[0], np.flatnonzero(contradicts)[-1] + 1)
+        )
         yield (
             f"{run.path}: {label_of(angle)} and {label_of(velocity)} contradict each other: the angle goes"
             f" {float(np.abs(path).sum()):.4g} {angle.units} where the velocity adds up to"
@@ -269,22 +282,23 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
 
 
 def contradicting_voltages(run: Run, role: str) -> Iterator[str]:
-    """A note where the three voltages between the leads do not add up to zero, as around any loop (Kirchhoff)."""
-    found = [channel for name in LOOP for channel in run.channels(name, role)]
-    if [channel.quantity for channel in found] != list(LOOP) or len({channel.stream for channel in found}) > 1:
+    """Yield a note where the three voltages between the leads do not add up to zero (Kirchhoff)."""
+    channels = [channel for name in LOOP for channel in run.channels(name, role)]
+    if [channel.quantity for channel in channels] != list(LOOP) or len({channel.stream for channel in channels}) > 1:
         return
-    voltages = np.array([channel.values for channel in found])
+    voltages = np.array([channel.values for channel in channels])
     voltages = voltages[:, np.isfinite(voltages).all(axis=0)]
     if voltages.shape[1] < FEWEST_VOLTAGES:
         return
     sizes = np.sqrt(np.mean(voltages**2, axis=1))
-    left = voltages.sum(axis=0)
-    if not float(np.sqrt(np.mean(left**2))) > UNBALANCED * float(np.median(sizes)):
+    voltage_sum = voltages.sum(axis=0)
+    if not float(np.sqrt(np.mean(voltage_sum**2))) > UNBALANCED * float(np.median(sizes)):
         return
-    turned = np.sqrt(np.mean((left - 2.0 * voltages) ** 2, axis=1))  # of the sum, were the sign of one the other
-    at = int(np.argmin(turned))
-    told = f"{run.path}: {', '.join(label_of(channel) for channel in found)} do not add up to zero"
-    if turned[at] < UNBALANCED * sizes[at]:
-        yield f"{told}: the leads of {found[at].quantity} are swapped"
+    # rms of the sum if the sign of one voltage were the other
+    sums_with_sign_changed = np.sqrt(np.mean((voltage_sum - 2.0 * voltages) ** 2, axis=1))
+    worst = int(np.argmin(sums_with_sign_changed))
+    opening = f"{run.path}: {', '.join(label_of(channel) for channel in channels)} do not add up to zero"
+    if sums_with_sign_changed[worst] < UNBALANCED * sizes[worst]:
+        yield f"{opening}: the leads of {channels[worst].quantity} are swapped"
     else:
-        yield f"{told}: one of them is not connected, or reads in another unit"
+        yield f"{opening}: one of them is not connected, or reads in another unit"

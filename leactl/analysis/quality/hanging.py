@@ -19,8 +19,8 @@ STEPPED = 0.5  # of the whole span of what a channel follows, that this moves wh
 BOTH_SIDES = 5  # readings on each side of such a move: the first ones after a move may come late
 
 
-class Row(NamedTuple):
-    """The longest row of equal readings."""
+class RepeatedReading(NamedTuple):
+    """The longest row of equal readings in a record, by the indices of its first and last reading."""
 
     first: int
     last: int
@@ -28,39 +28,41 @@ class Row(NamedTuple):
 
     @property
     def length(self) -> int:
-        """How many readings it has."""
+        """Number of readings in the row."""
         return self.last - self.first + 1
 
 
-def longest_row(values: Array) -> Row | None:
-    """The longest row of equal numbers; None of a record without two."""
-    new, lengths = rows(values)
-    starts = np.flatnonzero(new)
-    numbers = np.where(np.isfinite(values[starts]), lengths, 0)
-    if not len(numbers) or numbers.max() < 2:
+def longest_repeat(values: Array) -> RepeatedReading | None:
+    """Return the longest row of equal readings; None where no two in a row are equal."""
+    is_new, lengths = rows(values)
+    starts = np.flatnonzero(is_new)
+    finite_lengths = np.where(np.isfinite(values[starts]), lengths, 0)
+    if not len(finite_lengths) or finite_lengths.max() < 2:
         return None
-    at = int(np.argmax(numbers))
-    return Row(int(starts[at]), int(starts[at] + lengths[at] - 1), float(values[starts[at]]))
+    longest = int(np.argmax(finite_lengths))
+    return RepeatedReading(
+        int(starts[longest]), int(starts[longest] + lengths[longest] - 1), float(values[starts[longest]])
+    )
 
 
-def hangs(values: Array, row: Row) -> bool:
-    """Whether a row is longer than the noise of the other readings lets it be by chance."""
-    if row.length < max(FEWEST, LASTING * len(values)):
+def hangs(values: Array, repeat: RepeatedReading) -> bool:
+    """Whether a row of equal readings is longer than the noise of the other readings would leave by chance."""
+    if repeat.length < max(FEWEST, LASTING * len(values)):
         return False
-    others = np.delete(values, slice(row.first, row.last + 1))
+    others = np.delete(values, slice(repeat.first, repeat.last + 1))
     others = others[np.isfinite(others)]
     if len(others) < FEWEST or not noise_shows(others, staying=False):
         return False
     share = float(np.mean(np.diff(others) == 0.0))
-    return share <= NOISY and (share == 0.0 or row.length >= math.ceil(math.log(IMPROBABLE) / math.log(share)))
+    return share <= NOISY and (share == 0.0 or repeat.length >= math.ceil(math.log(IMPROBABLE) / math.log(share)))
 
 
-def stands_while(row: Row, other: Array) -> bool:
-    """Whether `other`, which the channel follows, moves far and stays there for readings within the row."""
-    seen = other[np.isfinite(other)]
-    within = other[row.first : row.last + 1]
+def stands_while_other_moves(repeat: RepeatedReading, other: Array) -> bool:
+    """Whether `other`, which the channel follows, changes level during the row of equal readings."""
+    finite = other[np.isfinite(other)]
+    within = other[repeat.first : repeat.last + 1]
     within = within[np.isfinite(within)]
     if len(within) < 2 * BOTH_SIDES:
         return False
-    ends = np.sort(within)
-    return bool(ends[-BOTH_SIDES] - ends[BOTH_SIDES - 1] > STEPPED * float(np.ptp(seen)) > 0.0)
+    sorted_values = np.sort(within)
+    return bool(sorted_values[-BOTH_SIDES] - sorted_values[BOTH_SIDES - 1] > STEPPED * float(np.ptp(finite)) > 0.0)

@@ -16,35 +16,38 @@ from leactl.analysis.signals.levels import Hold, span
 from leactl.runfile.read.reader import Channel
 
 NOISY = 0.4  # share of readings equal to the one before, above which the resolution, 1.5 times the noise, hides it
-IMPROBABLE = 1e-9  # that noise alone makes so long a row of equal readings
+IMPROBABLE = 1e-9  # probability that noise alone makes a row of equal readings this long
 FEWEST = 5  # readings in such a row
 
 
-def without_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
-    """The channel with readings that came again as missed, and how many those are in the holds' settled parts."""
+def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
+    """Replace repeated readings by NaN, and count those within the settled parts of the holds.
+
+    A channel whose resolution hides its noise is returned unchanged.
+    """
     parts = [span(channel, hold.start, hold.stop) for hold in holds]
-    seen = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
-    shares = [float(np.mean(values[1:] == values[:-1])) for values in seen if len(values) > 1]
+    settled = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
+    shares = [float(np.mean(values[1:] == values[:-1])) for values in settled if len(values) > 1]
     share = float(np.median(shares)) if shares else 1.0
     if share > NOISY and noise_shows(channel.values, staying=False):  # it may hang in most of the record
         share = float(np.mean(rows(channel.values)[1] > 1))
     if share > NOISY:
         return channel, 0
-    longest = max(FEWEST, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST
-    again = repeats(channel.values, longest)
+    shortest_row = max(FEWEST, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST
+    repeated = repeats(channel.values, shortest_row)
     if channel.quantity != "torque":  # a shaft that stands and a drive that is off read nothing again and again
-        again &= channel.values != 0.0
-    count = sum(int(again[part].sum()) for part in parts)
-    return replace(channel, values=np.where(again, np.nan, channel.values)), count
+        repeated &= channel.values != 0.0
+    count = sum(int(repeated[part].sum()) for part in parts)
+    return replace(channel, values=np.where(repeated, np.nan, channel.values)), count
 
 
-def repeats(values: npt.NDArray[np.float64], longest: int) -> npt.NDArray[np.bool_]:
-    """Every reading but the first of each row of equal ones that has `longest` or more."""
-    new, lengths = rows(values)
-    return np.asarray(~new & np.repeat(lengths >= longest, lengths))
+def repeats(values: npt.NDArray[np.float64], shortest_row: int) -> npt.NDArray[np.bool_]:
+    """Mark every reading but the first of each row of `shortest_row` equal readings or more, shape (readings,)."""
+    is_new, lengths = rows(values)
+    return np.asarray(~is_new & np.repeat(lengths >= shortest_row, lengths))
 
 
 def rows(values: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.int64]]:
-    """Which readings differ from the one before, and the lengths of the rows of equal ones."""
-    new = np.concatenate([[True], values[1:] != values[:-1]])
-    return new, np.diff(np.append(np.flatnonzero(new), len(values)))
+    """Mark readings that differ from the one before, shape (readings,), and return the lengths of the rows between."""
+    is_new = np.concatenate([[True], values[1:] != values[:-1]])
+    return is_new, np.diff(np.append(np.flatnonzero(is_new), len(values)))

@@ -7,14 +7,16 @@ SWAPPED = "a sign is swapped: check `sign` of the drives and of the torque senso
 
 
 def refuse_below_zero(estimate: Estimate, place: str, channels: str) -> None:
-    """Refuse an estimate whose 95 % interval lies below zero; without an interval, one whose value does.
+    """Raise if the 95 % interval of an estimate is entirely negative, or the value of one without an interval.
 
+    Parameters
+    ----------
     place : the run file or files, at the head of the message.
     channels : names of the channels that contradict each other then.
 
     Raises
     ------
-    InputError : it does.
+    InputError : the estimate is negative.
     """
     if estimate.value < 0.0 and not estimate.high >= 0.0:
         raise InputError(

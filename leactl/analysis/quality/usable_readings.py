@@ -1,54 +1,59 @@
-"""Readings that count: none at the end of a channel's range, and none that came again in place of a new one."""
+"""Readings that count: none at the end of a channel's range, and none that repeats an old reading."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from leactl.analysis.estimate import NAN, listed
-from leactl.analysis.quality.repeated_readings import without_repeats
+from leactl.analysis.estimate import NAN, Noted, listed
+from leactl.analysis.quality.repeated_readings import mask_repeats
 from leactl.analysis.quality.saturation import saturated
-from leactl.analysis.signals.levels import CURRENT_HELD, Held, Hold, span
+from leactl.analysis.signals.levels import CURRENT_HOLDS, Hold, HoldSelector, span
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
 
-def usable(run: Run, quantity: str, notes: list[str], held: Held = CURRENT_HELD, least: int = 2) -> Channel:
-    """A channel of the test actuator with the readings that do not count as missed; the notes say which.
+def usable_channel(run: Run, quantity: str, held: HoldSelector = CURRENT_HOLDS, least: int = 2) -> Noted[Channel]:
+    """Return a channel of the test actuator with NaN for saturated and repeated readings, and a note on each kind.
+
+    Parameters
+    ----------
+    held : selects the holds whose readings are judged.
+    least : number of distinct setpoints that must lie within the channel's range.
 
     Raises
     ------
     NotIdentifiable : fewer levels than the `least` lie within the channel's range.
     """
-    channel, holds = run.channel(quantity, role="test"), held.levels(run)
-    found, ends = within_range(channel, holds)
-    reached = [hold for at_it in ends.values() for hold in at_it]
-    for value, at_it in ends.items():
-        where = f"{quantity} of test is saturated at {value:g} in {len(at_it)} holds ({listed(at_it)})"
-        if len({round(hold.setpoint, 9) for hold in holds if hold not in reached}) < least:
+    channel, holds = run.channel(quantity, role="test"), held.holds_of(run)
+    unsaturated, ends = within_range(channel, holds)
+    saturated_holds = [hold for holds_at_end in ends.values() for hold in holds_at_end]
+    notes = []
+    for value, holds_at_end in ends.items():
+        where = f"{quantity} of test is saturated at {value:g} in {len(holds_at_end)} holds ({listed(holds_at_end)})"
+        if len({round(hold.setpoint, 9) for hold in holds if hold not in saturated_holds}) < least:
             needed = "two levels or more" if least > 1 else "one level or more"
             raise NotIdentifiable(f"{run.path}: {where}; {needed} within the sensor's range are needed")
         notes.append(f"{run.path}: {where}, which do not count")
-    return fresh(found, holds, notes, str(run.path))
+    distinct = without_repeated_readings(unsaturated, holds, str(run.path))
+    return Noted(distinct.value, (*notes, *distinct.notes))
 
 
 def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict[float, list[Hold]]]:
-    """The channel with holds at an end of its range as missed, and which these are by the value it stops at."""
+    """Replace readings of saturated holds by NaN; return the channel and the holds by the value they saturate at."""
     ends: dict[float, list[Hold]] = {}
     for _ in range(2):  # a range has two ends
-        value, reached = saturated(channel, holds)
-        if not reached:
+        value, at_end = saturated(channel, holds)
+        if not at_end:
             break
-        ends[value] = reached
+        ends[value] = at_end
         values = channel.values.copy()
-        for hold in reached:
+        for hold in at_end:
             values[span(channel, hold.start, hold.stop)] = NAN
         channel = replace(channel, values=values)
     return channel, ends
 
 
-def fresh(channel: Channel, holds: Sequence[Hold], notes: list[str], place: str) -> Channel:
-    """The channel with readings that came again as missed; a note says how many those are in the holds."""
-    found, count = without_repeats(channel, holds)
-    if count:
-        what = f"{count} readings of {channel.quantity} came again in place of new ones and count as missed"
-        notes.append(f"{place}: {what}")
-    return found
+def without_repeated_readings(channel: Channel, holds: Sequence[Hold], place: str) -> Noted[Channel]:
+    """Replace repeated readings by NaN; a note opened by `place` says how many lie in the holds."""
+    kept, count = mask_repeats(channel, holds)
+    what = f"{count} readings of {channel.quantity} came again in place of new ones and count as missed"
+    return Noted(kept, (f"{place}: {what}",) if count else ())

@@ -1,7 +1,7 @@
-"""What tells of a wrong unit: a figure that no machine like the run's model has, a reading beyond all of its bench.
+"""Signs of a wrong unit: a result unlike the run's model, or readings far beyond the limits of its bench.
 
-Nothing is refused for it, since a model may be wrong as well. A model and a bench are twofold apart at times, friction
-by preload and temperature more; a unit is off by a thousand.
+Nothing is refused for it, since a model may be wrong as well. A model and a bench differ by a factor of two at times,
+friction by more with preload and temperature; a wrong unit is a factor of a thousand.
 """
 
 import math
@@ -57,14 +57,14 @@ BEYOND = 3.0  # times a limit of the bench
 NEARLY_ALL = 0.99  # of the readings, so that a spike is none
 
 
-def doubted(
+def unit_notes(
     runs: Sequence[Run],
     results: Sequence[Estimate],
     over: Sequence[str],
     under: Sequence[str] = (),
     given: float | None = None,
 ) -> list[str]:
-    """Notes on units that are in doubt, for the head of all notes; none for a sound record.
+    """Return notes on quantities whose unit is doubtful; none for a sound record.
 
     Parameters
     ----------
@@ -72,92 +72,94 @@ def doubted(
     given : the torque constant that a caller gave, which the results are in proportion to as well.
     """
     notes = []
-    model = carried(runs[0], "model")
-    own = positive(model.get("torque_constant"))
+    model = source_in_run(runs[0], "model")
+    model_constant = positive(model.get("torque_constant"))
     limit = FIGURES["torque_constant"][0]
-    if given is not None and not 1.0 / limit <= given / own <= limit and math.isfinite(own):
+    if given is not None and not 1.0 / limit <= given / model_constant <= limit and math.isfinite(model_constant):
         notes.append(
-            f"the torque constant {given:g} N*m/A, as given, is {given / own:.4g} times the model's {own:g} N*m/A:"
-            f" {asked(given / own, [GIVEN])}"
+            f"the torque constant {given:g} N*m/A, as given, is {given / model_constant:.4g} times the model's"
+            f" {model_constant:g} N*m/A:"
+            f" {unit_question(given / model_constant, [GIVEN])}"
         )
     if given is not None:
         over = [*over, GIVEN]
-    told: list[str] = []
+    differences: list[str] = []
     ratios: list[float] = []
     for item in results:
-        if (ratio := far_off(item, model)) is not None:
-            whose = "its" if told else "the model's"
-            told.append(f"{item.name} is {ratio:.4g} times {whose} {item.value / ratio:.4g} {item.units}")
+        if (ratio := ratio_to_model(item, model)) is not None:
+            possessive = "its" if differences else "the model's"
+            differences.append(f"{item.name} is {ratio:.4g} times {possessive} {item.value / ratio:.4g} {item.units}")
             ratios.append(ratio)
-    if told:
-        telling = min(ratios, key=off_a_unit)  # one of them may be off by the machine as well
-        notes.append(f"{', '.join(told)}: {asked(telling, over, under)}")
+    if differences:
+        clearest = min(ratios, key=off_a_unit)  # one of them may be off by the machine as well
+        notes.append(f"{', '.join(differences)}: {unit_question(clearest, over, under)}")
     return notes + beyond_limits(runs, [*over, *under])
 
 
-def far_off(item: Estimate, model: dict[str, Any]) -> float | None:
-    """How many times the model's figure a result is where its whole interval is beyond what may be; None elsewhere."""
+def ratio_to_model(item: Estimate, model: dict[str, Any]) -> float | None:
+    """Return result over model where the result's interval lies beyond what machines differ by, else None."""
     if item.name not in FIGURES:
         return None
-    most, names = FIGURES[item.name]
-    told = next((positive(model[name]) for name in names if name in model), math.nan)
-    ratio, low, high = item.value / told, item.low / told, item.high / told
-    above = (low if math.isfinite(low) else ratio) > most
-    below = ratio > 0.0 and (high if math.isfinite(high) else ratio) < 1.0 / most
+    largest_factor, names = FIGURES[item.name]
+    modelled = next((positive(model[name]) for name in names if name in model), math.nan)
+    ratio, low, high = item.value / modelled, item.low / modelled, item.high / modelled
+    above = (low if math.isfinite(low) else ratio) > largest_factor
+    below = ratio > 0.0 and (high if math.isfinite(high) else ratio) < 1.0 / largest_factor
     return ratio if above or below else None
 
 
-def asked(ratio: float, over: Sequence[str], under: Sequence[str] = ()) -> str:
-    """The question by which a unit that makes this ratio is named where one does, and what to check."""
+def unit_question(ratio: float, over: Sequence[str], under: Sequence[str] = ()) -> str:
+    """Ask whether a quantity is in the unit that would explain `ratio`, and say which units to check."""
     power = round(math.log10(ratio) / 3.0)
-    named = []
+    candidates = []
     if abs(power) in PREFIXES and off_a_unit(ratio) < NEAR:
-        many, few = PREFIXES[abs(power)][:: 1 if power > 0 else -1]
-        named += [f"{name} in {many}{UNITS[name]}" for name in over if name in IN_THOUSANDS]
-        named += [f"{name} in {few}{UNITS[name]}" for name in under if name in IN_THOUSANDS]
+        too_many_prefix, too_few_prefix = PREFIXES[abs(power)][:: 1 if power > 0 else -1]
+        candidates += [f"{name} in {too_many_prefix}{UNITS[name]}" for name in over if name in IN_THOUSANDS]
+        candidates += [f"{name} in {too_few_prefix}{UNITS[name]}" for name in under if name in IN_THOUSANDS]
     elif "angle" in over and abs(ratio / DEGREES - 1.0) < NEAR:
-        named.append("angle in degrees")
+        candidates.append("angle in degrees")
     check = f"check the units of {' and '.join([*over, *under])}"
-    return f"{' or '.join(named)}? {check}" if named else check
+    return f"{' or '.join(candidates)}? {check}" if candidates else check
 
 
 def off_a_unit(ratio: float) -> float:
-    """How far a ratio is off the nearest power of a thousand, of that power."""
+    """Return the distance of a ratio from the nearest power of a thousand, as a share of that power."""
     return abs(ratio / 1000.0 ** round(math.log10(ratio) / 3.0) - 1.0)
 
 
 def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
-    """A note for each quantity of the test actuator whose readings are beyond the limit in the run's bench file."""
+    """Return a note on each quantity of the test actuator with readings far beyond the run's bench limit."""
     notes = []
     for quantity in quantities:
-        far = [(run, *found) for run in runs if (found := beyond(run, quantity)) is not None]
-        if far:
-            _, most, limit = max(far, key=lambda item: item[1] / item[2])
+        beyond = [(run, *found) for run in runs if (found := reading_beyond_limit(run, quantity)) is not None]
+        if beyond:
+            _, highest, limit = max(beyond, key=lambda item: item[1] / item[2])
             unit = VOCABULARY[quantity]
             notes.append(
-                f"{quantity} reads up to {most:.0f} {unit}, {most / limit:.3g} times the bench's limit of {limit:g}"
-                f" {unit} ({listed(run.path for run, *_ in far)}): check its units"
+                f"{quantity} reads up to {highest:.0f} {unit}, {highest / limit:.3g} times the bench's limit of"
+                f" {limit:g}"
+                f" {unit} ({listed(run.path for run, *_ in beyond)}): check its units"
             )
     return notes
 
 
-def beyond(run: Run, quantity: str) -> tuple[float, float] | None:
-    """The highest reading of a run but for spikes, and the limit, where it is far beyond."""
-    limits = carried(run, "bench").get("limits")
+def reading_beyond_limit(run: Run, quantity: str) -> tuple[float, float] | None:
+    """Return a run's highest reading, spikes excepted, and the bench's limit where it is far beyond; else None."""
+    limits = source_in_run(run, "bench").get("limits")
     limit = positive(limits.get(LIMITS.get(quantity, ""))) if isinstance(limits, dict) else math.nan
     if not math.isfinite(limit):
         return None
     sizes = [np.abs(channel.values[np.isfinite(channel.values)]) for channel in run.channels(quantity, role="test")]
-    most = max((float(np.quantile(size, NEARLY_ALL)) for size in sizes if len(size)), default=0.0)
-    return (most, limit) if most > BEYOND * limit else None
+    highest = max((float(np.quantile(size, NEARLY_ALL)) for size in sizes if len(size)), default=0.0)
+    return (highest, limit) if highest > BEYOND * limit else None
 
 
-def carried(run: Run, name: str) -> dict[str, Any]:
-    """The model or the bench file in a run; empty where a foreign run has none, or none that can be read."""
+def source_in_run(run: Run, name: str) -> dict[str, Any]:
+    """Return the model or the bench file in a run; empty where a foreign run has none, or none that can be parsed."""
     try:
         if name == "model":
             return model_of(run)
-        found = yamlfile.parse(run.source(name) or "", f"{run.path}:/{name}/source").data
+        document = yamlfile.parse(run.source(name) or "", f"{run.path}:/{name}/source").data
     except InputError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return document if isinstance(document, dict) else {}

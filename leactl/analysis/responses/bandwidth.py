@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate
+from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
-from leactl.analysis.statistics.jackknife import LevelValue, Reading, mean_of_levels, over_trials
+from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
 from leactl.analysis.statistics.regression import Array
 
 HALF_POWER = math.sqrt(0.5)
@@ -25,29 +25,35 @@ def bandwidth_of(
     levels: Mapping[float, Sequence[Spectra]],
     responses: Mapping[float, Response],
     known: Mapping[float, Mask],
-    notes: list[str],
-) -> Estimate:
-    """Mean of the levels' -3 dB frequencies, or what is known of it where one of them is not."""
+) -> Noted[Estimate]:
+    """Average the levels' -3 dB frequencies; the value is NaN, within bounds, where that of one level is not known.
+
+    Parameters
+    ----------
+    levels : spectra of the trials at each level.
+    responses : response of all trials of a level together.
+    known : frequencies at which a level's response is known, shape (frequencies,).
+    """
     earliest, latest = sampled_half_power(next(iter(responses.values())).frequency * method.interval)
     half = np.full(len(earliest), HALF_POWER)
     passes = [within(responses[level], known[level], at) for level in levels for at in (earliest, half, latest)]
     if all(low == high for low, high in passes):
         values = [_crossing_over(method, levels[level], known[level], (half, earliest, latest)) for level in levels]
-        return mean_of_levels("bandwidth", "Hz", values)
+        return Noted(mean_of_levels("bandwidth", "Hz", values))
     lows = [within(surely(responses[level], -1), known[level], earliest)[0] for level in levels]
     highs = [within(surely(responses[level], 1), known[level], latest)[1] for level in levels]
     low, high = min(lows) if math.inf in highs else float(np.mean(lows)), float(np.mean(highs))
     if math.isinf(high):
-        notes.append(
+        note = (
             f"the gain stays above -3 dB up to {low:.4g} Hz (95 %), whatever sampling does to it, as far as it is "
             "known: bandwidth is above"
         )
     else:
-        notes.append(
+        note = (
             f"the gain passes -3 dB between {low:.4g} and {high:.4g} Hz (95 %), where the response is not known or "
             "sampling may move it"
         )
-    return Estimate("bandwidth", NAN, NAN, low, high, "Hz")
+    return Noted(Estimate("bandwidth", NAN, NAN, low, high, "Hz"), (note,))
 
 
 def surely(response: Response, side: int) -> Response:
@@ -88,10 +94,10 @@ def _crossing_over(
 ) -> LevelValue:
     whole = together(spectra)
 
-    def crossing(kept: Sequence[int]) -> Reading:
+    def crossing(kept: Sequence[int]) -> TrialFigure:
         left = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
         response = method.response(whole.plus(together(left), -1) if left else whole)
         (low, high), (first, _), (_, last) = (within(response, known, gain) for gain in gains)
-        return Reading(low, shared=(max(low - first, last - low),)) if low == high else Reading(NAN)
+        return TrialFigure(low, shared=(max(low - first, last - low),)) if low == high else TrialFigure(NAN)
 
     return over_trials(len(spectra), crossing)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate, Grid, Plot, Series, listed
+from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed
 from leactl.analysis.responses.blackman_tukey import FINER, BlackmanTukey, Mask, Response
 from leactl.analysis.responses.noise_records import EVEN
 from leactl.analysis.responses.noise_response import COHERENT, SHOWN
@@ -21,16 +21,19 @@ LISTED = 5  # frequencies that are results; all are in the grid
 
 
 def gain_and_phase(
-    run: Run, label: str, step: Step, measured: dict[str, Channel], notes: list[str]
-) -> tuple[list[Estimate], list[Plot], list[Grid]]:
-    """The response of every channel that is sampled with the setpoint that moves in a step."""
+    run: Run, label: str, step: Step, measured: dict[str, Channel]
+) -> Noted[tuple[list[Estimate], list[Plot], list[Grid]]]:
+    """Return the response of every channel to the setpoint that moves in a step; notes name channels without one.
+
+    `label` opens the names of the results, `measured` has the channels by name.
+    """
     estimates: list[Estimate] = []
     plots: list[Plot] = []
     grids: list[Grid] = []
     setpoint = moving(run, step)
     if setpoint is None:
-        notes.append(f"{run.path}: {label}: no setpoint moves in it: gain and phase are not known")
-        return estimates, plots, grids
+        note = f"{run.path}: {label}: no setpoint moves in it: gain and phase are not known"
+        return Noted((estimates, plots, grids), (note,))
     unknown: dict[str, list[str]] = {}
     for name, channel in measured.items():
         response = response_of(setpoint, channel, step)
@@ -43,8 +46,8 @@ def gain_and_phase(
         estimates += rows(title, response, units)
         plots += curves(title, response, units)
         grids.append(table(title, step, response, units))
-    notes += [f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in unknown.items()]
-    return estimates, plots, grids
+    notes = tuple(f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in unknown.items())
+    return Noted((estimates, plots, grids), notes)
 
 
 def moving(run: Run, step: Step) -> Channel | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.quality.saturation import saturated
 from leactl.analysis.signals.levels import Hold
 from leactl.analysis.statistics.regression import Array
@@ -23,7 +23,7 @@ EVEN = 0.2  # of an interval that stamps may be off
 
 
 @dataclass(frozen=True)
-class Loop:
+class NoiseExperiment:
     """What a noise experiment looks at."""
 
     experiment: str
@@ -35,7 +35,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class NoiseRecord:
     """Reference and response over one stretch of noise, without gaps."""
 
     level: float
@@ -46,8 +46,8 @@ class Record:
     answer: Array
 
 
-def records_of(run: Run, loop: Loop, notes: list[str]) -> list[Record]:
-    """Every stretch of noise of a run with data; what is left out goes into the notes.
+def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
+    """Return the usable records of noise of a run; notes say why others are left out.
 
     Raises
     ------
@@ -61,22 +61,21 @@ def records_of(run: Run, loop: Loop, notes: list[str]) -> list[Record]:
     holds = [Hold(float(step.parameters[loop.offset]), 0, step.start + step.settle, step.stop) for step in steps]
     value, clipped = saturated(measured, holds)
     at_end = {hold.start for hold in clipped}
-    found: list[Record] = []
+    found: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
-        record: Record | str = f"{loop.response} is clipped at {value:g} {measured.units}"
+        record: NoiseRecord | str = f"{loop.response} is clipped at {value:g} {measured.units}"
         if hold.start not in at_end:
             record = _record(str(run.path), asked, measured, step, loop)
         if isinstance(record, str):
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
             found.append(record)
-    notes += tally(left_out, str(run.path))
     if not found:
         why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
         what = f"{len(steps)} stretches of noise, none of use ({why})" if steps else f"no noise with {loop.offset}"
         raise NotIdentifiable(f"{run.path}: found {what}; one with {FEWEST} samples in a row is needed")
-    return found
+    return Noted(found, tuple(tally(left_out, str(run.path))))
 
 
 def _is_noise(step: Step, offset: str) -> bool:
@@ -85,7 +84,7 @@ def _is_noise(step: Step, offset: str) -> bool:
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
 
 
-def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loop) -> Record | str:
+def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: NoiseExperiment) -> NoiseRecord | str:
     """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
     from scipy.signal import butter, sosfilt
 
@@ -115,7 +114,7 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
         return "the reference does not move"
     seed = step.parameters.get("seed", f"{place} {step.start:g}")
     level = float(step.parameters[loop.offset])
-    return Record(level, seed, interval, reach, *columns)
+    return NoiseRecord(level, seed, interval, reach, *columns)
 
 
 def _cut(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:

@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.responses.bandwidth import HALF_POWER, bandwidth_of
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
-from leactl.analysis.responses.noise_records import Loop, Record, records_of
-from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.responses.noise_records import NoiseExperiment, NoiseRecord, records_of
+from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -26,7 +26,7 @@ SAMPLED = 0.1  # of the record's rate, above which holding and sampling show
 SHOWN = 80  # points of a level in a plot
 
 
-def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
+def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     """Bandwidth of the test actuator's loop.
 
     `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it does not in the band that
@@ -38,9 +38,11 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     MissingChannel : a run has no reference or no response of the test actuator.
     NotIdentifiable : no noise with data, no band of enough coherence, or a response against its reference.
     """
-    place = f"{place_of(runs)}: {loop.experiment}"
-    notes = expect_setup(runs, (loop.setup,), "the response is that of another load")
-    records = [record for run in runs for record in records_of(run, loop, notes)]
+    place = f"{paths_of(runs)}: {loop.experiment}"
+    notes = setup_notes(runs, (loop.setup,), "the response is that of another load")
+    every_record = joined(records_of(run, loop) for run in runs)
+    records = every_record.value
+    notes += every_record.notes
     interval = float(np.median([record.interval for record in records]))
     highest = min(min(record.cutoff for record in records), 0.5 / interval)
     method = BlackmanTukey(interval, LAGS, highest)
@@ -51,13 +53,17 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
         notes.append(f"repeats are missing: records are {shown}; every level counts the same")
 
     responses = {level: method.response(together(trials)) for level, trials in levels.items()}
-    known = {level: known_of(response, method.resolved, level, notes) for level, response in responses.items()}
+    masks = {level: known_of(response, method.resolved, level) for level, response in responses.items()}
+    known = {level: mask.value for level, mask in masks.items()}
+    notes += [note for mask in masks.values() for note in mask.notes]
     band = method.frequency[: len(next(iter(known.values())))][np.all(list(known.values()), axis=0)]
     if not len(band):
         raise NotIdentifiable(f"{place}: no frequency at which the coherence of every level is {COHERENT:g} or more")
     for level, response in responses.items():
         refuse_swapped(response, known[level], f"{place}: at {level:.3g}")
-    bandwidth = bandwidth_of(method, levels, responses, known, notes)
+    half_power = bandwidth_of(method, levels, responses, known)
+    bandwidth = half_power.value
+    notes += half_power.notes
     ends = [("coherent_band_low", float(band[0])), ("coherent_band_high", float(band[-1]))]
     results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in ends))
     if not bandwidth.high <= SAMPLED / interval:
@@ -70,7 +76,7 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     return Result(loop.experiment, tuple(str(run.path) for run in runs), results, tuple(notes), plots)
 
 
-def spectra_of(records: Sequence[Record], method: BlackmanTukey) -> dict[float, list[Spectra]]:
+def spectra_of(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
     """Spectra by level, one for each noise: records of the same noise are no trials of their own."""
     found: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):
@@ -79,18 +85,18 @@ def spectra_of(records: Sequence[Record], method: BlackmanTukey) -> dict[float, 
     return {level: list(own.values()) for level, own in found.items()}
 
 
-def known_of(response: Response, resolved: float, level: float, notes: list[str]) -> Mask:
-    """Where a level's response is known; stretches of too little coherence go into the notes."""
+def known_of(response: Response, resolved: float, level: float) -> Noted[Mask]:
+    """Return at which frequencies a level's response is known; notes name the bands of too little coherence."""
     frequency = response.frequency
     known = (response.coherence >= COHERENT) & (frequency >= resolved)
     unknown = ~known & (frequency >= resolved)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], unknown, [False]]).astype(np.int8)))
-    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
-        notes.append(
-            f"coherence at {level:.3g} is below {COHERENT:g} from {frequency[first]:.1f} to {frequency[last]:.1f} Hz: "
-            "the response there is not known"
-        )
-    return known
+    notes = tuple(
+        f"coherence at {level:.3g} is below {COHERENT:g} from {frequency[first]:.1f} to {frequency[last]:.1f} Hz: "
+        "the response there is not known"
+        for first, last in zip(edges[::2], edges[1::2] - 1, strict=True)
+    )
+    return Noted(known, notes)
 
 
 def refuse_swapped(response: Response, known: Mask, place: str) -> None:

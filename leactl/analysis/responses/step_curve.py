@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.analysis.responses.step_trials import Trial
+from leactl.analysis.responses.step_trials import StepTrial
 from leactl.analysis.statistics.regression import Array
 
 LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
@@ -18,7 +18,7 @@ SMOOTH = 0.5  # of the way between two bins, by which the ways beside it differ 
 EVEN = 0.01  # of an interval, to which samples lie evenly
 
 
-class Curve(NamedTuple):
+class MeanStepResponse(NamedTuple):
     """A response averaged in bins, from its jump on."""
 
     time: Array  # s, the first one 0
@@ -30,7 +30,7 @@ class Curve(NamedTuple):
     steady_from: float  # s
 
 
-def curve_of(trials: Sequence[Trial], growth: float = 0.0) -> Curve:
+def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> MeanStepResponse:
     """The response of trials together, in bins of a sample or of this part of the time since the jump."""
     time = np.concatenate([trial.time for trial in trials])
     values = np.concatenate([trial.response for trial in trials])
@@ -43,7 +43,7 @@ def curve_of(trials: Sequence[Trial], growth: float = 0.0) -> Curve:
     filled = counts > 0
     means = [np.bincount(place, column, minlength=len(edges))[filled] / counts[filled] for column in (time, values)]
     noise = math.sqrt(np.mean([trial.noise**2 for trial in trials]))
-    return Curve(
+    return MeanStepResponse(
         time=np.concatenate([[0.0], means[0]]),
         value=np.concatenate([[0.0], means[1]]),
         error=np.concatenate([[0.0], noise / np.sqrt(counts[filled])]),
@@ -54,27 +54,27 @@ def curve_of(trials: Sequence[Trial], growth: float = 0.0) -> Curve:
     )
 
 
-class Passing(NamedTuple):
+class LevelCrossing(NamedTuple):
     """Where a response passes a level."""
 
     time: float  # s
     limit: float  # s, by which that may be off
 
 
-def crossing(curve: Curve, index: int, level: float) -> float:
+def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> float:
     """Where the response passes a level between the bin before this one and this one."""
     before, after = float(curve.value[index - 1]), float(curve.value[index])
     share = (level - before) / (after - before)
     return float(curve.time[index - 1] + share * (curve.time[index] - curve.time[index - 1]))
 
 
-def passing(curve: Curve, index: int, level: float) -> Passing:
+def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> LevelCrossing:
     """Where the response passes a level, by a curve through the bins around it if samples lie close enough on it.
 
     Where they do not, it may pass as early or as late as the two bins allow; a response that bends one way lies on one
     side of the straight line between them.
     """
-    straight = crossing(curve, index, level)
+    straight = straight_crossing(curve, index, level)
     place = slice(index - 1, index + 3)
     time = np.concatenate([[-curve.interval], curve.time])[place]
     values = np.concatenate([[0.0], curve.value])[place]
@@ -84,15 +84,15 @@ def passing(curve: Curve, index: int, level: float) -> Passing:
         through = np.polynomial.Polynomial.fit(time, values - level, 3)
         roots = [float(root.real) for root in through.roots() if not root.imag and time[1] <= root.real <= time[2]]
         nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
-        return Passing(nearest, bent * abs(nearest - straight))
+        return LevelCrossing(nearest, bent * abs(nearest - straight))
     if (relaxed := _relaxing(curve, index, level)) is not None:
-        return Passing(relaxed, abs(relaxed - straight))
+        return LevelCrossing(relaxed, abs(relaxed - straight))
     sooner = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
     later = float(time[2]) - straight if np.max(bends) > 0.0 else 0.0
-    return Passing(straight, max(sooner, later))
+    return LevelCrossing(straight, max(sooner, later))
 
 
-def _relaxing(curve: Curve, index: int, level: float) -> float | None:
+def _relaxing(curve: MeanStepResponse, index: int, level: float) -> float | None:
     """The same for a response of few samples: by the exponential through three, of which one lies on the way.
 
     None where there is none, or where they do not slow down.

@@ -12,10 +12,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN
-from leactl.analysis.responses.step_curve import HIGH, LOW, Curve, crossing, curve_of, passing
-from leactl.analysis.responses.step_trials import BAND, Trial
+from leactl.analysis.responses.step_curve import (
+    HIGH,
+    LOW,
+    MeanStepResponse,
+    crossing_with_limit,
+    mean_step_response,
+    straight_crossing,
+)
+from leactl.analysis.responses.step_trials import BAND, StepTrial
 from leactl.analysis.statistics.intervals import rounding_limit
-from leactl.analysis.statistics.jackknife import Reading
+from leactl.analysis.statistics.jackknife import TrialFigure
 from leactl.analysis.statistics.regression import Array
 
 GROWTH = 0.02  # of the time since the jump, bins for the settling time
@@ -33,29 +40,29 @@ ENOUGH = 8  # bins, for such a curve and that of the settling
 NEAR, FAR = 0.4, 2.0  # of the band, between which the last way into it counts for when it is entered
 
 
-def rise_time(trials: Sequence[Trial]) -> Reading:
+def rise_time(trials: Sequence[StepTrial]) -> TrialFigure:
     """From a tenth to nine tenths of the steady value [s]."""
-    curve = curve_of(trials)
+    curve = mean_step_response(trials)
     half = int(np.argmax(curve.value >= 0.5))
     low = int(np.flatnonzero(curve.value[:half] < LOW)[-1]) + 1
     high = half + int(np.argmax(curve.value[half:] >= HIGH))
-    begins, ends = passing(curve, low, LOW), passing(curve, high, HIGH)
+    begins, ends = crossing_with_limit(curve, low, LOW), crossing_with_limit(curve, high, HIGH)
     slow, fast = _rounding_at(curve, low, LOW), _rounding_at(curve, high, HIGH)
     # what is read at each passing, and at rest and in the steady part, of which each level has its share
     own = (slow, fast, (1 - LOW) * slow - (1 - HIGH) * fast, LOW * slow - HIGH * fast)
-    return Reading(ends.time - begins.time, (begins.limit, ends.limit), own)
+    return TrialFigure(ends.time - begins.time, (begins.limit, ends.limit), own)
 
 
-def overshoot(trials: Sequence[Trial]) -> Reading:
+def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
     """Highest point above the steady value [%]; zero where it does not stand out of noise and rounding."""
-    curve = curve_of(trials)
+    curve = mean_step_response(trials)
     above = curve.value - 1.0
     error = float(np.max(curve.error))
     top = int(np.argmax(above))
     blurred = math.hypot(error, curve.quantum / math.sqrt(12.0))
     steady = 100.0 * _rounding(curve)
     if above[top] < CLEAR * blurred:
-        return Reading(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
+        return TrialFigure(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
     calm = _calmed(curve, TOP_NOISE * float(above[top])) - 1.0
     top = int(np.argmax(calm))
     for part in TOPS:
@@ -66,13 +73,13 @@ def overshoot(trials: Sequence[Trial]) -> Reading:
         rounded = 100.0 * rounding_limit(through, curve.quantum if steady else 0.0, weights)
         moving = float(np.std(np.diff(above[begin:end]))) / math.sqrt(2.0)  # noise, that may be louder there
         if rest <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * max(blurred, moving):
-            return Reading(100.0 * highest, own=(steady, rounded))
+            return TrialFigure(100.0 * highest, own=(steady, rounded))
     if end - begin >= ENOUGH:  # no curve that they lie on: how far they are off the last one is a limit
-        return Reading(100.0 * highest, (100.0 * math.sqrt(3.0) * rest,), (steady, rounded))
+        return TrialFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * rest,), (steady, rounded))
     # too few for a curve: the highest, and what may lie between it and its neighbours
     top = begin + int(np.argmax(above[begin:end]))
     beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
-    return Reading(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))
+    return TrialFigure(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))
 
 
 def _about(calm: Array, top: int, part: float) -> tuple[int, int]:
@@ -93,36 +100,36 @@ def _top_of(time: Array, above: Array) -> tuple[float, float, Array, Array]:
     return float(fine[highest]), float(np.std(above - through)), finely[highest] @ solution, through
 
 
-def settling_time(trials: Sequence[Trial]) -> Reading:
+def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
     """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
-    curve = curve_of(trials, GROWTH)
+    curve = mean_step_response(trials, GROWTH)
     error = float(np.max(curve.error))
     halves = _halves(curve, BAND_NOISE * BAND)
     calm = curve._replace(value=_calmed(curve, BAND_NOISE * BAND))
     last = int(max(np.flatnonzero(np.abs(calm.value - 1.0) > BAND), default=len(calm.time)))
     if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
-        return Reading(NAN)
+        return TrialFigure(NAN)
     if max(error / math.sqrt(2.0 * halves[last] + 1.0), _rounding(curve)) > OPEN * BAND:
-        return Reading(NAN)
+        return TrialFigure(NAN)
     side = math.copysign(1.0, calm.value[last] - 1.0)
-    fine = curve_of(trials)
+    fine = mean_step_response(trials)
     entered = _way_in(fine, calm, last, side)
     # a drive and the clock of its record agree to a sample on when the jump was
     limits = [curve.interval]
     if math.isnan(entered):  # too few bins for a curve: the straight line, which averaging has moved
-        entered = crossing(calm, last + 1, 1.0 + side * BAND)
+        entered = straight_crossing(calm, last + 1, 1.0 + side * BAND)
         limits.append(float(halves[last]) * curve.interval)
     rounding = _rounding_at(fine, int(np.searchsorted(fine.time, entered)), 1.0 + side * BAND)
-    return Reading(entered, tuple(limits), (rounding, rounding))  # of what is read there, and in the steady part
+    return TrialFigure(entered, tuple(limits), (rounding, rounding))  # of what is read there, and in the steady part
 
 
-def _halves(curve: Curve, wanted: float) -> Array:
+def _halves(curve: MeanStepResponse, wanted: float) -> Array:
     """Bins to either side of each over which noise is averaged to a wanted standard error, never back to the jump."""
     half = math.ceil(0.5 * max((float(np.max(curve.error)) / wanted) ** 2 - 1.0, 0.0))
     return np.minimum(half, np.arange(len(curve.value)) // REACH)
 
 
-def _calmed(curve: Curve, wanted: float) -> Array:
+def _calmed(curve: MeanStepResponse, wanted: float) -> Array:
     """The response averaged over neighbouring bins until noise is as small as wanted; untouched where it is."""
     halves, place = _halves(curve, wanted), np.arange(len(curve.value))
     total = np.concatenate([[0.0], np.cumsum(curve.value)])
@@ -130,7 +137,7 @@ def _calmed(curve: Curve, wanted: float) -> Array:
     return np.asarray((total[end] - total[begin]) / (end - begin), np.float64)
 
 
-def _way_in(fine: Curve, calm: Curve, last: int, side: float) -> float:
+def _way_in(fine: MeanStepResponse, calm: MeanStepResponse, last: int, side: float) -> float:
     """Where the response enters the band for good, by a curve through its last way in; NaN where that has few bins."""
     distance = side * (calm.value - 1.0) / BAND
     inside = np.flatnonzero(distance < NEAR)
@@ -141,14 +148,14 @@ def _way_in(fine: Curve, calm: Curve, last: int, side: float) -> float:
     part = (fine.time >= calm.time[begin]) & (fine.time <= calm.time[end - 1])
     if np.count_nonzero(part) < ENOUGH:
         return NAN
-    straight = crossing(calm, last + 1, 1.0 + side * BAND)
+    straight = straight_crossing(calm, last + 1, 1.0 + side * BAND)
     time, values = fine.time[part], side * (fine.value[part] - 1.0) / BAND - 1.0
     through = np.polynomial.Polynomial.fit(time, values, WAY_ORDER)
     roots = [float(root.real) for root in through.roots() if not root.imag and time[0] <= root.real <= time[-1]]
     return min(roots, key=lambda root: abs(root - straight), default=straight)
 
 
-def _rounding_at(curve: Curve, index: int, level: float) -> float:
+def _rounding_at(curve: MeanStepResponse, index: int, level: float) -> float:
     """Limit of what a reading's resolution makes of the time at which a level is passed before this bin [s]."""
     if not _rounding(curve):
         return 0.0
@@ -160,6 +167,6 @@ def _rounding_at(curve: Curve, index: int, level: float) -> float:
     return _rounding(curve) * float(curve.time[end - 1] - curve.time[begin]) / max(went, curve.quantum)
 
 
-def _rounding(curve: Curve) -> float:
+def _rounding(curve: MeanStepResponse) -> float:
     """Limit of a reading's error from its resolution, where noise does not average it out."""
     return 0.0 if curve.noise > 0.5 * curve.quantum else 0.5 * curve.quantum

@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Plot, Result, Series
-from leactl.analysis.quality.wrong_units import doubted
-from leactl.analysis.responses.step_curve import curve_of
+from leactl.analysis.estimate import Plot, Result, Series, joined
+from leactl.analysis.quality.wrong_units import unit_notes
+from leactl.analysis.responses.step_curve import mean_step_response
 from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time, settling_time
-from leactl.analysis.responses.step_trials import BAND, Trial, of_another_size, trials_of, uneven, wandering
-from leactl.analysis.statistics.jackknife import LevelValue, Reading, mean_of_levels, over_trials
-from leactl.analysis.statistics.linefit import expect_setup
+from leactl.analysis.responses.step_trials import BAND, StepTrial, of_another_size, trials_of, uneven, wandering
+from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
+from leactl.analysis.statistics.linefit import setup_notes
 from leactl.runfile.read.reader import Run
 
 SHOWN = 60  # points of a level in the plot
@@ -33,12 +33,13 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     MissingChannel : a run has no reference or no response of the test actuator.
     NotIdentifiable : a run has no step response that settles.
     """
-    notes = expect_setup(runs, (setup,), "the response is that of another load")
-    every = [trial for run in runs for trial in trials_of(run, reference, response, key, notes)]
-    levels = [[trial for trial in every if trial.level == level] for level in sorted({trial.level for trial in every})]
-    notes += [*uneven(levels), *wandering(levels)]
+    notes = setup_notes(runs, (setup,), "the response is that of another load")
+    every = joined(trials_of(run, reference, response, key) for run in runs)
+    setpoints = sorted({trial.level for trial in every.value})
+    levels = [[trial for trial in every.value if trial.level == setpoint] for setpoint in setpoints]
+    notes += [*every.notes, *uneven(levels), *wandering(levels)]
     units = runs[0].channel(response, role="test").units
-    metrics: dict[str, tuple[str, Callable[[Sequence[Trial]], Reading]]] = {
+    metrics: dict[str, tuple[str, Callable[[Sequence[StepTrial]], TrialFigure]]] = {
         "rise_time": ("s", rise_time),
         "overshoot": ("%", overshoot),
         "settling_time": ("s", settling_time),
@@ -56,27 +57,29 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
             notes.append(f"{name} is not known: noise of the readings goes beyond {BAND:.0%} of the smallest step")
     results.append(mean_of_levels("steady_state_error", "%", [_steady_error(trials) for trials in levels]))
     until = FURTHER * results[2].value if math.isfinite(results[2].value) else math.inf
-    notes[:0] = of_another_size(levels, response) or doubted(runs, [], [response])
+    notes[:0] = of_another_size(levels, response) or unit_notes(runs, [], [response])
     paths = tuple(str(run.path) for run in runs)
     return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
 
 
-def _over(trials: Sequence[Trial], metric: Callable[[Sequence[Trial]], Reading]) -> LevelValue:
+def _over(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], TrialFigure]) -> LevelValue:
     return over_trials(len(trials), lambda kept: metric([trials[k] for k in kept]))
 
 
-def _steady_error(trials: Sequence[Trial]) -> LevelValue:
+def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
     still = [0.0 if trial.noise > 0.5 * trial.quantum else 0.5 * trial.quantum for trial in trials]
     return over_trials(
         len(trials),
-        lambda kept: Reading(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(100.0 * max(still),)),
+        lambda kept: TrialFigure(
+            100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(100.0 * max(still),)
+        ),
     )
 
 
-def _plot(levels: Sequence[Sequence[Trial]], units: str, until: float) -> Plot:
+def _plot(levels: Sequence[Sequence[StepTrial]], units: str, until: float) -> Plot:
     points = []
     for trials in levels:
-        curve = curve_of(trials, GROWTH)
+        curve = mean_step_response(trials, GROWTH)
         shown = np.flatnonzero(curve.time <= until)
         shown = shown[:: max(1, len(shown) // SHOWN)]
         time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()

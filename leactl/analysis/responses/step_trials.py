@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.quality.saturation import piles_up, saturated
-from leactl.analysis.quality.wrong_units import asked
+from leactl.analysis.quality.wrong_units import unit_question
 from leactl.analysis.signals.levels import Hold, span
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
@@ -27,7 +27,7 @@ WHOLE = 1.0  # of a step, beyond which a response that misses its reference is n
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class StepTrial:
     """One jump; the response goes from 0 before it to 1 in the steady part, which need not be where it was sent."""
 
     level: float  # the setpoint after the jump, in the channel's unit
@@ -56,8 +56,8 @@ class Jump:
         return f"{self.target:g} at {self.step.start:.1f} s"
 
 
-def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str]) -> list[Trial]:
-    """Every usable trial of the test actuator; what is left out goes into the notes.
+def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[StepTrial]]:
+    """Return every usable trial of the test actuator; notes say why others are left out.
 
     Parameters
     ----------
@@ -69,26 +69,25 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
     MissingChannel : the run lacks one of the quantities.
     NotIdentifiable : no trial is there, or none of them counts.
     """
-    asked, measured = run.channel(reference, role="test"), run.channel(response, role="test")
+    setpoint, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
     holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
     value, at_end = clipped(measured, holds, [jump.step.settle for jump in jumps])
     left_out: dict[str, list[str]] = {}
     found = []
     for jump, hold in zip(jumps, holds, strict=True):
-        trial: Trial | str = f"{response} is clipped at {value:g} {measured.units}"
+        trial: StepTrial | str = f"{response} is clipped at {value:g} {measured.units}"
         if hold.start not in at_end:
-            trial = _trial(asked, measured, jump)
+            trial = _trial(setpoint, measured, jump)
         if isinstance(trial, str):
             left_out.setdefault(trial, []).append(str(jump))
         else:
             found.append(trial)
-    notes += tally(left_out, str(run.path))
     if not found:
         why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
         what = f"{len(jumps)} steps of {response}, none of use ({why})" if jumps else f"no step from and to a {key}"
         raise NotIdentifiable(f"{run.path}: found {what}; one response that settles is needed")
-    return found
+    return Noted(found, tuple(tally(left_out, str(run.path))))
 
 
 def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
@@ -130,11 +129,11 @@ def jumps_of(run: Run, key: str) -> list[Jump]:
     return found
 
 
-def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
+def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
     """The trial of a jump, or why it does not count."""
     step = jump.step
-    rows = slice(*np.searchsorted(asked.time, (step.start + EPS_S, step.stop - EPS_S)))
-    references, stamps = asked.values[rows], asked.time[rows]
+    rows = slice(*np.searchsorted(setpoint.time, (step.start + EPS_S, step.stop - EPS_S)))
+    references, stamps = setpoint.values[rows], setpoint.time[rows]
     nearer = np.abs(references - jump.target) < np.abs(references - jump.start)
     if not nearer.any() or nearer[0] or jump.target == jump.start:
         return "the recorded reference does not jump"
@@ -163,7 +162,7 @@ def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
     quarters = np.array([part.mean() for part in np.array_split(rest, 4)])
     if np.max(np.abs(quarters)) > BAND:
         return f"the response never settles within {BAND:.0%}"
-    return Trial(
+    return StepTrial(
         level=jump.target,
         time=time[good & behind],
         response=response[good & behind],
@@ -186,7 +185,7 @@ def quantum_of(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
+def wandering(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
     """What a reader must know of levels that are not where they were sent, and of what is read before a jump."""
     notes = []
     for trials in levels:
@@ -205,22 +204,24 @@ def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
     return notes
 
 
-def of_another_size(levels: Sequence[Sequence[Trial]], response: str) -> list[str]:
+def of_another_size(levels: Sequence[Sequence[StepTrial]], response: str) -> list[str]:
     """What a reader must know of levels whose response misses the reference by more than all of the step."""
     far = [trials for trials in levels if abs(mean_error(trials)) > WHOLE]
     if not far:
         return []
     times = float(np.mean([trial.times for trials in far for trial in trials]))
     where = ", ".join(str(trials[0]) for trials in far)
-    return [f"at {where} the response makes {times:.4g} times the step of its reference: {asked(times, [response])}"]
+    return [
+        f"at {where} the response makes {times:.4g} times the step of its reference: {unit_question(times, [response])}"
+    ]
 
 
-def mean_error(trials: Sequence[Trial]) -> float:
+def mean_error(trials: Sequence[StepTrial]) -> float:
     """By how much of the step a level's steady values fall short of the reference."""
     return float(np.mean([trial.steady_error for trial in trials]))
 
 
-def uneven(levels: Sequence[Sequence[Trial]]) -> list[str]:
+def uneven(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
     """What a reader must know of levels that lack repeats."""
     counts = {str(trials[0]): len(trials) for trials in levels}
     notes = []

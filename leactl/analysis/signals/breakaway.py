@@ -8,68 +8,67 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.statistics.regression import Array
-from leactl.analysis.statistics.trial_means import Trial
+from leactl.analysis.statistics.trial_means import TrialLabel
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
-COUNTS = 3.0  # of the encoder, that tell a motion from the shaft's twist
+COUNTS = 3.0  # of the encoder, beyond which an angle is motion and not the twist of the shaft
 FITTED = 0.2  # of the time from the start of the ramp to the moment of motion, just before it
 FEWEST = 20  # readings of torque in it
 
 
 @dataclass(frozen=True, eq=False)
-class LettingGo:
-    """One breakaway: its torque, against the motion, and what is around it."""
+class Breakaway:
+    """One breakaway: its torque, and the readings of the ramp before it."""
 
-    trial: Trial
+    trial: TrialLabel
     torque: float  # N*m, against the motion, the sensor's zero in it
     time: Array  # s, since the shaft moved
-    along: Array  # N*m
+    along: Array  # N*m, against the motion
 
 
-def lettings_go(run: Run, number: int, torque: Channel, notes: list[str]) -> list[LettingGo]:
-    """Every breakaway of a run; why others cannot be used goes into the notes."""
+def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakaway]]:
+    """Return every usable breakaway of run `number`; notes say why others cannot be used."""
     angle = run.channel("angle")
-    found: list[LettingGo] = []
+    breakaways: list[Breakaway] = []
     left_out: dict[str, list[str]] = {}
     for step in (step for step in run.steps if step.name == BREAKAWAY):
         try:
-            found.append(letting_go(number, step, angle, torque))
+            breakaways.append(breakaway_of(number, step, angle, torque))
         except NotIdentifiable as fault:
             left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
-    notes += tally(left_out, f"{run.path}")
-    return found
+    return Noted(breakaways, tuple(tally(left_out, f"{run.path}")))
 
 
-def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> LettingGo:
-    """One breakaway.
+def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Breakaway:
+    """Evaluate the breakaway of one step.
 
     Raises
     ------
-    NotIdentifiable : why it cannot be used.
+    NotIdentifiable : with the reason why it cannot be used.
     """
     moment, side = motion(step, angle)
-    part = (
+    before = (
         (torque.time >= moment - FITTED * (moment - step.start)) & (torque.time < moment) & np.isfinite(torque.values)
     )
-    time, along = torque.time[part] - moment, -side * torque.values[part]
+    time, opposing = torque.time[before] - moment, -side * torque.values[before]
     if len(time) < FEWEST:
         raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
-    return LettingGo(Trial(number, side), corner(time, along), time, along)
+    return Breakaway(TrialLabel(number, side), corner(time, opposing), time, opposing)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:
-    """When the shaft moved by more than a few counts [s], and which way."""
-    part = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
-    time, values = angle.time[part], angle.values[part]
+    """Return when the shaft moved by more than a few counts [s], and in which direction, 1 or -1."""
+    in_step = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
+    time, values = angle.time[in_step], angle.values[in_step]
     if len(values) < FEWEST:
         raise NotIdentifiable("no angle is recorded")
     steps = np.diff(np.unique(values))
-    counts = COUNTS * float(steps.min()) if len(steps) else 0.0
-    moved = np.flatnonzero(np.abs(values - values[0]) > counts)
+    threshold = COUNTS * float(steps.min()) if len(steps) else 0.0
+    moved = np.flatnonzero(np.abs(values - values[0]) > threshold)
     if not len(moved):
         raise NotIdentifiable("the shaft did not let go: give a higher current")
     if moved[0] < FEWEST:
@@ -78,12 +77,12 @@ def motion(step: Step, angle: Channel) -> tuple[float, int]:
 
 
 def corner(time: Array, along: Array) -> float:
-    """The level after a corner that the torque rises to, by least squares over every place of the corner."""
-    best, level = np.inf, float("nan")
-    for at in time[len(time) // 4 : -2]:
-        design = np.column_stack([np.ones_like(time), np.minimum(time - at, 0.0)])
+    """Fit a ramp that ends in a plateau, over every time of the corner; return the plateau [N*m]."""
+    smallest, plateau = np.inf, float("nan")
+    for corner_time in time[len(time) // 4 : -2]:
+        design = np.column_stack([np.ones_like(time), np.minimum(time - corner_time, 0.0)])
         solution, *_ = np.linalg.lstsq(design, along, rcond=None)
-        rest = float(np.sum((along - design @ solution) ** 2))
-        if rest < best:
-            best, level = rest, float(solution[0])
-    return level
+        residual_square = float(np.sum((along - design @ solution) ** 2))
+        if residual_square < smallest:
+            smallest, plateau = residual_square, float(solution[0])
+    return plateau

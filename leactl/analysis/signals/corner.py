@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate
+from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.run_model import model_of, positive
-from leactl.analysis.statistics.regression import Array, Fit, least_squares, one_column_each, t_quantile
+from leactl.analysis.statistics.regression import Array, LeastSquaresFit, indicator_columns, least_squares, t_quantile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
@@ -30,109 +30,115 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Limited:
-    """Holds by speed [rad/s] and current [A], which of them the voltage limited, and their runs."""
+class SpeedHolds:
+    """Holds by speed [rad/s] and current [A], and which of them the voltage limited; shape (holds,) each."""
 
     speed: Array
     current: Array
-    asked: float  # A
-    limited: Mask  # the voltage is what limited the current
-    held: Mask  # the current was as asked for, as far as its noise tells; holds that are neither lie near the corner
+    setpoint: float  # A, setpoint of the current
+    limited: Mask  # the voltage limited the current
+    held: Mask  # the current reached its setpoint within noise; holds that are neither lie near the corner
     run: npt.NDArray[np.int64]
 
 
-def corner(runs: Sequence[Run], holds: Limited, notes: list[str], place: str) -> Estimate:
-    """The speed above which the current is not what was asked for."""
+def corner_speed(runs: Sequence[Run], holds: SpeedHolds, place: str) -> Noted[Estimate]:
+    """Estimate the speed above which the voltage leaves less current than the setpoint.
+
+    The value is NaN, between the speeds of the neighbouring holds, where too few holds lie beyond the corner.
+    """
     speed, limited = holds.speed, holds.limited
     top = float(np.max(speed[holds.held], initial=0.0))
     if not limited.any():
-        notes.append(f"the current was as asked for up to {top:.4g} rad/s: the corner lies above")
-        return Estimate(NAME, NAN, NAN, top, np.inf, UNIT)
+        note = f"the current was as asked for up to {top:.4g} rad/s: the corner lies above"
+        return Noted(Estimate(NAME, NAN, NAN, top, np.inf, UNIT), (note,))
     if limited.all():
         low = float(speed.min())
-        notes.append(f"the current fell short at every speed: the corner lies below {low:.4g} rad/s")
-        return Estimate(NAME, NAN, NAN, 0.0, low, UNIT)
+        note = f"the current fell short at every speed: the corner lies below {low:.4g} rad/s"
+        return Noted(Estimate(NAME, NAN, NAN, 0.0, low, UNIT), (note,))
     between = sorted((top, float(speed[limited].min())))
     neighbours = Estimate(NAME, NAN, NAN, between[0], between[1], UNIT)
     if int(limited.sum()) < FEWEST_LIMITED:
-        notes.append(
-            f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
-        )
-        return neighbours
-    reactance = reactance_of(runs, notes)
+        note = f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
+        return Noted(neighbours, (note,))
+    reactance = reactance_of(runs)
     try:
-        value, own, dof = fitted(holds, reactance, place)
-        other = fitted(holds, reactance * (1.0 + REACTANCE_STD), place)[0]
+        value, scatter_std, dof = fitted(holds, reactance.value, place)
+        moved = fitted(holds, reactance.value * (1.0 + REACTANCE_STD), place)[0] - value
     except NotIdentifiable as fault:
-        notes.append(f"{fault}; the corner lies between its neighbours")
-        return neighbours
+        return Noted(neighbours, (*reactance.notes, f"{fault}; the corner lies between its neighbours"))
+    notes = reactance.notes
     if repeats_of(holds).max() == 0:
-        notes.append("each speed was driven once: how far the winding warms from repeat to repeat is not known")
-    std = math.hypot(own, other - value)
-    half = math.hypot(t_quantile(dof) * own, t_quantile(math.inf) * (other - value))
-    return Estimate(NAME, value, std, value - half, value + half, UNIT)
+        notes += ("each speed was driven once: how far the winding warms from repeat to repeat is not known",)
+    std = math.hypot(scatter_std, moved)
+    half = math.hypot(t_quantile(dof) * scatter_std, t_quantile(math.inf) * moved)
+    return Noted(Estimate(NAME, value, std, value - half, value + half, UNIT), notes)
 
 
-def reactance_of(runs: Sequence[Run], notes: list[str]) -> float:
-    """n L / Kb of the runs' model [1/A]; 0 and a note where it does not tell them."""
+def reactance_of(runs: Sequence[Run]) -> Noted[float]:
+    """Return n L / Kb of the first run's model [1/A]; 0 and a note where the model lacks one of them."""
     model = model_of(runs[0])
     poles, inductance, back_emf = (
         positive(model.get(name)) for name in ("pole_pairs", "phase_inductance", "back_emf_constant")
     )
-    found = poles * inductance / back_emf
-    if math.isfinite(found):
-        return found
-    notes.append(
+    reactance = poles * inductance / back_emf
+    if math.isfinite(reactance):
+        return Noted(reactance)
+    note = (
         f"{runs[0].path}: its model lacks pole_pairs, phase_inductance or back_emf_constant: corner_speed is as of no"
         " inductance, and off by some tenths of a percent"
     )
-    return 0.0
+    return Noted(0.0, (note,))
 
 
-def fitted(holds: Limited, reactance: float, place: str) -> tuple[float, float, float]:
-    """The corner [rad/s], its standard error by the scatter of the holds, and the degrees of freedom of that.
+def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, float, float]:
+    """Fit the corner speed [rad/s]; return it with its standard error and degrees of freedom.
 
     Raises
     ------
     NotIdentifiable : speeds that do not tell the unknowns.
     """
     speed, current = holds.speed[holds.limited], holds.current[holds.limited]
-    repeats = one_column_each(repeats_of(holds)[holds.limited])
-    apart = repeats[:, 1:] - repeats[:, :1]  # zero in the mean over repeats
-    share = (current / holds.asked) ** 2
-    unknowns = [float((speed + current * (speed.max() / holds.asked)).mean()), 0.5 * float(speed.max()) / holds.asked]
-    theta = np.array([*unknowns, *np.zeros(1 + apart.shape[1])])
-    fit: Fit | None = None
+    repeats = indicator_columns(repeats_of(holds)[holds.limited])
+    repeat_offsets = repeats[:, 1:] - repeats[:, :1]  # zero in the mean over repeats
+    current_share = (current / holds.setpoint) ** 2
+    unknowns = [
+        float((speed + current * (speed.max() / holds.setpoint)).mean()),
+        0.5 * float(speed.max()) / holds.setpoint,
+    ]
+    theta = np.array([*unknowns, *np.zeros(1 + repeat_offsets.shape[1])])
+    fit: LeastSquaresFit | None = None
     for _ in range(ROUNDS):
         root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, LEAST_ROOT * theta[0] ** 2))
-        resistance = np.column_stack([np.ones_like(share), share, apart])
-        rest = speed - (root - (resistance @ theta[1:]) * current)
+        resistance = np.column_stack([np.ones_like(current_share), current_share, repeat_offsets])
+        residuals = speed - (root - (resistance @ theta[1:]) * current)
         design = np.column_stack([theta[0] / root, -resistance * current[:, np.newaxis]])
-        fit = least_squares(design, rest, design, place)
+        fit = least_squares(design, residuals, design, place)
         theta = theta + fit.coefficients
         if float(np.max(np.abs(fit.coefficients))) < 1e-10 * abs(theta[0]):
             break
     assert fit is not None
-    hot = (theta[1] + theta[2]) * holds.asked
-    across = 1.0 + (reactance * holds.asked) ** 2
+    hot_drop = (theta[1] + theta[2]) * holds.setpoint
+    impedance_square = 1.0 + (reactance * holds.setpoint) ** 2
     # (w + hot)^2 + (across - 1) w^2 = V^2
-    value = (-hot + math.sqrt(max(hot**2 - across * (hot**2 - theta[0] ** 2), 0.0))) / across
-    along = value * across + hot
+    value = (
+        -hot_drop + math.sqrt(max(hot_drop**2 - impedance_square * (hot_drop**2 - theta[0] ** 2), 0.0))
+    ) / impedance_square
+    slope = value * impedance_square + hot_drop
     gradient = np.zeros(len(theta))
-    gradient[0] = theta[0] / along
-    gradient[1:3] = -holds.asked * (value + hot) / along
+    gradient[0] = theta[0] / slope
+    gradient[1:3] = -holds.setpoint * (value + hot_drop) / slope
     return value, fit.combined(gradient)[1], fit.dof
 
 
 def groups_of(speed: Array) -> npt.NDArray[np.int64]:
-    """A number for each speed, the same where holds lie no further apart than repeats do."""
+    """Number the speeds so that repeats share a number, shape (holds,)."""
     order = np.argsort(speed)
-    group = np.empty(len(speed), np.int64)
-    group[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
-    return group
+    groups = np.empty(len(speed), np.int64)
+    groups[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
+    return groups
 
 
-def repeats_of(holds: Limited) -> npt.NDArray[np.int64]:
-    """How often the same speed was driven before, in order of the holds."""
-    group = groups_of(holds.speed)
-    return np.array([int(np.sum(group[:k] == group[k])) for k in range(len(group))])
+def repeats_of(holds: SpeedHolds) -> npt.NDArray[np.int64]:
+    """Count how often the same speed was driven before each hold, shape (holds,)."""
+    groups = groups_of(holds.speed)
+    return np.array([int(np.sum(groups[:k] == groups[k])) for k in range(len(groups))])

@@ -9,59 +9,58 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate, tally
-from leactl.analysis.signals.levels import Levels
+from leactl.analysis.estimate import Estimate, Noted, tally
+from leactl.analysis.signals.levels import HoldMeans
 from leactl.analysis.statistics.linefit import LineFit, fit_lines
-from leactl.analysis.statistics.regression import Array, Fit
+from leactl.analysis.statistics.regression import Array, LeastSquaresFit
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need
-MISSED = 0.05  # of the setpoint: a level whose velocity stays further from it was not reached
-TURNED = 0.5  # of the setpoint: a velocity against it by more has its sign swapped
+MISSED = 0.05  # of the setpoint: a level whose velocity is further from it was not reached
+TURNED = 0.5  # of the setpoint: a velocity that opposes it by more has the wrong sign
 UNSTEADY = 0.02  # of the setpoint, between the quarters of a settled part
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
-def reached(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
-    """Only levels at which the shaft turned steadily at its setpoint; the others are named in the notes.
+def at_setpoint(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMeans]:
+    """Keep the holds in which the shaft turned steadily at its setpoint; notes name the others and why.
 
     Raises
     ------
     NotIdentifiable : fewer than four distinct speeds are left.
     """
     velocity, setpoint, quarters = levels.value[VELOCITY], levels.setpoint, levels.quarters[VELOCITY]
-    uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > UNSTEADY * np.abs(setpoint)
-    against = velocity * setpoint < 0.0
+    unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > UNSTEADY * np.abs(setpoint)
+    opposite = velocity * setpoint < 0.0
     reasons = {
         "the shaft was to stand": setpoint == 0.0,
-        "the velocity has the opposite sign of its setpoint": against & (np.abs(velocity) > TURNED * np.abs(setpoint)),
+        "the velocity has the opposite sign of its setpoint": opposite & (np.abs(velocity) > TURNED * np.abs(setpoint)),
         "the velocity was not reached": np.abs(velocity - setpoint) > MISSED * np.abs(setpoint),
-        "the velocity was not steady": uneven,
+        "the velocity was not steady": unsteady,
     }
     kept = np.ones(len(levels), np.bool_)
-    told = []
+    notes = []
     for reason, applies in reasons.items():
         for number in np.unique(levels.run[applies & kept]):
-            of_it = np.flatnonzero(applies & kept & (levels.run == number))
-            told += tally({reason: [str(levels.holds[index]) for index in of_it]}, f"{runs[number].path}")
+            indices = np.flatnonzero(applies & kept & (levels.run == number))
+            notes += tally({reason: [str(levels.holds[index]) for index in indices]}, f"{runs[number].path}")
         kept &= ~applies
-    notes += told
     distinct = len(np.unique(np.round(np.abs(setpoint[kept]), 9)))
     if distinct < FEWEST_LEVELS:
-        why = f" ({'; '.join(told)})" if told else ""
+        why = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
             f"{place}: found {distinct} speeds at which the shaft turned steadily{why}; "
             f"{FEWEST_LEVELS} or more are needed"
         )
-    return levels.where(kept)
+    return Noted(levels.where(kept), tuple(notes))
 
 
-def fit_drag(levels: Levels, torque: Array, place: str) -> LineFit:
-    """The torque that keeps the shaft turning, fitted over velocity; each run has a zero of its own.
+def fit_drag(levels: HoldMeans, torque: Array, place: str) -> LineFit:
+    """Fit the torque that keeps the shaft turning [N*m] over velocity, with a zero of its own for each run.
 
-    Where the shaft turned one way alone, that zero is part of the Coulomb friction and is no term of the fit.
+    Where the shaft turned one way only, that zero is part of the Coulomb friction.
     """
     velocity = levels.value[VELOCITY]
     columns = {"viscous_damping": velocity, "quadratic_drag": velocity * np.abs(velocity)}
@@ -70,32 +69,35 @@ def fit_drag(levels: Levels, torque: Array, place: str) -> LineFit:
     return fit_lines(columns, torque, levels, place)
 
 
-def both_ways(levels: Levels) -> bool:
+def both_ways(levels: HoldMeans) -> bool:
     """Whether the shaft turned in both directions."""
     return len(np.unique(np.sign(levels.value[VELOCITY]))) == 2
 
 
 def coefficients(line: LineFit, relative_std: float = 0.0) -> list[Estimate]:
-    """f, b and c; `relative_std` is that of a factor on the torque."""
-    found = [line.estimate("viscous_damping", "viscous_damping", UNITS["viscous_damping"], relative_std)]
+    """Estimate viscous damping, Coulomb friction and quadratic drag.
+
+    `relative_std` is the relative standard uncertainty of a factor on the torque.
+    """
+    estimates = [line.estimate("viscous_damping", "viscous_damping", UNITS["viscous_damping"], relative_std)]
     if "coulomb_friction" in line.slopes:
-        found.append(line.estimate("coulomb_friction", "coulomb_friction", UNITS["coulomb_friction"], relative_std))
+        estimates.append(line.estimate("coulomb_friction", "coulomb_friction", UNITS["coulomb_friction"], relative_std))
     else:
         weights = line.mean_intercept * float(np.sign(line.levels.value[VELOCITY][0]))
-        found.append(line.fit.estimate("coulomb_friction", UNITS["coulomb_friction"], weights, relative_std))
-    return [*found, line.estimate("quadratic_drag", "quadratic_drag", UNITS["quadratic_drag"], relative_std)]
+        estimates.append(line.fit.estimate("coulomb_friction", UNITS["coulomb_friction"], weights, relative_std))
+    return [*estimates, line.estimate("quadratic_drag", "quadratic_drag", UNITS["quadratic_drag"], relative_std)]
 
 
 def weights_at(line: LineFit, speed: float) -> Array:
-    """Weights of the fit's coefficients for the drag torque at a speed [rad/s], the zero of the torque left out."""
-    own = {"viscous_damping": speed, "quadratic_drag": speed * speed, "coulomb_friction": 1.0}
+    """Return the weights of the coefficients in the drag torque at a speed [rad/s], without the zero of the torque."""
+    terms = {"viscous_damping": speed, "quadratic_drag": speed * speed, "coulomb_friction": 1.0}
     weights = np.zeros(len(line.fit.coefficients))
-    weights[: len(line.slopes)] = [own[name] for name in line.slopes]
+    weights[: len(line.slopes)] = [terms[name] for name in line.slopes]
     if "coulomb_friction" not in line.slopes:
         weights += line.mean_intercept * float(np.sign(line.levels.value[VELOCITY][0]))
     return weights
 
 
-def drag_at(fit: Fit, line: LineFit, speeds: Array) -> Array:
-    """Drag torque at these speeds [N*m]."""
+def drag_at(fit: LeastSquaresFit, line: LineFit, speeds: Array) -> Array:
+    """Return the drag torque at speeds [rad/s], shape (speeds,), in N*m."""
     return np.array([fit.combined(weights_at(line, float(speed)))[0] for speed in speeds])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import tally
+from leactl.analysis.estimate import Noted, tally
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
@@ -19,15 +19,15 @@ Array = npt.NDArray[np.float64]
 
 DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
-LEAST_COVERED = 0.5  # of a settled part, for a hold that the end of the recording cut
+LEAST_COVERED = 0.5  # of a settled part, that the samples must span
 MISSING_SHARE = 0.01  # of the samples, above which a note says so
-RESOLVED = 10.0  # spread of the levels over the standard error of one, for the setpoint to be a strong instrument
+RESOLVED = 10.0  # spread of the levels over the standard error of one, from which the setpoint is a strong instrument
 WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
 
 
 @dataclass(frozen=True)
 class Hold:
-    """One held setpoint."""
+    """One settled hold of a setpoint."""
 
     setpoint: float
     direction: int  # 1 reached by rising, -1 by falling, 0 not said
@@ -40,18 +40,18 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Mean:
-    """Mean of a channel over a part of a run."""
+class SettledMean:
+    """Mean of a channel over the settled part of a hold."""
 
     value: float
     std: float  # standard error of the mean, with autocorrelation
     samples: int
     missing: int
-    quarters: tuple[float, ...]  # means of the four quarters of the part, to judge whether it is steady
+    quarters: tuple[float, ...]  # means of the four quarters, to judge whether the channel is steady
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class HoldMeans:
     """Settled means of every hold of some runs; element k of each array belongs to one hold."""
 
     run: npt.NDArray[np.int64]
@@ -66,8 +66,8 @@ class Levels:
     def __len__(self) -> int:
         return len(self.run)
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> "Levels":
-        """Only some of the holds."""
+    def where(self, kept: npt.NDArray[np.bool_]) -> "HoldMeans":
+        """Return the holds for which `kept`, of shape (holds,), is true."""
         return replace(
             self,
             run=self.run[kept],
@@ -81,44 +81,47 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Held:
-    """What the holds of an experiment are told by: the key of their setpoint, and whose it is."""
+class HoldSelector:
+    """Selects the holds of an experiment by the key of their setpoint and the role of the actuator."""
 
     key: str
     unit: str
     role: str = "test"
 
-    def levels(self, run: Run) -> list[Hold]:
-        """Holds of a run, in order: steps named `hold` with this key in their parameters."""
-        found = []
+    def holds_of(self, run: Run) -> list[Hold]:
+        """Return the steps `hold` of a run that state this setpoint, in order."""
+        holds = []
         for step in run.steps:
             setpoint = step.parameters.get(self.key)
             numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
             if step.name == "hold" and numeric and step.parameters.get("role", self.role) == self.role:
                 direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
                 settled = step.start + step.settle
-                found.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
-        return found
+                holds.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
+        return holds
 
 
-CURRENT_HELD = Held("current_A", "A")
+CURRENT_HOLDS = HoldSelector("current_A", "A")
 
 
 def held_levels(run: Run) -> list[Hold]:
     """Holds of the test actuator's current, in order."""
-    return CURRENT_HELD.levels(run)
+    return CURRENT_HOLDS.holds_of(run)
 
 
-def gather(
+def gather_means(
     runs: Sequence[Run],
     quantities: Sequence[str],
-    notes: list[str],
-    read: Callable[[Run, str], Channel] = lambda run, quantity: run.channel(quantity, role="test"),
-    held: Held = CURRENT_HELD,
-) -> Levels:
-    """Settled means of channels of the test actuator over every hold; what is left out goes into the notes.
+    read: Callable[[Run, str], Noted[Channel]],
+    held: HoldSelector = CURRENT_HOLDS,
+) -> Noted[HoldMeans]:
+    """Average channels of the test actuator over the settled part of every hold; notes name the holds left out.
 
-    `read` gives the channel of a quantity; one that judges the readings returns NaN for those not to be used.
+    Parameters
+    ----------
+    quantities : of the channels; each has an entry in `value`, `std` and `quarters` of the answer.
+    read : returns the channel of a quantity, NaN for readings that must not count.
+    held : selects the holds.
 
     Raises
     ------
@@ -126,20 +129,24 @@ def gather(
     NotIdentifiable : a run has no hold with data.
     InputError : the runs measure one quantity in different units.
     """
-    rows: list[tuple[int, Hold, list[Mean]]] = []
+    rows: list[tuple[int, Hold, list[SettledMean]]] = []
+    notes: list[str] = []
     units: dict[str, str] = {}
     for number, run in enumerate(runs):
         for quantity in quantities:
-            if not run.has(quantity):  # said before anything of the others is
+            if not run.has(quantity):  # a missing channel is reported before any fault of the others
                 run.channel(quantity)
-        channels = [read(run, quantity) for quantity in quantities]
+        readings = [read(run, quantity) for quantity in quantities]
+        channels = [reading.value for reading in readings]
         for channel in channels:
             if units.setdefault(channel.quantity, channel.units) != channel.units:
                 known = units[channel.quantity]
                 raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {known} in the runs before")
-        rows += _rows_of(run, number, channels, held, notes)
+        run_rows = _rows_of(run, number, channels, held)
+        rows += run_rows.value
+        notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
     columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
-    return Levels(
+    levels = HoldMeans(
         run=np.array([number for number, _, _ in rows]),
         setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
         direction=np.array([hold.direction for _, hold, _ in rows]),
@@ -149,12 +156,13 @@ def gather(
         holds=tuple(hold for _, hold, _ in rows),
         units=units,
     )
+    return Noted(levels, tuple(notes))
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], held: Held, notes: list[str]
-) -> list[tuple[int, Hold, list[Mean]]]:
-    holds = held.levels(run)
+    run: Run, number: int, channels: Sequence[Channel], held: HoldSelector
+) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
+    holds = held.holds_of(run)
     left_out: dict[str, list[str]] = {}
     rows = []
     for hold in holds:
@@ -164,7 +172,7 @@ def _rows_of(
             left_out.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
         else:
             rows.append((number, hold, [mean for mean in means if mean is not None]))
-    notes += tally(left_out, f"{run.path}")
+    notes = tally(left_out, f"{run.path}")
     if not rows:
         what = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {held.key}"
         raise NotIdentifiable(f"{run.path}: found {what}; two held levels or more are needed")
@@ -175,29 +183,29 @@ def _rows_of(
             notes.append(
                 f"{run.path}: {share:.1%} of the samples of {channel.quantity} in the settled parts are missing"
             )
-    return rows
+    return Noted(rows, tuple(notes))
 
 
-def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
-    """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon."""
-    part = span(channel, start, stop)
-    values, time = channel.values[part], channel.time[part]
-    good = np.isfinite(values)
-    samples = int(good.sum())
-    if samples < FEWEST_SAMPLES or np.ptp(time[good]) < LEAST_COVERED * (stop - start):
+def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | None:
+    """Average the samples from start to before stop [s]; None with too few, or where the record ends too soon."""
+    samples_in = span(channel, start, stop)
+    values, time = channel.values[samples_in], channel.time[samples_in]
+    finite = np.isfinite(values)
+    count = int(finite.sum())
+    if count < FEWEST_SAMPLES or np.ptp(time[finite]) < LEAST_COVERED * (stop - start):
         return None
-    quarter = np.minimum(((time[good] - start) / (stop - start) * 4).astype(np.int64), 3)
+    quarter = np.minimum(((time[finite] - start) / (stop - start) * 4).astype(np.int64), 3)
     counts = np.bincount(quarter, minlength=4)
     with np.errstate(invalid="ignore"):
-        quarters = np.bincount(quarter, values[good], minlength=4) / counts
-    value = float(values[good].mean())
-    return Mean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
+        quarters = np.bincount(quarter, values[finite], minlength=4) / counts
+    value = float(values[finite].mean())
+    return SettledMean(value, standard_error(values), count, len(values) - count, tuple(quarters.tolist()))
 
 
 def span(channel: Channel, start: float, stop: float) -> slice:
-    """Where the samples taken from start to before stop [s] are.
+    """Return the slice of the samples taken from start to before stop [s].
 
-    A sample that is itself a mean, over the interval that ends at its stamp, counts where the whole interval is inside.
+    A sample that is itself a mean over the interval before its stamp counts if the whole interval is inside.
     """
     first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
     if channel.sampling == "mean":
@@ -211,25 +219,27 @@ def standard_error(values: Array) -> float:
     sqrt(variance * tau / n), tau being one plus twice the sum of the autocorrelation up to five tau (Sokal, Monte Carlo
     Methods in Statistical Mechanics, 1997, section 3), never under one.
     """
-    good = np.isfinite(values)
-    samples = int(good.sum())
-    if samples < 2:
+    finite = np.isfinite(values)
+    count = int(finite.sum())
+    if count < 2:
         return math.nan
-    deviation = np.where(good, values - values[good].mean(), 0.0)
-    power = float(deviation @ deviation)
-    if power <= 1e-30 * samples * float(np.nanmax(np.abs(values))) ** 2:
+    deviation = np.where(finite, values - values[finite].mean(), 0.0)
+    square_sum = float(deviation @ deviation)
+    if square_sum <= 1e-30 * count * float(np.nanmax(np.abs(values))) ** 2:
         return 0.0
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.fft.rfft(deviation, size)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / power
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / square_sum
     tau = 2.0 * np.cumsum(correlation) - 1.0
-    enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
-    found = float(tau[enough[0]]) if len(enough) else len(values) / WINDOW
-    return math.sqrt(power / (samples - 1) * max(found, 1.0) / samples)
+    long_enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
+    time_constant = float(tau[long_enough[0]]) if len(long_enough) else len(values) / WINDOW
+    return math.sqrt(square_sum / (count - 1) * max(time_constant, 1.0) / count)
 
 
 def require_levels(place: str, what: str, setpoints: Array, means: Array, errors: Array) -> None:
-    """Refuse levels that no slope can be found from; `what` names the quantity that is regressed on.
+    """Raise if the levels do not determine a slope; `what` names the regressor.
+
+    Shapes: setpoints, means and their standard errors (holds,).
 
     Raises
     ------

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-RANGES_TO_SIGMA = 1.128  # d2 of two values: the mean moving range over the standard deviation
+RANGES_TO_SIGMA = 1.128  # d2 of two values: mean moving range over standard deviation
 WIDTH = 3.0  # standard deviations from the centre to a limit
 FEWEST = 8  # values for limits: from fewer the moving range is known to no better than a third
 ON_ONE_SIDE = 9  # in a row, once in 256 by chance
@@ -19,22 +19,22 @@ ON_ONE_SIDE = 9  # in a row, once in 256 by chance
 
 @dataclass(frozen=True)
 class ControlChart:
-    """Centre and limits from the values of a baseline, and the places of the values that do not fit them."""
+    """Centre line and limits from the values of a baseline, and the indices of the values that speak for a change."""
 
     centre: float
     low: float
     high: float
-    baseline: int  # values, from the first on, that centre and limits rest on
-    beyond: tuple[int, ...]  # places outside the limits
-    shifted: tuple[int, ...]  # places at which a row of nine on one side of the centre is complete
+    baseline: int  # number of values, from the first on, that centre and limits rest on
+    beyond: tuple[int, ...]  # indices of the values outside the limits
+    shifted: tuple[int, ...]  # indices at which a row of nine on one side of the centre is complete
 
     @property
     def changed(self) -> bool:
-        """Whether anything speaks for a change."""
+        """Whether any value lies outside the limits or completes a row on one side."""
         return bool(self.beyond or self.shifted)
 
     def as_json(self) -> dict[str, Any]:
-        """The chart for other programs."""
+        """Return the chart as a JSON object."""
         return {
             "centre": self.centre,
             "low": self.low,
@@ -47,7 +47,7 @@ class ControlChart:
 
 
 def control_chart(values: Array, baseline: int | None = None) -> ControlChart | None:
-    """Judge values in the order of time; None where the baseline has fewer than eight.
+    """Compute centre and limits of values in the order of time; None where the baseline has fewer than eight values.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def control_chart(values: Array, baseline: int | None = None) -> ControlChart | 
         return None
     first = values[:count]
     centre = float(np.mean(first))
-    reach = WIDTH * float(np.mean(np.abs(np.diff(first)))) / RANGES_TO_SIGMA
-    beyond = np.flatnonzero(np.abs(values - centre) > reach)
+    half_width = WIDTH * float(np.mean(np.abs(np.diff(first)))) / RANGES_TO_SIGMA
+    beyond = np.flatnonzero(np.abs(values - centre) > half_width)
     sides = np.sign(values - centre)
     shifted = [
-        place
-        for place in range(ON_ONE_SIDE - 1, len(values))
-        if abs(float(np.sum(sides[place - ON_ONE_SIDE + 1 : place + 1]))) == ON_ONE_SIDE
+        index
+        for index in range(ON_ONE_SIDE - 1, len(values))
+        if abs(float(np.sum(sides[index - ON_ONE_SIDE + 1 : index + 1]))) == ON_ONE_SIDE
     ]
-    return ControlChart(centre, centre - reach, centre + reach, count, tuple(beyond.tolist()), tuple(shifted))
+    return ControlChart(centre, centre - half_width, centre + half_width, count, tuple(beyond.tolist()), tuple(shifted))

@@ -13,12 +13,12 @@ from leactl.analysis.statistics.regression import CONFIDENCE, t_quantile
 
 Array = npt.NDArray[np.float64]
 
-ON_STEPS = 0.05  # of a step, by which a reading may lie beside it
-OFFSETS = 128  # places of a display's steps that are tried, evenly over one step
+ON_STEPS = 0.05  # of a step, by which a reading may miss the grid of steps
+OFFSETS = 128  # offsets of the grid of steps that are tried, evenly over one step
 
 
 def half_width(std: float, dof: float, *limits: float) -> float:
-    """Half width of the 95 % interval of a sum of errors.
+    """Half width of the 95 % interval of a sum of errors, of which some are uniform and the rest normal.
 
     Parameters
     ----------
@@ -36,21 +36,23 @@ def half_width(std: float, dof: float, *limits: float) -> float:
     if largest <= 1e-6 * spread:
         return normal * spread
 
-    def summed(x: float) -> float:  # integral of the normal distribution function
+    def integrated_cdf(x: float) -> float:  # integral of the normal distribution function
         return x * float(ndtr(x)) + math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
 
-    def short(half: float) -> float:
-        ends = (half + largest) / spread, (half - largest) / spread
-        return spread / (2.0 * largest) * (summed(ends[0]) - summed(ends[1])) - (0.5 + CONFIDENCE / 2)
+    def missing_coverage(width: float) -> float:
+        limits_scaled = (width + largest) / spread, (width - largest) / spread
+        return spread / (2.0 * largest) * (integrated_cdf(limits_scaled[0]) - integrated_cdf(limits_scaled[1])) - (
+            0.5 + CONFIDENCE / 2
+        )
 
-    return float(brentq(short, 0.0, normal * spread + largest))
+    return float(brentq(missing_coverage, 0.0, normal * spread + largest))
 
 
 def rounding_limit(values: Array, step: float, weights: Array) -> float:
-    """Limit of an evenly spread error that is beyond 95 % of it as often as what the steps of a reading do to a sum.
+    """Limit of a uniform error that matches the 95 % quantile of the rounding error of a weighted sum of readings.
 
-    A level that moves crosses steps, which leaves little in sum(weights * readings); one that stays within a step has
-    half a step left.
+    A level that moves over several steps leaves little rounding error in the sum; a level within a step leaves half a
+    step.
 
     Parameters
     ----------
@@ -60,26 +62,26 @@ def rounding_limit(values: Array, step: float, weights: Array) -> float:
     """
     if step <= 0.0:
         return 0.0
-    read = values[np.newaxis] / step + (np.arange(OFFSETS) / OFFSETS)[:, np.newaxis]
-    errors = (np.round(read) - read) @ weights
+    shifted = values[np.newaxis] / step + (np.arange(OFFSETS) / OFFSETS)[:, np.newaxis]
+    errors = (np.round(shifted) - shifted) @ weights
     return step * float(np.quantile(np.abs(errors - errors.mean()), CONFIDENCE)) / CONFIDENCE
 
 
 def rounding_of(readings: Array, step: float) -> float:
-    """Standard uncertainty of the mean of one level's readings by their steps; noise lets them fall to either side."""
-    seen = readings[np.isfinite(readings)]
-    if step <= 0.0 or not len(seen):
+    """Standard uncertainty that rounding leaves in the mean of one level's readings; noise averages it out."""
+    finite = readings[np.isfinite(readings)]
+    if step <= 0.0 or not len(finite):
         return 0.0
-    return step / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * float(np.std(seen)) / step) ** 2)
+    return step / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * float(np.std(finite)) / step) ** 2)
 
 
 def step_of(readings: Array) -> float:
-    """The step between two readings, of which all are multiples apart; 0 where there is none."""
+    """Return the step of which all readings are multiples apart; 0 where there is none."""
     values = np.unique(readings[np.isfinite(readings)])
     steps = np.diff(values)
-    clear = steps[steps > 1e-9 * float(np.max(np.abs(values), initial=0.0))]
-    if not len(clear):
+    steps_above_rounding = steps[steps > 1e-9 * float(np.max(np.abs(values), initial=0.0))]
+    if not len(steps_above_rounding):
         return 0.0
-    step = float(clear.min())
-    apart = (values - values[0]) / step
-    return step if float(np.max(np.abs(apart - np.round(apart)))) < ON_STEPS else 0.0
+    step = float(steps_above_rounding.min())
+    multiples = (values - values[0]) / step
+    return step if float(np.max(np.abs(multiples - np.round(multiples)))) < ON_STEPS else 0.0

@@ -18,52 +18,52 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import Estimate, listed
-from leactl.analysis.signals.levels import Levels
+from leactl.analysis.signals.levels import HoldMeans
 from leactl.analysis.statistics.regression import (
     Array,
-    Departure,
-    Fit,
-    departure,
-    excess_over,
-    judged_by,
+    LeastSquaresFit,
+    PartialFTest,
+    indicator_columns,
     least_squares,
-    one_column_each,
+    partial_f_test,
+    scatter_over_noise,
+    widened_by,
 )
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-DRIFTS_BELOW = 1e-3  # probability under which residuals go with time by more than chance
-TIME_ALONE = 0.3  # of its spread, that the levels must leave of time to tell a drift from them
-WORTH = 0.002  # of the response's range, that a drift is worth a note
-FOLLOWS_BELOW = 1e-3  # probability under which a regressor goes with the setpoints by more than chance
+DRIFTS_BELOW = 1e-3  # probability under which residuals follow time by more than chance
+TIME_ALONE = 0.3  # of its spread, that time must keep beside the levels for a drift to be identifiable
+WORTH = 0.002  # of the response's range: a smaller drift gets no note
+FOLLOWS_BELOW = 1e-3  # probability under which a regressor follows the setpoints by more than chance
 
 
 @dataclass(frozen=True, eq=False)
 class LineFit:
-    """A fit whose coefficients are slopes by name, then one intercept a run."""
+    """A least-squares fit whose coefficients are named slopes, then one intercept for each run."""
 
-    fit: Fit
+    fit: LeastSquaresFit
     slopes: tuple[str, ...]
-    levels: Levels
+    levels: HoldMeans
 
     @property
     def mean_intercept(self) -> Array:
-        """Weights of the intercept, averaged over the runs."""
+        """Weights of the coefficients for the mean intercept of the runs, shape (coefficients,)."""
         return np.array([0.0] * len(self.slopes) + [1.0 / self._intercepts] * self._intercepts)
 
     def slope(self, name: str) -> float:
-        """Value of one slope."""
+        """Return the value of one slope."""
         return float(self.fit.coefficients[self.slopes.index(name)])
 
     def estimate(self, slope: str, name: str, units: str, relative_std: float = 0.0) -> Estimate:
-        """One slope as an estimate of this name; where runs differ in it, its uncertainty is that of their mean."""
-        common, between = self.common_to_runs(slope)
-        weights = np.eye(len(common.coefficients))[0]
-        return judged_by(common, between).estimate(name, units, weights, relative_std)
+        """Estimate one slope; where the runs differ in it, its uncertainty is that of their mean."""
+        common_fit, run_test = self.common_to_runs(slope)
+        weights = np.eye(len(common_fit.coefficients))[0]
+        return widened_by(common_fit, run_test).estimate(name, units, weights, relative_std)
 
-    def common_to_runs(self, slope: str) -> tuple[Fit, Departure | None]:
-        """The fit with this slope first, common to the runs, all else each run's own; how far they lie apart in it."""
-        runs, index = one_column_each(self.levels.run), self.slopes.index(slope)
+    def common_to_runs(self, slope: str) -> tuple[LeastSquaresFit, PartialFTest | None]:
+        """Fit one slope for all runs and the rest for each run; return the fit and the test of whether runs differ."""
+        runs, index = indicator_columns(self.levels.run), self.slopes.index(slope)
         column = self.fit.projected[:, [index]]
         others = [self.fit.projected[:, [k]] for k in range(len(self.slopes)) if k != index]
         try:
@@ -72,21 +72,23 @@ class LineFit:
         except NotIdentifiable:  # a run that cannot tell the others by itself shares them
             design = np.hstack([column, *others, runs])
             common = least_squares(design, self.fit.explained, design, slope)
-        judged = judged_by(common, departure(design, self.fit.explained, one_column_each(cells_of(self.levels))))
-        return judged, departure(design, self.fit.explained, runs * column)
+        widened = widened_by(
+            common, partial_f_test(design, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
+        )
+        return widened, partial_f_test(design, self.fit.explained, runs * column)
 
     @property
-    def lack_of_fit(self) -> Departure | None:
-        """How far the means of levels lie from the fit, against the scatter of their repeats."""
-        return departure(self.fit.projected, self.fit.explained, one_column_each(cells_of(self.levels)))
+    def lack_of_fit(self) -> PartialFTest | None:
+        """Test whether the means of levels depart from the fit by more than their repeats scatter."""
+        return partial_f_test(self.fit.projected, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
 
     @property
     def _intercepts(self) -> int:
         return len(self.fit.coefficients) - len(self.slopes)
 
 
-def fit_lines(columns: dict[str, Array], response: Array, levels: Levels, place: str) -> LineFit:
-    """Fit response = sum(slope * column) + intercept of the run, judged by level means where those depart from it.
+def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, place: str) -> LineFit:
+    """Fit response = sum(slope * column) + intercept of the run; lack of fit widens the uncertainty.
 
     The first column is measured, with the setpoint as its instrument; the others are free of error.
 
@@ -94,90 +96,104 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: Levels, place:
     ------
     NotIdentifiable : columns that the levels do not tell apart, or no degree of freedom left.
     """
-    ones = one_column_each(levels.run)
-    design = np.column_stack([*columns.values(), ones])
+    run_columns = indicator_columns(levels.run)
+    design = np.column_stack([*columns.values(), run_columns])
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
     fit = least_squares(design, response, instruments, place)
-    follows = departure(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
-    if follows is not None and follows.probability > FOLLOWS_BELOW:
+    follows_setpoints = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
+    if follows_setpoints is not None and follows_setpoints.probability > FOLLOWS_BELOW:
         raise NotIdentifiable(
             f"{place}: the means of {len(levels)} holds do not follow their setpoints by more than chance; levels "
             "further apart are needed"
         )
-    raw = LineFit(fit, tuple(columns), levels)
-    return replace(raw, fit=judged_by(fit, raw.lack_of_fit))
+    unjudged = LineFit(fit, tuple(columns), levels)
+    return replace(unjudged, fit=widened_by(fit, unjudged.lack_of_fit))
 
 
-def remarks(line: LineFit, expected: Array, units: str) -> list[str]:
-    """What the reader of a fit must know; `expected` are the standard errors of the points by noise alone."""
+def fit_notes(line: LineFit, expected: Array, units: str) -> list[str]:
+    """Return notes on excess scatter, drift, lack of fit and runs that differ.
+
+    `expected` are the standard errors of the points by noise alone, shape (holds,).
+    """
     notes = []
-    if ratio := excess_over(line.fit, expected):
+    if ratio := scatter_over_noise(line.fit, expected):
         notes.append(
             f"levels scatter about the fit {ratio:.1f} times as much as the noise within them explains: "
             "something other than noise moves them, such as sticking friction"
         )
-    notes += drifts(line, units)
-    found = line.lack_of_fit
-    if found is not None and found.clear:
+    notes += drift_notes(line, units)
+    lack = line.lack_of_fit
+    if lack is not None and lack.clear:
         notes.append(
             "level means depart from the fit by more than their repeats scatter "
             f"(most: {_furthest(line.fit, line.levels)} {units}); uncertainties are those of the level means, "
-            f"{found.dof:g} degrees of freedom"
+            f"{lack.dof:g} degrees of freedom"
         )
     for slope in line.slopes:
-        _, runs = line.common_to_runs(slope)
-        if runs is not None and runs.clear:
+        _, run_test = line.common_to_runs(slope)
+        if run_test is not None and run_test.clear:
             notes.append(
                 f"{slope} differs between the runs by more than scatter; its uncertainty is that of their mean, "
-                f"{runs.dof:g} degrees of freedom"
+                f"{run_test.dof:g} degrees of freedom"
             )
     return notes
 
 
-def drifts(line: LineFit, units: str) -> list[str]:
-    """A note for each run in which what the fit leaves goes with time, or in which time cannot be told from levels."""
+def drift_notes(line: LineFit, units: str) -> list[str]:
+    """Return a note on each run whose residuals drift with time, or in which time and levels cannot be told apart."""
     notes, levels, design = [], line.levels, line.fit.projected
     start = np.array([hold.start for hold in levels.holds])
     for number in np.unique(levels.run):
-        own = levels.run == number
-        time = np.where(own, start - start[own].mean(), 0.0)
-        left = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
-        which = f" of run {number + 1}" if len(np.unique(levels.run)) > 1 else ""
-        if np.std(left) < TIME_ALONE * np.std(time):
-            notes.append(f"levels{which} were visited in the order of time: a drift cannot be told from the slope")
+        in_run = levels.run == number
+        time = np.where(in_run, start - start[in_run].mean(), 0.0)
+        unexplained_time = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
+        of_run = f" of run {number + 1}" if len(np.unique(levels.run)) > 1 else ""
+        if np.std(unexplained_time) < TIME_ALONE * np.std(time):
+            notes.append(f"levels{of_run} were visited in the order of time: a drift cannot be told from the slope")
             continue
-        found = departure(design, line.fit.explained, time[:, np.newaxis])
-        moved = float(left @ line.fit.residuals) / float(left @ left) * float(np.ptp(start[own]))
-        if found is None or found.probability > DRIFTS_BELOW or abs(moved) < WORTH * float(np.ptp(line.fit.explained)):
+        drift_test = partial_f_test(design, line.fit.explained, time[:, np.newaxis])
+        drift = (
+            float(unexplained_time @ line.fit.residuals)
+            / float(unexplained_time @ unexplained_time)
+            * float(np.ptp(start[in_run]))
+        )
+        if (
+            drift_test is None
+            or drift_test.probability > DRIFTS_BELOW
+            or abs(drift) < WORTH * float(np.ptp(line.fit.explained))
+        ):
             continue
         notes.append(
-            f"levels{which} drift by {moved:+.2g} {units} from first to last: the zero of a sensor or of the current,"
+            f"levels{of_run} drift by {drift:+.2g} {units} from first to last: the zero of a sensor or of the current,"
             " or what warms; the intervals hold it as scatter"
         )
     return notes
 
 
-def cells_of(levels: Levels) -> npt.NDArray[np.int64]:
-    """A number for each hold, the same for repeats of one setpoint from one side, in whichever run."""
+def setpoint_groups(levels: HoldMeans) -> npt.NDArray[np.int64]:
+    """Number the holds so that repeats of one setpoint from one side share a number, shape (holds,)."""
     keys = np.column_stack([np.round(levels.setpoint, 9), levels.direction])
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def place_of(runs: Sequence[Run]) -> str:
-    """The runs, as messages begin."""
+def paths_of(runs: Sequence[Run]) -> str:
+    """Return the paths of the runs, shortened to one line, to open a message."""
     return listed((run.path for run in runs), most=2)
 
 
-def expect_setup(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[str]:
-    """A note for each run whose shaft was not connected as the experiment takes it to be."""
-    odd = [run for run in runs if run.mechanical and run.mechanical not in setups]
-    return [f"{run.path}: setup is '{run.mechanical}', {' or '.join(setups)} was expected: {why}" for run in odd]
+def setup_notes(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[str]:
+    """Return a note on each run whose mechanical setup is not one of those that the experiment needs.
+
+    `why` says what another setup does to the results.
+    """
+    unexpected = [run for run in runs if run.mechanical and run.mechanical not in setups]
+    return [f"{run.path}: setup is '{run.mechanical}', {' or '.join(setups)} was expected: {why}" for run in unexpected]
 
 
-def _furthest(fit: Fit, levels: Levels) -> str:
-    cells = cells_of(levels)
-    means = np.bincount(cells, fit.residuals) / np.bincount(cells)
-    worst = int(np.argmax(np.abs(means)))
-    index = int(np.flatnonzero(cells == worst)[0])
+def _furthest(fit: LeastSquaresFit, levels: HoldMeans) -> str:
+    groups = setpoint_groups(levels)
+    means = np.bincount(groups, fit.residuals) / np.bincount(groups)
+    worst_group = int(np.argmax(np.abs(means)))
+    index = int(np.flatnonzero(groups == worst_group)[0])
     side = {1: " rising", -1: " falling", 0: ""}[int(levels.direction[index])]
-    return f"{levels.setpoint[index]:g} {levels.holds[index].unit}{side} by {means[worst]:+.2g}"
+    return f"{levels.setpoint[index]:g} {levels.holds[index].unit}{side} by {means[worst_group]:+.2g}"

@@ -18,19 +18,19 @@ Array = npt.NDArray[np.float64]
 CONFIDENCE = 0.95
 RANK_TOLERANCE = 1e-9  # of the largest singular value, columns scaled to length one
 DEPARTS_BELOW = 0.01  # probability under which groups depart from the fit by more than scatter
-POOLED_ABOVE = 0.25  # probability above which their departure counts as scatter (Bancroft & Han 1983 advise this much)
+POOLED_ABOVE = 0.25  # probability above which group differences count as scatter (Bancroft & Han 1983 advise this much)
 EXACT = 1e-24  # share of the response's sum of squares that rounding leaves
 
 
 def t_quantile(dof: float) -> float:
-    """Half width of the 95 % interval in standard errors, Student's t."""
+    """Return the half width of the 95 % interval in standard errors, by Student's t."""
     from scipy.special import stdtrit  # scipy.stats takes half a second to import
 
     return float(stdtrit(min(dof, 1e9), 0.5 + CONFIDENCE / 2))
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LeastSquaresFit:
     """A least-squares fit: response = design @ coefficients + residuals."""
 
     coefficients: Array
@@ -43,7 +43,7 @@ class Fit:
 
     @property
     def explained(self) -> Array:
-        """The response that the projected design would have left with the same residuals."""
+        """The response to which the projected design would have fitted with the same residuals, shape (points,)."""
         return self.projected @ self.coefficients + self.residuals
 
     def combined(self, weights: Array) -> tuple[float, float]:
@@ -57,16 +57,16 @@ class Fit:
         `relative_std` is the relative standard uncertainty of a factor on the value that the residuals do not show; it
         adds in squares, at the effective degrees of freedom of Welch and Satterthwaite (GUM, G.4.1).
         """
-        value, own = self.combined(weights)
-        std = math.hypot(own, relative_std * value)
-        dof = self.dof * (std / own) ** 4 if own > 1e-9 * std else math.inf
+        value, fit_std = self.combined(weights)
+        std = math.hypot(fit_std, relative_std * value)
+        dof = self.dof * (std / fit_std) ** 4 if fit_std > 1e-9 * std else math.inf
         half = t_quantile(dof) * std
         return Estimate(name, value, std, value - half, value + half, units)
 
 
 @dataclass(frozen=True)
-class Departure:
-    """How far the means of groups lie from a fit, against the scatter within groups."""
+class PartialFTest:
+    """F test of columns that a design lacks, such as one for each group of repeats."""
 
     probability: float  # of as much from scatter alone
     variance: float  # of one point, judged by the group means
@@ -74,15 +74,15 @@ class Departure:
 
     @property
     def clear(self) -> bool:
-        """Whether scatter within the groups does not explain it."""
+        """Whether the extra columns explain more than scatter does."""
         return self.probability < DEPARTS_BELOW
 
 
-def least_squares(design: Array, response: Array, instruments: Array, place: str) -> Fit:
+def least_squares(design: Array, response: Array, instruments: Array, place: str) -> LeastSquaresFit:
     """Fit in two stages with every point at the same weight; `place` opens the message of a failure.
 
-    `instruments` has a column for each of the design's: the column itself where it is free of error, else one that goes
-    with it and not with its errors.
+    `instruments` has a column for each of the design's: the column itself where it is free of error, else one that is
+    correlated with it but not with its errors. Shapes: design and instruments (points, unknowns), response (points,).
 
     Raises
     ------
@@ -103,16 +103,19 @@ def least_squares(design: Array, response: Array, instruments: Array, place: str
     inverse = np.linalg.inv(r) / length[:, np.newaxis]
     coefficients = inverse @ (q.T @ response)
     residuals = response - design @ coefficients
-    rest, dof = float(residuals @ residuals), points - unknowns
-    about_mean = float(np.sum((response - response.mean()) ** 2))
-    r_squared = 1.0 - rest / about_mean if about_mean > 0.0 else math.nan
-    return Fit(coefficients, inverse @ inverse.T, projected, residuals, rest / dof, dof, r_squared)
+    residual_square, dof = float(residuals @ residuals), points - unknowns
+    total_square = float(np.sum((response - response.mean()) ** 2))
+    r_squared = 1.0 - residual_square / total_square if total_square > 0.0 else math.nan
+    return LeastSquaresFit(
+        coefficients, inverse @ inverse.T, projected, residuals, residual_square / dof, dof, r_squared
+    )
 
 
-def departure(design: Array, response: Array, extra: Array) -> Departure | None:
-    """F test of columns that the design lacks; None where the points leave nothing to test or fit exactly.
+def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest | None:
+    """Test whether further columns explain more of the response than scatter (partial F test).
 
-    With one column a level it is the test of lack of fit.
+    With one further column for each level it is the test of lack of fit. None where the points leave no degree of
+    freedom, or where the design fits exactly.
     """
     points, unknowns = design.shape
     full = np.hstack([design, extra])
@@ -120,45 +123,46 @@ def departure(design: Array, response: Array, extra: Array) -> Departure | None:
     rank = _rank(full)
     if rank <= unknowns or rank >= points:
         return None
-    narrow, wide = _rest(design / _lengths(design), response), _rest(full, response)
-    if narrow <= EXACT * float(response @ response):
+    square_without, square_with = _rest(design / _lengths(design), response), _rest(full, response)
+    if square_without <= EXACT * float(response @ response):
         return None
     from scipy.special import fdtrc
 
-    lack, scatter = (narrow - wide) / (rank - unknowns), wide / (points - rank)
+    lack, scatter = (square_without - square_with) / (rank - unknowns), square_with / (points - rank)
     ratio = lack / scatter if scatter > 0.0 else math.inf
     probability = float(fdtrc(rank - unknowns, points - rank, ratio)) if math.isfinite(ratio) else 0.0
-    return Departure(probability, lack, rank - unknowns)
+    return PartialFTest(probability, lack, rank - unknowns)
 
 
-def judged_by(fit: Fit, groups: Departure | None) -> Fit:
-    """The fit with its uncertainty from the scatter of group means about it, unless that is plainly mere scatter.
+def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquaresFit:
+    """Take the uncertainty of a fit from the scatter of group means where the groups may differ.
 
-    What belongs to a level (a sensor's curve, the place on the circumference) comes back in every repeat, and what
-    belongs to a run in all its levels: repeats do not average it out and their number must not narrow the interval.
+    What belongs to a level (the curve of a sensor, the position on the circumference) is the same in every repeat, and
+    what belongs to a run is the same in all its levels: more repeats do not average it out. The fit stays as it is
+    where the groups plainly show mere scatter.
     """
     if groups is None or groups.probability > POOLED_ABOVE or groups.variance <= fit.variance:
         return fit
     return replace(fit, variance=groups.variance, dof=groups.dof)
 
 
-def excess_over(fit: Fit, expected: Array) -> float:
-    """Scatter about the fit over what the standard errors of the points explain; 0 unless clearly more.
+def scatter_over_noise(fit: LeastSquaresFit, expected: Array) -> float:
+    """Ratio of the scatter about the fit to the standard errors of the points; 0 unless it is clearly above one.
 
     Clearly: more than twice, and with a probability under 0.001 by chi squared.
     """
     from scipy.special import chdtrc
 
-    rest, mean = float(fit.residuals @ fit.residuals), float(np.mean(expected**2))
+    residual_square, noise_variance = float(fit.residuals @ fit.residuals), float(np.mean(expected**2))
     dof = len(fit.residuals) - len(fit.coefficients)
-    if mean <= 0.0:
+    if noise_variance <= 0.0:
         return 0.0
-    ratio = math.sqrt(rest / dof / mean)
-    return ratio if ratio > 2.0 and chdtrc(dof, rest / mean) < 1e-3 else 0.0
+    ratio = math.sqrt(residual_square / dof / noise_variance)
+    return ratio if ratio > 2.0 and chdtrc(dof, residual_square / noise_variance) < 1e-3 else 0.0
 
 
-def one_column_each(labels: npt.NDArray[np.generic]) -> Array:
-    """Columns of ones and zeros, one for each distinct label."""
+def indicator_columns(labels: npt.NDArray[np.generic]) -> Array:
+    """Return columns of ones and zeros, one for each distinct label, shape (labels, distinct labels)."""
     columns: Array = (labels[:, np.newaxis] == np.unique(labels)[np.newaxis, :]).astype(np.float64)
     return columns
 

@@ -1,6 +1,6 @@
-"""The mean of what single trials gave, one number each: its uncertainty is that of their scatter, run against run too.
+"""Mean of one number for each trial: its uncertainty is that of the scatter between trials, and between runs.
 
-Noise within a trial says nothing of what moves a trial as a whole, such as friction that is another each time.
+Noise within a trial says nothing of what moves a whole trial, such as friction that differs from trial to trial.
 """
 
 from collections.abc import Sequence
@@ -9,35 +9,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.statistics.regression import Fit, departure, judged_by, least_squares, one_column_each
+from leactl.analysis.statistics.regression import (
+    LeastSquaresFit,
+    indicator_columns,
+    least_squares,
+    partial_f_test,
+    widened_by,
+)
 
 
 @dataclass(frozen=True)
-class Trial:
-    """Whose a number is: the run's place among the runs, and the side (direction, sign) that it was taken from."""
+class TrialLabel:
+    """The run of a trial by its number, and the side (direction or sign) that the trial was made on."""
 
     run: int
     side: int
 
 
 def mean_of(
-    values: Sequence[float], trials: Sequence[Trial], name: str, units: str, relative_std: float = 0.0
+    values: Sequence[float], trials: Sequence[TrialLabel], name: str, units: str, relative_std: float = 0.0
 ) -> Estimate:
-    """The mean over the sides, each the mean of its trials; `relative_std` is of a factor that they share.
+    """Average values of trials over the sides, each side the mean of its trials.
+
+    `relative_std` is the relative standard uncertainty of a factor that all values share.
 
     Raises
     ------
     NotIdentifiable : no more trials than sides.
     """
-    fit, weights = fitted(values, trials, name)
+    fit, weights = fit_sides(values, trials, name)
     return fit.estimate(name, units, weights, relative_std)
 
 
-def fitted(values: Sequence[float], trials: Sequence[Trial], place: str) -> tuple[Fit, np.ndarray]:
-    """One constant a side, judged by the runs where they differ by more than scatter; and the weights of their mean."""
+def fit_sides(values: Sequence[float], trials: Sequence[TrialLabel], place: str) -> tuple[LeastSquaresFit, np.ndarray]:
+    """Fit one constant for each side; return the fit and the weights of the coefficients in their mean.
+
+    Where the runs differ by more than scatter, the uncertainty is that of the runs' means.
+    """
     response = np.asarray(values, np.float64)
-    sides = one_column_each(np.array([trial.side for trial in trials]))
-    cells = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
+    sides = indicator_columns(np.array([trial.side for trial in trials]))
+    run_sides = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
     fit = least_squares(sides, response, sides, place)
-    judged = judged_by(fit, departure(sides, response, one_column_each(cells)))
-    return judged, np.full(sides.shape[1], 1.0 / sides.shape[1])
+    widened = widened_by(fit, partial_f_test(sides, response, indicator_columns(run_sides)))
+    return widened, np.full(sides.shape[1], 1.0 / sides.shape[1])

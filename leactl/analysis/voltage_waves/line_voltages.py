@@ -1,7 +1,7 @@
-"""Line-to-line voltages of a motor as they were recorded: which pairs can be used, and how the three belong together.
+"""Line-to-line voltages of a motor as recorded: which pairs are usable, and how the three are connected.
 
-The three voltages add up to zero at every moment (Kirchhoff), whatever the winding is like, and follow one another by a
-third of a wave in the sense of rotation. What departs from that is in the leads, the channels or their scales.
+The three voltages add up to zero at every moment (Kirchhoff), whatever the winding, and follow one another by a third
+of a wave in the sense of rotation. What departs from that is in the leads, the channels or their scales.
 """
 
 import itertools
@@ -11,30 +11,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.voltage_waves.waves import Array, Complex, Record
+from leactl.analysis.estimate import Noted
+from leactl.analysis.voltage_waves.waves import Array, Complex, VoltageRecord
 from leactl.runfile.read.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
 DEAD = 0.05  # of the largest pair's rms
-PILED = 0.02  # of the samples at one extreme, where
-MORE_THAN_ROUND = 4.0  # times as many are there as a sine that is rounded to the resolution leaves
-CREST = 0.8  # of the largest reading: where samples are missing beyond it alone, they lay outside the range
+PILED = 0.02  # of the samples at one extreme: at least so many in a clipped record
+MORE_THAN_ROUND = 4.0  # clipped if the extreme occurs so many times as often as in an unclipped sine
+CREST = 0.8  # of the largest reading: samples missing only beyond it lay outside the range
 WITHIN_RAD = math.radians(20.0)
 THIRD = 2.0 * math.pi / 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """One pair of leads over a part of a run."""
+class LineVoltage:
+    """Voltage of one pair of leads over a part of a run."""
 
-    record: Record
+    record: VoltageRecord
     resolution: float  # V
     scale_std: float  # relative
 
 
-def pairs_of(run: Run, start: float, stop: float, notes: list[str]) -> dict[str, Pair]:
-    """The pairs that can be used between two moments, by name; what is wrong with the others goes into the notes."""
-    found: dict[str, Pair] = {}
+def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVoltage]]:
+    """Return the usable pairs of leads from start to before stop [s] by name; notes say why others are unusable."""
+    pairs: dict[str, LineVoltage] = {}
+    notes = []
     for name in PAIRS:
         channels = run.channels(f"phase_voltage_{name}", role="test")
         if len(channels) != 1:
@@ -44,82 +46,84 @@ def pairs_of(run: Run, start: float, stop: float, notes: list[str]) -> dict[str,
         if np.isfinite(record.values).sum() < 2:
             notes.append(f"{run.path}: pair {name} has no samples from {start:.2f} to {stop:.2f} s")
             continue
-        found[name] = Pair(record, resolution_of(record.values), channels[0].scale_std)
-    sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in found.items()}
+        pairs[name] = LineVoltage(record, resolution_of(record.values), channels[0].scale_std)
+    sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
     largest = max(sizes.values(), default=0.0)
     for name, size in sizes.items():
-        why = unusable(found[name], size, largest)
-        if why:
-            notes.append(f"{run.path}: pair {name} from {start:.2f} s {why}; it does not count")
-            del found[name]
-    return found
+        reason = unusable(pairs[name], size, largest)
+        if reason:
+            notes.append(f"{run.path}: pair {name} from {start:.2f} s {reason}; it does not count")
+            del pairs[name]
+    return Noted(pairs, tuple(notes))
 
 
-def regular(channel: Channel, start: float, stop: float) -> Record:
-    """The samples from start to before stop [s] on their clock's own grid, NaN where one is missing."""
-    first, last = (int(place) for place in np.searchsorted(channel.time, (start, stop), side="left"))
+def regular(channel: Channel, start: float, stop: float) -> VoltageRecord:
+    """Return the samples from start to before stop [s] on an even grid of stamps, NaN where one is missing."""
+    first, last = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
     time, values = channel.time[first:last], channel.values[first:last]
     if len(time) < 3:
-        return Record(time, values)
+        return VoltageRecord(time, values)
     steps = np.diff(time)
-    places = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64))])
-    if places[-1] == len(time) - 1:
-        return Record(time, values)
-    every = np.arange(places[-1] + 1)
-    whole = np.full(len(every), np.nan)
-    whole[places] = values
-    return Record(np.interp(every, places, time), whole)
+    indices = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64))])
+    if indices[-1] == len(time) - 1:
+        return VoltageRecord(time, values)
+    all_indices = np.arange(indices[-1] + 1)
+    all_values = np.full(len(all_indices), np.nan)
+    all_values[indices] = values
+    return VoltageRecord(np.interp(all_indices, indices, time), all_values)
 
 
 def resolution_of(values: Array) -> float:
-    """The smallest step between two readings [V]; 0 where there is none."""
+    """Return the smallest step between two readings [V]; 0 where there is none."""
     steps = np.diff(np.unique(values[np.isfinite(values)]))
     return float(steps.min()) if len(steps) else 0.0
 
 
-def unusable(pair: Pair, size: float, largest: float) -> str:
-    """Why a pair tells nothing of the motor; empty where it does."""
+def unusable(pair: LineVoltage, size: float, largest: float) -> str:
+    """Return why a pair cannot be used; empty where it can."""
     values = pair.record.values
-    good = np.isfinite(values)
+    finite = np.isfinite(values)
     if size < DEAD * largest or size == 0.0:
         return f"is dead: {size:.3g} V rms, {largest:.3g} V on another pair"
-    top = float(np.abs(values[good]).max())
-    edges = np.diff(good.astype(np.int8))
-    beside = np.abs(np.concatenate([values[:-1][edges < 0], values[1:][edges > 0]]))
-    if len(beside) and float(np.median(beside)) > CREST * top:
-        return f"lacks the crests of its waves, beyond {top:.4g} V: give its input a wider range"
-    rounded = 2.0 * math.sqrt(2.0 * pair.resolution / top) / (2.0 * math.pi)  # share of a sine within a step of its top
-    for extreme in (float(values[good].max()), float(values[good].min())):
-        share = float(np.mean(values[good] == extreme))
-        if share > max(PILED, MORE_THAN_ROUND * rounded):
+    highest = float(np.abs(values[finite]).max())
+    edges = np.diff(finite.astype(np.int8))
+    beside_gaps = np.abs(np.concatenate([values[:-1][edges < 0], values[1:][edges > 0]]))
+    if len(beside_gaps) and float(np.median(beside_gaps)) > CREST * highest:
+        return f"lacks the crests of its waves, beyond {highest:.4g} V: give its input a wider range"
+    round_share = (
+        2.0 * math.sqrt(2.0 * pair.resolution / highest) / (2.0 * math.pi)
+    )  # share of a sine within a step of its top
+    for extreme in (float(values[finite].max()), float(values[finite].min())):
+        share = float(np.mean(values[finite] == extreme))
+        if share > max(PILED, MORE_THAN_ROUND * round_share):
             return f"is clipped at {extreme:.4g} V: give its input a wider range"
     return ""
 
 
 @dataclass(frozen=True)
-class Wiring:
-    """How three pairs are connected: the sign of each, and whether they follow one another in the sense of rotation."""
+class LeadConnection:
+    """Signs of three pairs, and whether they follow one another in the sense of rotation."""
 
     signs: Mapping[str, int]
     forward: bool
 
 
-def wiring_of(phasors: Mapping[str, complex]) -> Wiring | None:
-    """The connection that explains the phases of three pairs; None where none does."""
+def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
+    """Return the connection that explains the phases of three pairs; None where none does."""
     angle = {name: math.atan2(value.imag, value.real) for name, value in phasors.items()}
     for forward, swapped in itertools.product((True, False), (None, *PAIRS)):
         signs = {name: -1 if name == swapped else 1 for name in PAIRS}
         expected = {"bc": -THIRD if forward else THIRD, "ca": THIRD if forward else -THIRD}
-        apart = [
+        phase_errors = [
             angle[name] - angle["ab"] - lag - math.pi * (signs[name] != signs["ab"]) for name, lag in expected.items()
         ]
-        if all(abs(math.remainder(rest, 2.0 * math.pi)) < WITHIN_RAD for rest in apart):
-            return Wiring(signs, forward)
+        if all(abs(math.remainder(error, 2.0 * math.pi)) < WITHIN_RAD for error in phase_errors):
+            return LeadConnection(signs, forward)
     return None
 
 
-def third_of(known: Sequence[Complex]) -> Complex:
-    """The third pair from the other two, by Kirchhoff; they are a third of a wave apart, a sixth with one swapped."""
-    first, second = known
-    apart = float(np.angle(np.nanmean(second * np.conj(first))))
-    return -(first + second) if abs(apart) > math.pi / 2.0 else first - second
+def third_voltage(voltages: Sequence[Complex]) -> Complex:
+    """Compute the third pair from the other two by Kirchhoff, with the sign that their phases imply."""
+    first, second = voltages
+    phase_difference = float(np.angle(np.nanmean(second * np.conj(first))))
+    return -(first + second) if abs(phase_difference) > math.pi / 2.0 else first - second

@@ -14,16 +14,16 @@ FEWEST = 10  # samples of the shaft's angle or velocity
 APART = 0.01  # of the count: how far from a whole number a count may be beside its uncertainty
 
 
-class Shaft(NamedTuple):
-    """What the shaft did while waves were counted."""
+class ShaftMotion(NamedTuple):
+    """Motion of the shaft over the counted waves."""
 
     turned: float  # rad, signed
     std: float  # rad
     ripple: float  # amplitude of the speed at twice the electrical frequency over its mean; 0 within noise
 
 
-def shaft_of(run: Run, angle: Angle) -> Shaft:
-    """How far the shaft turned over the whole waves of an electrical angle, by the encoder of either actuator.
+def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
+    """Measure how far the shaft turned over the whole waves of an electrical angle, by either actuator's encoder.
 
     Raises
     ------
@@ -33,18 +33,18 @@ def shaft_of(run: Run, angle: Angle) -> Shaft:
     for quantity in ("angle", "velocity"):
         for role in ("test", "load"):
             for channel in run.channels(quantity, role):
-                part = span(channel, start, stop)
-                if np.isfinite(channel.values[part]).sum() >= FEWEST:
-                    found = by_angle(channel, angle) if quantity == "angle" else by_velocity(channel, start, stop)
-                    if abs(found.turned) > 10.0 * found.std:
-                        return found
+                samples = span(channel, start, stop)
+                if np.isfinite(channel.values[samples]).sum() >= FEWEST:
+                    motion = by_angle(channel, angle) if quantity == "angle" else by_velocity(channel, start, stop)
+                    if abs(motion.turned) > 10.0 * motion.std:
+                        return motion
     raise NotIdentifiable("the run does not tell how far the shaft turned: no angle and no velocity that moved")
 
 
-def by_angle(channel: Channel, angle: Angle) -> Shaft:
-    """From an encoder's angle."""
-    good = np.isfinite(channel.values)
-    time, values = channel.time[good], channel.values[good]
+def by_angle(channel: Channel, angle: Angle) -> ShaftMotion:
+    """Measure it by an encoder's angle."""
+    finite = np.isfinite(channel.values)
+    time, values = channel.time[finite], channel.values[finite]
     start, stop = float(angle.edges[0]), float(angle.edges[-1])
     turned = float(np.diff(np.interp([start, stop], time, values))[0])
     step = float(np.median(np.diff(time)))
@@ -53,8 +53,8 @@ def by_angle(channel: Channel, angle: Angle) -> Shaft:
     resolution = float(levels.min()) if len(levels) else math.inf
     # at either end: a count, and a stamp that may be off by a part of the loop's cycle
     std = math.sqrt(2.0 / 12.0) * math.hypot(resolution, speed * step)
-    inside = (time >= start) & (time <= stop)
-    return Shaft(turned, std, ripple_of(angle.at(time[inside]), values[inside], turned, angle))
+    between = (time >= start) & (time <= stop)
+    return ShaftMotion(turned, std, ripple_of(angle.at(time[between]), values[between], turned, angle))
 
 
 def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> float:
@@ -67,27 +67,27 @@ def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> f
     )
     design[:, 2] -= np.polynomial.Polynomial.fit(electrical, electrical**2, 1)(electrical)
     solution = np.linalg.lstsq(design, shaft, rcond=None)[0]
-    rest = shaft - design @ solution
-    noise = math.sqrt(float(rest @ rest) / len(rest) * 2.0 / len(rest))
-    size = math.hypot(solution[3], solution[4])
-    return 2.0 * size * 2.0 * math.pi * waves / abs(turned) if size > 4.0 * noise else 0.0
+    residuals = shaft - design @ solution
+    noise = math.sqrt(float(residuals @ residuals) / len(residuals) * 2.0 / len(residuals))
+    amplitude = math.hypot(solution[3], solution[4])
+    return 2.0 * amplitude * 2.0 * math.pi * waves / abs(turned) if amplitude > 4.0 * noise else 0.0
 
 
-def by_velocity(channel: Channel, start: float, stop: float) -> Shaft:
-    """From a mean velocity."""
+def by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
+    """Measure it by a mean velocity."""
     values = channel.values[span(channel, start, stop)]
     duration = stop - start
-    return Shaft(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
+    return ShaftMotion(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
 
 
-def counted(waves: int, shaft: Shaft) -> tuple[float, float]:
-    """Waves a turn of the shaft, and its standard uncertainty."""
+def waves_per_turn(waves: int, shaft: ShaftMotion) -> tuple[float, float]:
+    """Return the waves for each turn of the shaft, and the standard uncertainty."""
     count = 2.0 * math.pi * waves / abs(shaft.turned)
     return count, count * shaft.std / abs(shaft.turned)
 
 
-def whole(count: float, std: float, place: str) -> int:
-    """The whole number of pole pairs that a count means.
+def whole_pole_pairs(count: float, std: float, place: str) -> int:
+    """Return the whole number of pole pairs nearest to a count.
 
     Raises
     ------
@@ -97,10 +97,14 @@ def whole(count: float, std: float, place: str) -> int:
         raise NotIdentifiable(
             f"{place}: {count:.2f} waves a turn, known to {std:.2g}: the shaft's speed is not known well enough"
         )
-    nearest = round(count)
-    if nearest < 1 or abs(count - nearest) > max(3.0 * std, APART * nearest) or abs(count - nearest) > 0.4:
+    nearest_count = round(count)
+    if (
+        nearest_count < 1
+        or abs(count - nearest_count) > max(3.0 * std, APART * nearest_count)
+        or abs(count - nearest_count) > 0.4
+    ):
         raise NotIdentifiable(
             f"{place}: {count:.3f} waves a turn are no whole number of pole pairs: the encoder's counts per turn or the"
             " converter's rate are not what they are taken for"
         )
-    return nearest
+    return nearest_count

@@ -1,26 +1,27 @@
-"""Holds of a turning shaft with the motor's leads open: angle, waves and wiring of each, what cannot be used named."""
+"""Holds of a turning shaft with open leads: electrical angle, waves and lead connection of each hold."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.voltage_waves.line_voltages import PAIRS, Pair, pairs_of, third_of, wiring_of
-from leactl.analysis.voltage_waves.pole_pairs import Shaft, shaft_of
+from leactl.analysis.estimate import Noted
+from leactl.analysis.voltage_waves.line_voltages import PAIRS, LineVoltage, connection_of, line_voltages, third_voltage
+from leactl.analysis.voltage_waves.pole_pairs import ShaftMotion, shaft_motion
 from leactl.analysis.voltage_waves.waves import FEWEST_WAVES, Angle, Array, Waves, follow, waves_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One hold: its waves by pair, all over the same electrical angle."""
+class TurningHold:
+    """One hold of a turning shaft: waves of each pair of leads over one electrical angle."""
 
     run: Run
     start: float  # s
     angle: Angle
-    shaft: Shaft
+    shaft: ShaftMotion
     waves: Mapping[str, Waves]
     sizes: Mapping[str, Array]  # V*s a wave, of each pair's fundamental
     mean_of_pairs: Array  # V*s a wave; of three pairs where one could be worked out
@@ -33,64 +34,85 @@ class Part:
     findings: Sequence[str]
 
 
-def parts_of(run: Run, notes: list[str]) -> Iterator[Part]:
-    """The holds of a run whose waves can be used; why others cannot goes into the notes."""
-    for start, stop in spans_of(run, notes):
+def turning_holds(run: Run) -> Noted[list[TurningHold]]:
+    """Return the holds of a run whose waves are usable; notes say why others are not."""
+    spans = spans_of(run)
+    holds, notes = [], [*spans.notes]
+    for start, stop in spans.value:
         try:
-            yield part_of(run, start, stop, notes)
+            refuse_powered(run, start, stop)
+            pairs = line_voltages(run, start, stop)
+            notes += pairs.notes
+            followed = follow_waves(run, start, pairs.value)
+            notes += followed.notes
+            holds.append(turning_hold(run, start, pairs.value, *followed.value))
         except NotIdentifiable as fault:
             notes.append(f"{run.path} from {start:.2f} s: {fault}")
+    return Noted(holds, tuple(notes))
 
 
-def spans_of(run: Run, notes: list[str]) -> list[tuple[float, float]]:
-    """Settled parts of the steps that hold a velocity; the whole record where the run has no steps."""
+def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
+    """Return start and stop [s] of each settled hold of a velocity; the whole record where the run has no steps."""
     steps = run.steps
     if not steps:
         channels = [channel for name in PAIRS for channel in run.channels(f"phase_voltage_{name}", role="test")]
         times = [channel.time for channel in channels if len(channel.time)]
-        notes.append(f"{run.path}: the run tells no steps; its whole record is used")
-        return [(min(t[0] for t in times), math.nextafter(max(t[-1] for t in times), math.inf))] if times else []
-    found = []
+        note = f"{run.path}: the run tells no steps; its whole record is used"
+        whole = [(min(t[0] for t in times), math.nextafter(max(t[-1] for t in times), math.inf))] if times else []
+        return Noted(whole, (note,))
+    spans = []
     for step in steps:
         speed = step.parameters.get("velocity_rad_s")
         if step.name == "hold" and isinstance(speed, int | float) and not isinstance(speed, bool) and speed != 0:
-            found.append((step.start + step.settle, step.stop))
-    if not found:
-        notes.append(f"{run.path}: no step named 'hold' with velocity_rad_s among its {len(steps)}")
-    return found
+            spans.append((step.start + step.settle, step.stop))
+    note = f"{run.path}: no step named 'hold' with velocity_rad_s among its {len(steps)}"
+    return Noted(spans, () if spans else (note,))
 
 
-def part_of(run: Run, start: float, stop: float, notes: list[str]) -> Part:
-    """One hold.
+def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> Noted[tuple[Angle, dict[str, Waves]]]:
+    """Return the electrical angle of a hold that begins at start [s], and the waves of each pair of leads over it.
+
+    Notes name the pairs with too few whole waves, which are left out.
 
     Raises
     ------
-    NotIdentifiable : the motor was powered, no pair has enough waves, or nothing tells the shaft's speed.
+    NotIdentifiable : there is no pair, or no wave to follow.
     """
-    refuse_powered(run, start, stop)
-    pairs = pairs_of(run, start, stop, notes)
     if not pairs:
         raise NotIdentifiable("no pair that can be used")
     angle = follow(pairs[best_of(pairs)].record)
     waves = {name: waves_of(pair.record, angle) for name, pair in pairs.items()}
+    notes = []
     for name in list(waves):
-        there = int(np.isfinite(waves[name].offset).sum())
-        if there < FEWEST_WAVES:
-            notes.append(f"{run.path}: pair {name} from {start:.2f} s has {there} whole waves; it does not count")
+        count = int(np.isfinite(waves[name].offset).sum())
+        if count < FEWEST_WAVES:
+            notes.append(f"{run.path}: pair {name} from {start:.2f} s has {count} whole waves; it does not count")
             del waves[name]
+    return Noted((angle, waves), tuple(notes))
+
+
+def turning_hold(
+    run: Run, start: float, pairs: Mapping[str, LineVoltage], angle: Angle, waves: Mapping[str, Waves]
+) -> TurningHold:
+    """Describe a hold that begins at start [s] by the waves of its pairs over one electrical angle.
+
+    Raises
+    ------
+    NotIdentifiable : no pair has enough waves, or no channel shows how far the shaft turned.
+    """
     if not waves:
         raise NotIdentifiable(f"no pair with {FEWEST_WAVES} whole waves")
-    sizes = {name: sizes_of(found) for name, found in waves.items()}
+    sizes = {name: sizes_of(pair_waves) for name, pair_waves in waves.items()}
     frequency = float(angle.frequencies.mean())
     volts = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
-    shaft = shaft_of(run, angle)
+    shaft = shaft_motion(run, angle)
     findings, left_over, swapped = wired(waves, shaft)
-    lost = len(angle.edges) - 1 - min(int(np.isfinite(found.offset).sum()) for found in waves.values())
+    lost = len(angle.edges) - 1 - min(int(np.isfinite(pair_waves.offset).sum()) for pair_waves in waves.values())
     if lost:
         findings.append(f"{lost} of {len(angle.edges) - 1} waves lack samples and do not count")
     every = list(sizes.values())
     if len(waves) == 2:
-        third = third_of([found.linkage[0] for found in waves.values()])
+        third = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
         every.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
         missing = next(name for name in PAIRS if name not in waves)
         findings.append(f"pair {missing} is taken as what the other two leave of zero")
@@ -98,7 +120,7 @@ def part_of(run: Run, start: float, stop: float, notes: list[str]) -> Part:
     rounding = {
         name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / volts[name] for name in waves
     }
-    return Part(
+    return TurningHold(
         run=run,
         start=start,
         angle=angle,
@@ -107,7 +129,7 @@ def part_of(run: Run, start: float, stop: float, notes: list[str]) -> Part:
         sizes=sizes,
         mean_of_pairs=np.mean(every, axis=0),
         complete=len(every) == len(PAIRS),
-        offsets={name: float(np.nanmean(found.offset)) for name, found in waves.items()},
+        offsets={name: float(np.nanmean(pair_waves.offset)) for name, pair_waves in waves.items()},
         volts=volts,
         left_over=left_over,
         scale_std=max(pairs[name].scale_std for name in waves),
@@ -117,11 +139,11 @@ def part_of(run: Run, start: float, stop: float, notes: list[str]) -> Part:
 
 
 def refuse_powered(run: Run, start: float, stop: float) -> None:
-    """Refuse a hold in which the drive was enabled: its leads carry more than back-EMF.
+    """Raise if the drive was enabled during a hold: its leads carry more than back-EMF.
 
     Raises
     ------
-    NotIdentifiable : so.
+    NotIdentifiable : the drive was enabled.
     """
     for channel in run.channels("drive_enabled", role="test"):
         first, last = np.searchsorted(channel.time, (start, stop))
@@ -129,37 +151,37 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
             raise NotIdentifiable("the test drive was enabled: its leads carry more than back-EMF")
 
 
-def best_of(pairs: Mapping[str, Pair]) -> str:
-    """The pair to follow: the one with the fewest samples missing, the largest of several."""
+def best_of(pairs: Mapping[str, LineVoltage]) -> str:
+    """Return the pair with the fewest samples missing, the largest of several."""
 
-    def rank(name: str) -> tuple[float, float]:
+    def quality_of(name: str) -> tuple[float, float]:
         values = pairs[name].record.values
         return float(np.mean(np.isfinite(values))), float(np.nanstd(values))
 
-    return max(pairs, key=rank)
+    return max(pairs, key=quality_of)
 
 
 def sizes_of(waves: Waves) -> Array:
-    """Flux linkage of each wave's fundamental along their common phase: noise across it adds nothing [V*s]."""
+    """Flux linkage of each wave's fundamental [V*s], shape (waves,), as far as it is in phase with their mean."""
     fundamental = waves.linkage[0]
     mean = complex(np.nanmean(fundamental))
     return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
 
 
-def wired(waves: Mapping[str, Waves], shaft: Shaft) -> tuple[list[str], float, dict[str, Waves]]:
-    """What the phases of three pairs say of their leads, what is left of their sum, and the waves with signs mended."""
-    phasors = {name: complex(np.nanmean(found.linkage[0])) for name, found in waves.items()}
+def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
+    """Check the phases of three pairs; return notes, the relative size of their sum, and the corrected waves."""
+    phasors = {name: complex(np.nanmean(pair_waves.linkage[0])) for name, pair_waves in waves.items()}
     if len(phasors) < len(PAIRS):
         return [], math.nan, dict(waves)
-    wiring = wiring_of(phasors)
+    wiring = connection_of(phasors)
     if wiring is None:
-        apart = ", ".join(
+        phases = ", ".join(
             f"{name} {math.degrees(math.remainder(float(np.angle(value / phasors['ab'])), 2 * math.pi)):+.0f} degrees"
             for name, value in phasors.items()
             if name != "ab"
         )
         return (
-            [f"the pairs are not thirds of a wave apart ({apart} from ab): a pair is not what it is taken for"],
+            [f"the pairs are not thirds of a wave apart ({phases} from ab): a pair is not what it is taken for"],
             math.nan,
             dict(waves),
         )
@@ -169,6 +191,8 @@ def wired(waves: Mapping[str, Waves], shaft: Shaft) -> tuple[list[str], float, d
             "the pairs follow one another against the sense of rotation: two leads, or two pairs' channels, are"
             " exchanged, or the encoder's sign is wrong"
         )
-    mended = {name: Waves(wiring.signs[name] * found.linkage, found.offset) for name, found in waves.items()}
-    rest = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
-    return findings, rest / (sum(map(abs, phasors.values())) / len(phasors)), mended
+    corrected = {
+        name: Waves(wiring.signs[name] * pair_waves.linkage, pair_waves.offset) for name, pair_waves in waves.items()
+    }
+    sum_of_three = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
+    return findings, sum_of_three / (sum(map(abs, phasors.values())) / len(phasors)), corrected

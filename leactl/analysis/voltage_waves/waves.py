@@ -28,7 +28,7 @@ NEIGHBOURS = 0.15  # of the peak's frequency: as far as a speed that drifts spre
 ORDERS = 13  # harmonics, the fundamental included
 
 
-class Record(NamedTuple):
+class VoltageRecord(NamedTuple):
     """Samples of one voltage; NaN where one is missing."""
 
     time: Array  # s
@@ -42,15 +42,15 @@ class Angle:
     time: Array  # s
     values: Array  # rad, increasing
     edges: Array  # s, where whole waves begin and end
-    sure: npt.NDArray[np.bool_]  # of each wave: it was not followed beside a gap
+    sure: npt.NDArray[np.bool_]  # for each wave: it was not followed beside a gap
 
     def at(self, time: Array) -> Array:
-        """The angle at other times within; constant outside, where no wave is."""
+        """Return the angle at other times; outside it stays constant, since no wave is there."""
         return np.interp(time, self.time, self.values)
 
     @property
     def frequencies(self) -> Array:
-        """Of each wave [Hz]."""
+        """Frequency of each wave [Hz]."""
         return np.asarray(1.0 / np.diff(self.edges))
 
 
@@ -62,8 +62,8 @@ class Waves:
     offset: Array  # V, mean of each wave
 
 
-def frequency_of(record: Record) -> float:
-    """Frequency of the one wave that a record holds [Hz].
+def frequency_of(record: VoltageRecord) -> float:
+    """Find the frequency of the wave in a record [Hz].
 
     Raises
     ------
@@ -75,15 +75,15 @@ def frequency_of(record: Record) -> float:
     power[0] = 0.0
     total = float(power.sum())
     peak = int(np.argmax(power))
-    near = np.abs(np.arange(len(power)) - peak) <= max(2.0, NEIGHBOURS * peak)
-    if not total > 0.0 or float(power[near].sum()) < DOMINANT * total:
+    around_peak = np.abs(np.arange(len(power)) - peak) <= max(2.0, NEIGHBOURS * peak)
+    if not total > 0.0 or float(power[around_peak].sum()) < DOMINANT * total:
         raise NotIdentifiable("no wave stands out of the noise")
-    middle = float(np.average(np.flatnonzero(near), weights=power[near]))
-    return middle / (float(record.time[-1] - record.time[0]) * len(values) / (len(values) - 1))
+    mean_bin = float(np.average(np.flatnonzero(around_peak), weights=power[around_peak]))
+    return mean_bin / (float(record.time[-1] - record.time[0]) * len(values) / (len(values) - 1))
 
 
-def follow(record: Record) -> Angle:
-    """The angle of a voltage's fundamental, with its whole waves.
+def follow(record: VoltageRecord) -> Angle:
+    """Follow the phase of a voltage's fundamental; return the electrical angle and its whole waves.
 
     Demodulated with a carrier of one frequency first, then over the angle that this gives: there every wave has the
     same length, and a mean over one is free of harmonics however the speed drifts.
@@ -94,36 +94,36 @@ def follow(record: Record) -> Angle:
     """
     time, values = record.time, filled(record.values)
     frequency = frequency_of(record)
-    samples = 1.0 / (frequency * float(np.median(np.diff(time))))
-    if samples < FEWEST_SAMPLES:
+    samples_per_wave = 1.0 / (frequency * float(np.median(np.diff(time))))
+    if samples_per_wave < FEWEST_SAMPLES:
         raise NotIdentifiable(
-            f"{samples:.1f} samples a wave of {frequency:.4g} Hz; {FEWEST_SAMPLES} at least are needed"
+            f"{samples_per_wave:.1f} samples a wave of {frequency:.4g} Hz; {FEWEST_SAMPLES} at least are needed"
         )
     span, least = float(time[-1] - time[0]) * frequency, FEWEST_WAVES + AT_THE_ENDS
     if span < least:
         raise NotIdentifiable(
             f"{span:.1f} waves of {frequency:.4g} Hz; {least} at least are needed: turn longer or faster"
         )
-    wave, level = round(samples), values - values.mean()
+    wave, centred = round(samples_per_wave), values - values.mean()
     carrier = 2.0 * np.pi * frequency * (time - time[0])
-    first = over_two_waves(demodulated(level, carrier, wave), wave)
-    kept = slice(2 * (wave - 1), 2 * (wave - 1) + len(first))
-    grid = np.arange(first[0], first[-1], 2.0 * np.pi / wave)
-    moments = np.interp(grid, first, time[kept])
-    angle = demodulated(np.interp(moments, time, level), grid, wave)
-    inner = moments[wave - 1 : wave - 1 + len(angle)]
-    if not (np.diff(first) > 0.0).all() or not (np.diff(angle) > 0.0).all():
+    coarse_angle = over_two_waves(demodulated(centred, carrier, wave), wave)
+    coarse_range = slice(2 * (wave - 1), 2 * (wave - 1) + len(coarse_angle))
+    grid = np.arange(coarse_angle[0], coarse_angle[-1], 2.0 * np.pi / wave)
+    moments = np.interp(grid, coarse_angle, time[coarse_range])
+    angle = demodulated(np.interp(moments, time, centred), grid, wave)
+    times = moments[wave - 1 : wave - 1 + len(angle)]
+    if not (np.diff(coarse_angle) > 0.0).all() or not (np.diff(angle) > 0.0).all():
         raise NotIdentifiable(f"the phase of a wave of {frequency:.4g} Hz is lost in noise")
     turns = np.arange(np.ceil(angle[0] / (2.0 * np.pi)), np.floor(angle[-1] / (2.0 * np.pi)) + 1.0)
-    edges = np.interp(2.0 * np.pi * turns, angle, inner)
-    gaps = time[in_gaps(record.values, round(GAP * samples))]
-    near = REACH / frequency
-    sure = np.searchsorted(gaps, edges[1:] + near) == np.searchsorted(gaps, edges[:-1] - near)
-    return Angle(inner, angle, edges, sure)
+    edges = np.interp(2.0 * np.pi * turns, angle, times)
+    gaps = time[in_gaps(record.values, round(GAP * samples_per_wave))]
+    reach = REACH / frequency
+    sure = np.searchsorted(gaps, edges[1:] + reach) == np.searchsorted(gaps, edges[:-1] - reach)
+    return Angle(times, angle, edges, sure)
 
 
 def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
-    """Which samples are missing in a row of more than so many: a straight line over it is no wave."""
+    """Mark missing samples that stand in rows of more than `longest`: a straight line over them is no wave."""
     missing = ~np.isfinite(values)
     starts = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0) == 1)
     stops = np.flatnonzero(np.diff(missing.astype(np.int8), append=0) == -1) + 1
@@ -134,69 +134,69 @@ def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
 
 
 def demodulated(level: Array, carrier: Array, wave: int) -> Array:
-    """Phase of the fundamental, carrier included, one wave shorter at either end; straight where samples lack."""
+    """Return the phase of the fundamental with the carrier's, one wave shorter at either end; straight over gaps."""
     smooth = over_two_waves(level * np.exp(-1j * carrier), wave)
-    size = np.abs(smooth)
-    there = size > LEAST_SIZE * float(np.median(size))
-    places = np.arange(len(smooth))
-    phase = np.interp(places, places[there], np.unwrap(np.angle(smooth[there])))
+    amplitude = np.abs(smooth)
+    large_enough = amplitude > LEAST_SIZE * float(np.median(amplitude))
+    indices = np.arange(len(smooth))
+    phase = np.interp(indices, indices[large_enough], np.unwrap(np.angle(smooth[large_enough])))
     return np.asarray(carrier[wave - 1 : wave - 1 + len(smooth)] + phase)
 
 
-def waves_of(record: Record, angle: Angle) -> Waves:
-    """Flux linkages of a voltage over the waves of an angle that was followed in it or in another one beside it."""
-    wave = len(angle.time) / max(len(angle.edges) - 1, 1)
-    orders = max(1, min(ORDERS, int(wave / 2.5)))
+def waves_of(record: VoltageRecord, angle: Angle) -> Waves:
+    """Compute the flux linkages of a voltage over the waves of an angle, followed in it or in a voltage beside it."""
+    samples_per_wave = len(angle.time) / max(len(angle.edges) - 1, 1)
+    orders = max(1, min(ORDERS, int(samples_per_wave / 2.5)))
     time, missing = record.time, ~np.isfinite(record.values)
     values = np.where(missing, 0.0, record.values)
-    turn = np.exp(-1j * angle.at(time))
+    rotation = np.exp(-1j * angle.at(time))
     edges = angle.edges
-    widths, step, absent = np.diff(edges), float(np.median(np.diff(time))), time[missing]
-    lacking = np.searchsorted(absent, edges[1:] + step) > np.searchsorted(absent, edges[:-1] - step)
-    lacking |= ~angle.sure
+    widths, step, missing_times = np.diff(edges), float(np.median(np.diff(time))), time[missing]
+    incomplete = np.searchsorted(missing_times, edges[1:] + step) > np.searchsorted(missing_times, edges[:-1] - step)
+    incomplete |= ~angle.sure
     offset = np.diff(integral_at(edges, time, values)).real / widths
-    level = values - (float(np.mean(offset[~lacking])) if not lacking.all() else 0.0)
+    centred = values - (float(np.mean(offset[~incomplete])) if not incomplete.all() else 0.0)
     linkage = np.empty((orders, len(widths)), np.complex128)
-    integrand: Complex = level.astype(np.complex128)
+    integrand: Complex = centred.astype(np.complex128)
     for order in range(orders):
-        integrand = integrand * turn
+        integrand = integrand * rotation
         linkage[order] = np.diff(integral_at(edges, time, integrand)) / np.pi
-    linkage[:, lacking] = np.nan
-    return Waves(linkage, np.where(lacking, np.nan, offset))
+    linkage[:, incomplete] = np.nan
+    return Waves(linkage, np.where(incomplete, np.nan, offset))
 
 
 def integral_at(moments: Array, time: Array, values: npt.NDArray[np.complexfloating] | Array) -> Complex:
-    """Integral of samples from their first to these moments, by trapezia and, within one, its own parabola.
+    """Integrate samples from the first one to these moments, by trapezia, and by a parabola within the last one.
 
     Over whole waves the trapezia's error cancels (Euler and Maclaurin), since the derivatives at both ends are alike.
     """
     steps = np.diff(time)
-    whole = np.concatenate([[0.0], np.cumsum(0.5 * steps * (values[1:] + values[:-1]))])
-    place = np.clip(np.searchsorted(time, moments, side="right") - 1, 0, len(steps) - 1)
-    part = moments - time[place]
-    slope = (values[place + 1] - values[place]) / steps[place]
-    return np.asarray(whole[place] + part * (values[place] + 0.5 * part * slope), np.complex128)
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * steps * (values[1:] + values[:-1]))])
+    index = np.clip(np.searchsorted(time, moments, side="right") - 1, 0, len(steps) - 1)
+    remainder = moments - time[index]
+    slope = (values[index + 1] - values[index]) / steps[index]
+    return np.asarray(cumulative[index] + remainder * (values[index] + 0.5 * remainder * slope), np.complex128)
 
 
 def over_two_waves(values: Numbers, wave: int) -> Numbers:
-    """Weighted means over two waves of so many samples, a triangle: the mean of means over one."""
+    """Average over two waves of `wave` samples with triangular weights."""
     for _ in range(2):
-        sums = np.concatenate([np.zeros(1, values.dtype), np.cumsum(values)])
-        values = (sums[wave:] - sums[:-wave]) / wave
+        cumulative = np.concatenate([np.zeros(1, values.dtype), np.cumsum(values)])
+        values = (cumulative[wave:] - cumulative[:-wave]) / wave
     return values
 
 
 def filled(values: Array) -> Array:
-    """Samples with a straight line over those that are missing: for the phase alone, such waves count for nothing.
+    """Bridge missing samples by straight lines: for the phase alone, such waves count for nothing.
 
     Raises
     ------
     NotIdentifiable : all are missing.
     """
-    good = np.isfinite(values)
-    if good.all():
+    finite = np.isfinite(values)
+    if finite.all():
         return values
-    if not good.any():
+    if not finite.any():
         raise NotIdentifiable("all samples are missing")
-    places = np.arange(len(values))
-    return np.interp(places, places[good], values[good])
+    indices = np.arange(len(values))
+    return np.interp(indices, indices[finite], values[finite])

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Plot, Series
-from leactl.report.chart import Area, Curve, Key, Layer, Points, chart
-from leactl.report.datasheet.rows import Row, ordered_conditions
-from leactl.report.datasheet.runset import Answer, Entry, RunSet
+from leactl.report.chart import Area, Key, Layer, LineMarks, PointMarks, chart
+from leactl.report.datasheet.rows import DatasheetRow, ordered_conditions
+from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.html import Html, joined, tag
 from leactl.report.intervals import Interval, intervals
 
@@ -22,7 +22,7 @@ AS_WRITTEN = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
 PRINTED = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
 UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED)})(?![\w])")
 
-Link = Callable[[Sequence[Entry]], Html]
+Link = Callable[[Sequence[RunEntry]], Html]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Figure:
     plot: Plot  # any of those drawn, for its labels
     layers: tuple[Layer, ...]
     keys: tuple[Key, ...]  # of the legend; none for those of the layers
-    entries: tuple[Entry, ...]
+    entries: tuple[RunEntry, ...]
 
 
 def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link: Link) -> Html:
@@ -64,7 +64,7 @@ def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html
     return tag("figure", said, chart(one.layers, *labels, beside, one.keys, one.plot.x_log))
 
 
-def figures_of(answers: Sequence[Answer], index: int, colours: Mapping[str, str]) -> list[Figure]:
+def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
     """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
     own = [answer for answer in answers if index < len(answer.result.plots)]
     found = []
@@ -93,7 +93,7 @@ def alone(plot: Plot) -> list[Layer]:
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
-        layers.append(Curve(line.label, style, *arrays(line), whole=True, told=told and not kind))
+        layers.append(LineMarks(line.label, style, *arrays(line), whole=True, told=told and not kind))
     layers += [points(one, one.label, colours[one.label], marks[one.label], plot) for one in plot.points]
     return points_first(layers)
 
@@ -101,9 +101,9 @@ def alone(plot: Plot) -> list[Layer]:
 def map_layers(plot: Plot) -> list[Layer]:
     """A map's bands in their colours, contours with their levels on them, and where it was measured."""
     bands: list[Layer] = [Area(one.label, f"b{k}", one.polygons) for k, one in enumerate(plot.bands) if one.polygons]
-    contours = [Curve(line.label, "contour", *arrays(line), whole=True, told=True) for line in plot.lines]
+    contours = [LineMarks(line.label, "contour", *arrays(line), whole=True, told=True) for line in plot.lines]
     x, y = (np.concatenate([arrays(series)[k] for series in plot.points]) for k in (0, 1))
-    return [*bands, *contours, Points("measured", "fine other", x, y)]
+    return [*bands, *contours, PointMarks("measured", "fine other", x, y)]
 
 
 def subject(plot: Plot) -> str:
@@ -112,7 +112,7 @@ def subject(plot: Plot) -> str:
 
 
 def over_each_other(
-    answers: Sequence[Answer], plots: Sequence[Plot], colours: Mapping[str, str]
+    answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
     """A colour for each condition, the same with every actuator; a mark for each kind of points."""
     kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
@@ -122,7 +122,9 @@ def over_each_other(
         for line in plot.lines:
             own = kind_of(line, dict.fromkeys(kinds)) == line.label
             layers.append(
-                Curve(answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line), whole=True)
+                LineMarks(
+                    answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line), whole=True
+                )
             )
         marks = [MARKS[kinds.index(one.label)] for one in plot.points]
         layers += [points(one, one.label, colour, mark, plot) for one, mark in zip(plot.points, marks, strict=True)]
@@ -139,14 +141,14 @@ def points(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Lay
     x, y = arrays(series)
     fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
     if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
-        return Curve(name, f"line {colour}", x, y)
+        return LineMarks(name, f"line {colour}", x, y)
     dense = max(len(one.x) for one in plot.points) > DENSE
-    return Points(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
+    return PointMarks(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
 
 
 def points_first(layers: Sequence[Layer]) -> list[Layer]:
     """Points below the lines through them, which fewer of them would hide."""
-    return sorted(layers, key=lambda layer: isinstance(layer, Curve))
+    return sorted(layers, key=lambda layer: isinstance(layer, LineMarks))
 
 
 def kind_of(line: Series, kinds: dict[str, str] | dict[str, None]) -> str:
@@ -159,7 +161,7 @@ def arrays(series: Series) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(series.x, np.float64), np.asarray(series.y, np.float64)
 
 
-def over_conditions(rows: Sequence[Row], sets: Sequence[RunSet]) -> Html:
+def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Html:
     """A strip of intervals for each result that has several rows or sets."""
     charts = []
     for name in dict.fromkeys(row.name for row in rows):

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from leactl.report.datasheet.runset import Entry, RunSet
+from leactl.report.datasheet.runset import RunEntry, RunSet
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentUse:
     """One instrument as runs know it."""
 
     device: str
     facts: tuple[tuple[str, str], ...]
-    entries: tuple[Entry, ...]
+    entries: tuple[RunEntry, ...]
 
     @property
     def known(self) -> dict[str, str]:
@@ -21,7 +21,7 @@ class Instrument:
         return dict(self.facts)
 
     @property
-    def overdue(self) -> list[Entry]:
+    def overdue(self) -> list[RunEntry]:
         """Runs that were recorded after its calibration was due."""
         due = self.known.get("calibration_due", "")
         return [entry for entry in self.entries if due and entry.about.get("created", "")[:10] > due]
@@ -32,13 +32,13 @@ class Instrument:
         return {"device": self.device, **self.known, **of}
 
 
-def instruments_of(own: RunSet) -> list[Instrument]:
+def instruments_of(own: RunSet) -> list[InstrumentUse]:
     """The instruments of a set of runs; one that was changed or calibrated between runs stands once for each state."""
-    used: dict[tuple[str, tuple[tuple[str, str], ...]], list[Entry]] = {}
+    used: dict[tuple[str, tuple[tuple[str, str], ...]], list[RunEntry]] = {}
     for entry in own.entries:
         for device, facts in entry.instruments.items():
             used.setdefault((device, tuple(facts.items())), []).append(entry)
-    return [Instrument(*key, tuple(entries)) for key, entries in sorted(used.items(), key=lambda item: item[0])]
+    return [InstrumentUse(*key, tuple(entries)) for key, entries in sorted(used.items(), key=lambda item: item[0])]
 
 
 def warnings_of(sets: Sequence[RunSet]) -> list[str]:

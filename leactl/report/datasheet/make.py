@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.report.datasheet.instruments import warnings_of
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import RunSet, read_runs, refuse_untaken
-from leactl.report.datasheet.sheet import Sheet
+from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.outputs import check
 from leactl.report.pdf import browser, print_pdf
 from leactl.report.steps import Steps
@@ -45,7 +45,7 @@ class Wanted:
             browser()
 
 
-def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, float], wanted: Wanted) -> Sheet:
+def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, float], wanted: Wanted) -> Datasheet:
     """Analyse runs, or two sets of them side by side, and write what is wanted; runs that gave nothing go to stderr.
 
     Raises
@@ -60,7 +60,7 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
         given = (runs, compared) if compared else (runs,)
         sets = tuple(read_runs(paths, prefix, options, step) for paths, prefix in zip(given, prefixes, strict=True))
         refuse_shared(sets)
-        sheet = Sheet(told_apart(sets))
+        sheet = Datasheet(told_apart(sets))
         sheet.refuse_empty()
         step("writing")
         if wanted.html is not None:

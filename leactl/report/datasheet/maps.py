@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Grid
 from leactl.report.datasheet.figures import plain, pretty
-from leactl.report.datasheet.runset import Answer
+from leactl.report.datasheet.runset import GroupResult
 from leactl.report.datasheet.table import links
 from leactl.report.html import Html, table, tag
 
@@ -14,7 +14,7 @@ UNITS = {"_rad_s": "rad/s", "_Nm": "N*m", "_V": "V", "_A": "A", "_W": "W", "_1":
 NOT_HELD = "-"
 
 
-def map_of(grid: Grid, answer: Answer) -> Html:
+def map_of(grid: Grid, answer: GroupResult) -> Html:
     """One map by its first quantity, the axis with more setpoints downwards; the others are for `analyze --json`."""
     (quantity, rows), axes = next(iter(grid.values.items())), list(grid.axes.items())
     cells = np.array(rows)

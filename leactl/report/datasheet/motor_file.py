@@ -8,7 +8,7 @@ from leactl.model.motor_schema import MotorSheet
 from leactl.report.datasheet.figures import plain, pretty
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.html import Html, joined, table, tag
-from leactl.report.motors import Known, Setting, cell, rows
+from leactl.report.motors import KnownFigure, Setting, cell, rows
 
 BY_FILE = (
     "winding",
@@ -30,7 +30,7 @@ def motor_table(sets: Sequence[RunSet], motors: Sequence[str]) -> Html:
         return Html("")
     cells = [
         [plain(row.name), *map(cell, row.values), pretty(row.units)]
-        for row in rows([Known(sheet, None, (), Setting()) for sheet in found])
+        for row in rows([KnownFigure(sheet, None, (), Setting()) for sheet in found])
         if row.name in BY_FILE and any(value is not None for value in row.values)
     ]
     head = tag("p", "By the motor file that the runs carry, not measured:", class_="about")

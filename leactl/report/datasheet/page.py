@@ -15,8 +15,8 @@ from leactl.report.datasheet.figures import figures, heading, over_conditions, p
 from leactl.report.datasheet.instruments import instruments_of
 from leactl.report.datasheet.maps import map_of
 from leactl.report.datasheet.motor_file import motor_table
-from leactl.report.datasheet.runset import Answer, Entry, RunSet
-from leactl.report.datasheet.sheet import Section, Sheet
+from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
+from leactl.report.datasheet.sheet import Datasheet, Section
 from leactl.report.datasheet.style import STYLE
 from leactl.report.datasheet.table import in_lines, links, rows_table
 from leactl.report.html import Html, document, joined, table, tag, text
@@ -24,7 +24,7 @@ from leactl.report.terminal import figures as paper
 from leactl.report.terminal import interval_text, value_text
 
 
-def page(sheet: Sheet, out: Path) -> str:
+def page(sheet: Datasheet, out: Path) -> str:
     """The whole datasheet for a file at `out`, from where links to runs begin."""
     compared = " and ".join(one.name for one in sheet.sets) if len(sheet.sets) > 1 else ""
     of = ", ".join(section.title for section in sheet.sections)
@@ -85,7 +85,7 @@ def motor_section(sets: Sequence[RunSet], section: Section, place: str) -> Html:
 
 
 def experiment_section(
-    sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[Answer], place: str
+    sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[GroupResult], place: str
 ) -> Html:
     """Method, what the conditions do, figures, every result, notes."""
     parts = [tag("h3", heading(experiment)), tag("p", method_of(experiment), class_="method about")]
@@ -109,7 +109,7 @@ def experiment_section(
     return tag("section", *parts, id=place)
 
 
-def sentences(found: Sequence[Comparison], whose: str, entries: Sequence[Entry]) -> list[Html]:
+def sentences(found: Sequence[Comparison], whose: str, entries: Sequence[RunEntry]) -> list[Html]:
     """What the data support, and below it what that holds for and what is doubtful; a remark on all results once."""
     of: dict[str, list[str]] = {}
     for one in found:
@@ -120,14 +120,14 @@ def sentences(found: Sequence[Comparison], whose: str, entries: Sequence[Entry])
     return said + ([tag("ul", *(tag("li", f"{whose}{pretty(one)}") for one in remarks), class_="about")] if of else [])
 
 
-def with_labels(note: str, entries: Sequence[Entry]) -> str:
+def with_labels(note: str, entries: Sequence[RunEntry]) -> str:
     """A note with the short names of runs in place of their paths."""
     for entry in sorted(entries, key=lambda one: -len(str(one.path))):
         note = note.replace(str(entry.path), entry.label)
     return note
 
 
-def results_table(answer: Answer) -> Html:
+def results_table(answer: GroupResult) -> Html:
     """Every result of one actuator under one condition."""
     known = paper(answer.experiment, answer.condition)
     cells = [

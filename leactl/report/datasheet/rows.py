@@ -8,18 +8,18 @@ from typing import Any
 from leactl.analysis.analyze import names
 from leactl.analysis.anova.pooled import difference, over_actuators, widest
 from leactl.analysis.estimate import Estimate
-from leactl.report.datasheet.runset import Answer, Entry, RunSet
+from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.terminal import figures, printed, units_in_paper
 
 NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True)
-class Cell:
+class DatasheetCell:
     """What one set of runs says; without an estimate, `lacks` says why."""
 
     estimate: Estimate | None
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[RunEntry, ...] = ()
     lacks: str = ""
     actuators: tuple[str, ...] = ()  # that it is of
     whose: str = ""  # which those are, where it is compared and the set has others
@@ -31,14 +31,14 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class DatasheetRow:
     """One result."""
 
     experiment: str
     name: str
     condition: str
     actuator: str  # or how many were pooled
-    cells: tuple[Cell, ...]
+    cells: tuple[DatasheetCell, ...]
     paper: str  # its figure of the LEA; empty where it has none
 
     @property
@@ -85,7 +85,7 @@ def numbers(estimate: Estimate | None) -> dict[str, float | None]:
     return {key: row.get(key) for key in ("value", "std", "low", "high")}
 
 
-def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[Row]:
+def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[DatasheetRow]:
     """Rows of one experiment; motor k is that of set k.
 
     One set has a row for each actuator, and one for all where several know the result; of two sets only what all of
@@ -105,7 +105,7 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
         for condition in conditions(experiment, every, name):
             paper = figures(experiment, condition).get(name, "")
             cells = [cells_of(own, lost, name, condition) for own, lost in zip(answers, faulty, strict=True)]
-            shown: list[tuple[Cell, ...]]
+            shown: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
                 whole = together(cells[0])
                 shown = [(cell,) for cell in [*cells[0], *([whole] if len(whole.actuators) > 1 else [])]]
@@ -116,11 +116,11 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
                         for of_set, own, motor in zip(cells, sets, motors, strict=True)
                     )
                 ]
-            found += [Row(experiment, name, condition, who(row), row, paper) for row in shown]
+            found += [DatasheetRow(experiment, name, condition, who(row), row, paper) for row in shown]
     return found
 
 
-def result_names(experiment: str, answers: Sequence[Answer]) -> list[str]:
+def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
     """Results for the table: those that the paper has; of an experiment that it has not, those with an interval.
 
     A result that is a part of another, such as that of one direction alone, is left to the list of all results.
@@ -139,30 +139,32 @@ def result_names(experiment: str, answers: Sequence[Answer]) -> list[str]:
     return list(known)
 
 
-def conditions(experiment: str, answers: Sequence[Answer], name: str) -> list[str]:
+def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
     """Conditions of a result: those of the paper in its order, then others; one without a name where there is none."""
     own = [label for label, figures_ in printed(experiment).items() if label != "any" and name in figures_]
     measured = {answer.condition for answer in answers} | set(own)
     return [label for label in ordered_conditions(answers) if label in measured] or [""]
 
 
-def ordered_conditions(answers: Sequence[Answer]) -> list[str]:
+def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
     """Conditions of the paper in its order, then others: the same for every set of runs, however theirs was drawn."""
     papers = [label for each in names() for label in printed(each) if label != "any"]
     return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
 
 
-def cells_of(answers: Sequence[Answer], faulty: Sequence[Entry], name: str, condition: str) -> list[Cell]:
+def cells_of(
+    answers: Sequence[GroupResult], faulty: Sequence[RunEntry], name: str, condition: str
+) -> list[DatasheetCell]:
     """A cell for each actuator that was measured; an empty one where none was."""
     own = [answer for answer in answers if answer.condition == condition]
     found = [(answer, item) for answer in own for item in answer.result.results if item.name == name]
     if not found:
         lost = tuple(one for one in faulty if condition in ("", one.group[1]))
-        return [Cell(None, lost, "not analysed" if lost else NOT_MEASURED)]
-    return [Cell(item, answer.entries, actuators=(answer.actuator,)) for answer, item in found]
+        return [DatasheetCell(None, lost, "not analysed" if lost else NOT_MEASURED)]
+    return [DatasheetCell(item, answer.entries, actuators=(answer.actuator,)) for answer, item in found]
 
 
-def together(cells: Sequence[Cell]) -> Cell:
+def together(cells: Sequence[DatasheetCell]) -> DatasheetCell:
     """What actuators say together: the mean of those that know a value, or else the bounds that hold for all."""
     pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
     valued = [(cell, item) for cell, item in pairs if math.isfinite(item.value)]
@@ -172,10 +174,10 @@ def together(cells: Sequence[Cell]) -> Cell:
         return told[0][0] if told else cells[0]
     estimate = (over_actuators if valued else widest)([item for _, item in told])
     entries = tuple(entry for cell, _ in told for entry in cell.entries)
-    return Cell(estimate, entries, actuators=tuple(name for cell, _ in told for name in cell.actuators))
+    return DatasheetCell(estimate, entries, actuators=tuple(name for cell, _ in told for name in cell.actuators))
 
 
-def attributed(cell: Cell, own: RunSet, motor: str) -> Cell:
+def attributed(cell: DatasheetCell, own: RunSet, motor: str) -> DatasheetCell:
     """The cell with the names of its actuators where its set has others besides."""
     every = {entry.group[0] for entry in own.entries if entry.experiment and entry.motor == motor}
     if not cell.actuators or every <= set(cell.actuators):
@@ -183,7 +185,7 @@ def attributed(cell: Cell, own: RunSet, motor: str) -> Cell:
     return replace(cell, whose=f"of {', '.join(name or 'one without a name' for name in cell.actuators)} alone")
 
 
-def who(cells: Sequence[Cell]) -> str:
+def who(cells: Sequence[DatasheetCell]) -> str:
     """The actuator of a row, where its cells have the same one."""
     told = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
     return next(iter(told)) if len(told) == 1 else ""

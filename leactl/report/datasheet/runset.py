@@ -23,7 +23,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass
-class Entry:
+class RunEntry:
     """One file; `fault` says why nothing came of it, and is empty where something did."""
 
     path: Path
@@ -48,7 +48,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Answer:
+class GroupResult:
     """What the runs of one experiment, actuator and condition gave."""
 
     motor: str
@@ -56,11 +56,11 @@ class Answer:
     actuator: str
     condition: str
     result: Result
-    entries: tuple[Entry, ...]
+    entries: tuple[RunEntry, ...]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ConditionVerdict:
     """Whether the results of an experiment differ between conditions; `refused` says why some were not compared."""
 
     found: tuple[Comparison, ...]
@@ -72,9 +72,9 @@ class RunSet:
     """Runs that belong together."""
 
     name: str
-    entries: tuple[Entry, ...]
-    answers: tuple[Answer, ...]
-    verdicts: Mapping[tuple[str, str], Verdict]  # by motor and experiment
+    entries: tuple[RunEntry, ...]
+    answers: tuple[GroupResult, ...]
+    verdicts: Mapping[tuple[str, str], ConditionVerdict]  # by motor and experiment
 
     @property
     def motors(self) -> list[str]:
@@ -99,7 +99,7 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     entries = [entry_of(path) for path in run_files(given)]
     entries.sort(key=order)
     copies = Counter(entry.identity for entry in entries)
-    seen: dict[str, Entry] = {}
+    seen: dict[str, RunEntry] = {}
     for number, entry in enumerate(entries, start=1):
         entry.label = f"{prefix}{number}"
         if copies[entry.identity] > 1 and not entry.fault:
@@ -107,8 +107,8 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
         first = entry if entry.fault else seen.setdefault(entry.identity, entry)
         if first is not entry:
             entry.fault = f"the same run as {first.label}"
-    answers: list[Answer] = []
-    verdicts: dict[tuple[str, str], Verdict] = {}
+    answers: list[GroupResult] = []
+    verdicts: dict[tuple[str, str], ConditionVerdict] = {}
     usable = sorted((one for one in entries if not one.fault), key=lambda one: (one.motor, one.experiment))
     for (motor, experiment), alike in groupby(usable, key=lambda one: (one.motor, one.experiment)):
         tell(experiment)
@@ -120,7 +120,7 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     return RunSet(named(given), tuple(entries), tuple(answers), verdicts)
 
 
-def order(entry: Entry) -> tuple[bool, str, bool, str]:
+def order(entry: RunEntry) -> tuple[bool, str, bool, str]:
     """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
     run_id = entry.about.get("run_id", "")
     return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
@@ -132,17 +132,17 @@ def named(given: Sequence[Path]) -> str:
     return listed((folder.name for folder in folders), MOST_NAMED)
 
 
-def entry_of(path: Path) -> Entry:
+def entry_of(path: Path) -> RunEntry:
     """What a file says of itself."""
     try:
         with Run.open(path) as run:
             model = run.source("model") or ""
-            entry = Entry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
+            entry = RunEntry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
             entry.about = {name: str(run.attributes.get(name, "")) for name in ABOUT}
             entry.about["mechanical"] = run.mechanical
             entry.instruments = run.instruments
     except InputError as fault:
-        return Entry(path, fault=told(fault, path))
+        return RunEntry(path, fault=fault_text(fault, path))
     if entry.experiment not in names():
         what = f"no analysis '{entry.experiment}' is known" if entry.experiment else "the run names no analysis"
         entry.fault = f"{what}; known: {', '.join(names())}"
@@ -152,9 +152,9 @@ def entry_of(path: Path) -> Entry:
 def damage(path: Path) -> str:
     """Why a copy of a run is not the one to take; empty where its values are those of its checksums."""
     try:
-        return told(InputError(altered(path)), path)
+        return fault_text(InputError(altered(path)), path)
     except InputError as fault:
-        return told(fault, path)
+        return fault_text(fault, path)
 
 
 def motor_of(model: str) -> str:
@@ -172,15 +172,15 @@ def is_simulated(run: Run) -> bool:
     return str(run.attributes.get("simulated", "")) == "1"
 
 
-def by_group(entries: Sequence[Entry]) -> list[list[Entry]]:
+def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
     """Entries of the same actuator and condition together, each group where its first one stands."""
-    groups: dict[tuple[str, str], list[Entry]] = {}
+    groups: dict[tuple[str, str], list[RunEntry]] = {}
     for entry in entries:
         groups.setdefault(entry.group, []).append(entry)
     return list(groups.values())
 
 
-def answer_of(entries: Sequence[Entry], options: Mapping[str, float]) -> Answer | None:
+def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
     """What runs of one experiment, actuator and condition give; a run that spoils it is left out with its reason."""
     first = entries[0]
     taken = options_of(first.experiment, options)
@@ -188,38 +188,38 @@ def answer_of(entries: Sequence[Entry], options: Mapping[str, float]) -> Answer 
         result = analyze_runs([one.path for one in entries], **taken)
     except InputError as together:
         for one in entries:
-            one.fault = fault_of(one, taken) if len(entries) > 1 else told(together, one.path)
+            one.fault = fault_of(one, taken) if len(entries) > 1 else fault_text(together, one.path)
         good = [one for one in entries if not one.fault]
         if len(good) == len(entries):
             for one in entries:
-                one.fault = told(together, one.path)
+                one.fault = fault_text(together, one.path)
             good = []
         return answer_of(good, options) if good else None
-    return Answer(first.motor, first.experiment, *first.group, result, tuple(entries))
+    return GroupResult(first.motor, first.experiment, *first.group, result, tuple(entries))
 
 
-def fault_of(entry: Entry, options: Mapping[str, Any]) -> str:
+def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
     """Why a run cannot be analysed by itself; empty where it can."""
     try:
         analyze_runs([entry.path], **options)
     except InputError as fault:
-        return told(fault, entry.path)
+        return fault_text(fault, entry.path)
     return ""
 
 
-def told(fault: InputError, path: Path) -> str:
+def fault_text(fault: InputError, path: Path) -> str:
     """A fault without the path before it."""
     return "; ".join(line.removeprefix(f"{path}: ") for line in fault.faults)
 
 
-def compared(entries: Sequence[Entry], options: Mapping[str, float]) -> Verdict:
+def compared(entries: Sequence[RunEntry], options: Mapping[str, float]) -> ConditionVerdict:
     """The results of an experiment over its conditions, as `leactl stats` has them."""
     taken = options_of(entries[0].experiment, options)
     try:
         _, found, refused = compare_all([one.path for one in entries], **taken)
     except InputError as fault:
-        return Verdict((), tuple(fault.faults))
-    return Verdict(tuple(found), tuple(refused))
+        return ConditionVerdict((), tuple(fault.faults))
+    return ConditionVerdict(tuple(found), tuple(refused))
 
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:

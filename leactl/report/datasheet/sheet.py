@@ -8,7 +8,7 @@ from typing import Any
 from leactl.analysis.analyze import names
 from leactl.errors import InputError
 from leactl.report.datasheet.instruments import instruments_of, warnings_of
-from leactl.report.datasheet.rows import NOT_MEASURED, Row, rows, unlisted
+from leactl.report.datasheet.rows import NOT_MEASURED, DatasheetRow, rows, unlisted
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.terminal import printed
 
@@ -20,7 +20,7 @@ class Section:
     """One motor, or two that are compared."""
 
     motors: tuple[str, ...]  # one for each set
-    rows: dict[str, list[Row]]  # by experiment, those that were not measured among them
+    rows: dict[str, list[DatasheetRow]]  # by experiment, those that were not measured among them
     unlisted: list[str]  # experiments without a run and without a figure in the paper
 
     @property
@@ -30,7 +30,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Datasheet:
     """One set of runs, or two that are compared."""
 
     sets: tuple[RunSet, ...]
@@ -154,7 +154,7 @@ def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
     )
 
 
-def _unknown(row: Row) -> int:
+def _unknown(row: DatasheetRow) -> int:
     """0 for a row with a figure, 1 for one of whose runs nothing came, 2 for one that was not measured."""
     if any(cell.estimate is not None for cell in row.cells):
         return 0

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from leactl.analysis.estimate import Estimate
 from leactl.report.datasheet.figures import heading, plain, pretty
-from leactl.report.datasheet.rows import Cell, Row
-from leactl.report.datasheet.runset import Entry, RunSet
+from leactl.report.datasheet.rows import DatasheetCell, DatasheetRow
+from leactl.report.datasheet.runset import RunEntry, RunSet
 from leactl.report.datasheet.sheet import Section
 from leactl.report.html import Html, joined, tag, text
 from leactl.report.terminal import interval_text, value_text
@@ -29,7 +29,7 @@ def rows_table(sets: Sequence[RunSet], section: Section, place: str) -> Html:
     return tag("div", tag("table", head, *bodies, class_="datasheet"), class_="scroll", tabindex="0")
 
 
-def row_of(row: Row, several: bool, headings: Sequence[str]) -> Html:
+def row_of(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html:
     """One result; each cell carries its heading, which a narrow screen shows beside it."""
     cells: list[str] = [row.condition] + ([] if several else [row.actuator])
     if several:
@@ -48,7 +48,7 @@ def row_of(row: Row, several: bool, headings: Sequence[str]) -> Html:
     return tag("tr", tag("th", plain(row.name), scope="row"), *data, class_="lacking" if lacking else "known")
 
 
-def shown(cell: Cell) -> list[str]:
+def shown(cell: DatasheetCell) -> list[str]:
     """Value and interval, or why there is none."""
     if cell.estimate is None:
         return [cell.lacks, ""]
@@ -68,7 +68,7 @@ def difference_cell(found: Estimate | None) -> Html:
     return tag("strong", cell) if found.low > 0.0 or found.high < 0.0 else cell
 
 
-def links(entries: Sequence[Entry]) -> Html:
+def links(entries: Sequence[RunEntry]) -> Html:
     """Short names of runs, each a link to where it is listed."""
     return joined(
         [tag("a", one.label, href=f"#{one.label}", title=one.about.get("run_id", "")) for one in entries], ", "

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from leactl.analysis.analyze import analyze_each, analyze_runs
-from leactl.analysis.anova.values import of_runs
-from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.anova.values import values_of_runs
+from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError
 from leactl.processes import Workers
 from leactl.runfile.read.reader import Run
@@ -21,7 +21,7 @@ NOISE = {"q_axis_current": 0.015, "velocity": 0.002}
 
 def doubts(path):
     with Run.open(path) as run:
-        return doubts_of(run)
+        return channel_doubts(run)
 
 
 def spoiled(path, tmp_path, quantity, corruption):
@@ -61,7 +61,7 @@ def test_a_dead_current_is_no_drag_and_no_inertia(tmp_path, corruption):
 def test_a_comparison_refuses_what_an_analysis_refuses(tmp_path):
     path = spoiled(Bench(tmp_path).friction(noise=NOISE), tmp_path, "q_axis_current", zero)
     with pytest.raises(InputError, match=r"q_axis_current of test \(d\) does not follow its demand"):
-        of_runs([path])
+        values_of_runs([path])
 
 
 def test_a_channel_that_hangs_from_some_moment_is_the_first_note(tmp_path):
