@@ -8,7 +8,7 @@ from leactl.safety.thermal.turning import Rotor
 from leactl.safety.watching import Panel, Trip, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # of a temperature without `stuck_s`: resolved to 1 mK, none stays the same so long
-TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
+TURNING_RAD_S = 0.1  # mean speed over a stretch, far above a velocity's offset: below, an angle or a velocity may stand
 APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
 OTHERS_EVERY = 16  # cycles from one look at the other channels to the next: that they move shows soon
 
@@ -19,8 +19,8 @@ class _Still:
     def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
-        self.stood_at = math.nan  # the angle when it began
-        self.looked = -math.inf  # when others were looked at last
+        self.shaft, self.least, self.most = 0.0, 0.0, 0.0  # rad, of an angle or a velocity: by the other of the two
+        self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were looked at last
         self.others: list[Sequence[float]] = []
         self.alone = True  # so far: no other channel has moved
         role = watch.channel.role
@@ -34,23 +34,45 @@ class _Still:
         """Whether it is the current of a drive out of operation, which may report 0 without measuring a current."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
-    def turns(self, now: float) -> bool | None:
-        """Of an angle or a velocity, whether the other of the two tells that the shaft turns; None of any else."""
+    def begin(self, panels: Sequence[Panel], now: float) -> None:
+        """Begin a stretch with what the channels read now."""
+        self.value, self.began, self.ends = self.panel.values[self.watch.index], now, now + self.stuck_s
+        self.followed = self.looked = now
+        self.shaft = 0.0 if self.angle is None else self.panel.values[self.angle]
+        self.least = self.most = self.shaft
+        self.alone = True
+        self.others = [tuple(panel.values) for panel in panels]
+
+    def follow(self, now: float) -> None:
+        """Of an angle or a velocity, follow the shaft by the other of the two; a NaN of that one is passed over.
+
+        A swing comes back to where it began, and stands still at each end: its reach shows that the shaft moves.
+        """
         values = self.panel.values
-        if self.velocity is not None:
-            return abs(values[self.velocity]) > TURNING_RAD_S
-        if self.angle is not None:
-            return abs(values[self.angle] - self.stood_at) > TURNING_RAD_S * (now - self.began)
-        return None
+        if self.velocity is not None and values[self.velocity] == values[self.velocity]:
+            self.shaft += values[self.velocity] * (now - self.followed)
+        elif self.angle is not None:
+            self.shaft = values[self.angle]
+        self.followed = now
+        if not self.shaft >= self.least:  # also where the first angle was NaN
+            self.least = self.shaft
+        if not self.shaft <= self.most:
+            self.most = self.shaft
+
+    def is_stuck(self) -> bool:
+        """Whether another channel has moved; of an angle or a velocity, whether the other of the two shows a motion."""
+        if self.velocity is None and self.angle is None:
+            return not self.alone
+        return self.most - self.least > TURNING_RAD_S * self.stuck_s
 
 
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
-    A shaft at rest repeats its angle and its velocity: a look at which the other of the two shows no motion discards
-    the whole stretch. A drive out of operation may repeat a current of exactly 0: that time lengthens the stretch.
-    Stretches follow one another, so that a channel that freezes trips one to two of them later. One that changes is not
-    compared again until its next stretch begins.
+    A shaft at rest repeats its angle and its velocity: each of them trips only where the other has shown the shaft at
+    two angles, apart by more than `TURNING_RAD_S` times `stuck_s`, in one stretch. A drive out of operation may repeat
+    a current of exactly 0: that time lengthens the stretch. Stretches follow one another, so that a channel that
+    freezes trips one to two of them later. One that changes is not compared again until its next stretch begins.
     """
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
@@ -76,8 +98,12 @@ class Stuck:
         """
         self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
         self._looks += 1
-        if not self._looks % OTHERS_EVERY:
-            self._still = [item for item in self._still if self._is_judged(item, now)]
+        others_due = not self._looks % OTHERS_EVERY
+        for item in self._still:
+            if item.velocity is not None or item.angle is not None:
+                item.follow(now)
+            elif others_due:
+                self._look_at_others(item, now)
         if now >= self._next:
             self._begin_stretches(now)
         self.due = -math.inf if self._still else self._next
@@ -86,30 +112,25 @@ class Stuck:
         """End the stretches that are over, and begin the next."""
         for item in self._channels:
             if now >= item.ends and item.panel.values:
-                if item in self._still and not item.alone:
+                if item in self._still and item.is_stuck():
                     watch = item.watch
+                    judged = " of operation" if item.ends > item.began + item.stuck_s else ""
                     watch.trip(
-                        f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s while"
-                        " others moved: stuck"
+                        f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s{judged}"
+                        " while others moved: stuck"
                     )
-                item.value, item.began, item.ends = item.panel.values[item.watch.index], now, now + item.stuck_s
-                item.looked = now
-                item.stood_at = math.nan if item.angle is None else item.panel.values[item.angle]
-                item.alone = True
-                item.others = [tuple(panel.values) for panel in self._panels]
+                item.begin(self._panels, now)
                 if item not in self._still:
                     self._still.append(item)
         self._next = min(item.ends for item in self._channels)
 
-    def _is_judged(self, item: _Still, now: float) -> bool:
-        """Look at what others do meanwhile; False where no motion shows, so that this stretch tells nothing."""
+    def _look_at_others(self, item: _Still, now: float) -> None:
+        """Look at what other channels do meanwhile, but not while a drive is out of operation: its time is put back."""
         since, item.looked = now - item.looked, now
         if item.is_off():
             item.ends += since
-            return True
-        turns = item.turns(now)
-        item.alone = item.alone and not (self._others_moved(item) if turns is None else turns)
-        return turns is not False
+        elif item.alone:
+            item.alone = not self._others_moved(item)
 
     def _others_moved(self, item: _Still) -> bool:
         for panel, before in zip(self._panels, item.others, strict=True):

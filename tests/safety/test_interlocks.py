@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import random
 
 import pytest
 
@@ -208,6 +209,35 @@ def test_an_angle_and_a_velocity_are_stuck_only_where_the_other_tells_of_motion(
         assert 0.2 <= trips_after(rig, "test velocity has been exactly 0.50.* for 0.2 s", 1, each) <= 0.42
 
 
+def swinging(rig, reach, broken):
+    """The shaft swings by so many rad to either side at 5 Hz, of which one quantity is not reported."""
+    began, still = rig.clock.now(), getattr(rig.shaft, broken)
+
+    def each():
+        phase = 2 * math.pi * 5 * (rig.clock.now() - began)
+        rig.shaft.angle, rig.shaft.velocity = reach * math.sin(phase), 2 * math.pi * 5 * reach * math.cos(phase)
+        setattr(rig.shaft, broken, still)
+
+    return each
+
+
+@pytest.mark.parametrize("quantity", ["angle", "velocity"])
+def test_an_angle_or_a_velocity_that_stands_while_its_shaft_swings_is_stuck(make, quantity):
+    rig = make(f"{quantity}: {{stuck_s: 0.5}}")
+    words = f"test {quantity} has been exactly .* for 0.5 s"
+    assert 0.5 <= trips_after(rig, words, 2, swinging(rig, 0.1, quantity)) <= 1.02
+    small = make(f"{quantity}: {{stuck_s: 0.5}}")  # 0.1 rad/s of 0.5 s are twice 0.025 rad
+    small.run(2.0, swinging(small, 0.02, quantity))
+
+
+def test_an_angle_at_rest_is_not_stuck_beside_a_noisy_velocity_and_a_velocity_not_beside_a_coarse_angle(make):
+    rig = make("{angle: {stuck_s: 0.5}, torque: {stuck_s: 100}}")
+    noise = random.Random(5)
+    rig.run(10.0, lambda: setattr(rig.shaft, "velocity", noise.gauss(0.0, 0.3)))
+    rig = make("velocity: {stuck_s: 0.5}")
+    rig.run(2.0, lambda: setattr(rig.shaft, "angle", 0.01 * noise.randint(0, 1)))
+
+
 def test_an_angle_that_stands_while_its_shaft_turns_evenly_is_stuck_though_nothing_else_moves(make):
     rig = make("angle: {stuck_s: 0.2}")
     rig.shaft.velocity = 0.5
@@ -218,7 +248,7 @@ def test_a_current_of_none_is_stuck_only_in_operation(make):
     rig = make("q_axis_current: {stuck_s: 0.2}")
     rig.run(1.0, waving(rig))  # off
     rig.engage()
-    assert trips_after(rig, "test q_axis_current has been exactly 0 A for 0.2 s", 1, waving(rig)) <= 0.62
+    assert trips_after(rig, "test q_axis_current has been exactly 0 A for 0.2 s of operation", 1, waving(rig)) <= 0.62
 
 
 def test_a_dead_current_is_stuck_although_its_drive_is_off_now_and_then(make):
