@@ -170,8 +170,6 @@ def run(
         goes_on = "" if done == ended.total else "; the same command goes on"
         typer.echo(f"{done} of {ended.total} runs are finished in {folder}{goes_on}")
     if ended.error is not None:
-        for note in getattr(ended.error, "__notes__", ()):
-            _tell(note)
         raise ended.error
     if ended.unmet:
         raise AcceptanceFailed("; ".join(ended.unmet))

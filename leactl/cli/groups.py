@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from leactl.cli.helptext import WholeSentences
+from leactl.errors import Stopped
 
 GROUPS: Final = {  # by the name of the module that has the group as `app`
     "bench": "Bench files, and what is done at a bench beside a protocol.",
@@ -40,6 +41,21 @@ class Groups(WholeSentences):
         group: Any = get_group(import_module(f"leactl.cli.{cmd_name}").app)
         group.name, group.help = cmd_name, GROUPS[cmd_name]
         return group
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; Ctrl-C ends it as an error with its notes, which typer would drop.
+
+        Raises
+        ------
+        Stopped : Ctrl-C was pressed.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interrupt:
+            stopped = Stopped("stopped")
+            for note in getattr(interrupt, "__notes__", ()):
+                stopped.add_note(note)
+            raise stopped from None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of all commands and groups for the root's help."""

@@ -98,8 +98,10 @@ def _run() -> None:
     except UsageError as error:
         _refuse_usage(error)
     except InputError as error:
+        _tell_notes(error)
         _end(error.faults, error.exit_status)
     except LeactlError as error:
+        _tell_notes(error)
         _end([str(error)], error.exit_status)
     except (BrokenPipeError, SystemExit) as end:  # click makes an exit of its own of a broken pipe
         if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, BrokenPipeError):
@@ -111,6 +113,7 @@ def _run() -> None:
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise
+        _tell_notes(error)
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             _discard_stdout()
             _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
@@ -118,6 +121,12 @@ def _run() -> None:
     if status == CTRL_C_OF_TYPER:
         _end(["stopped"], Stopped.exit_status)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _tell_notes(error: BaseException) -> None:
+    """Print what was added to an error on its way here, such as the devices that are not confirmed safe."""
+    for note in getattr(error, "__notes__", ()):
+        print(f"leactl: {note}", file=sys.stderr)
 
 
 def _refuse_usage(error: Any) -> NoReturn:

@@ -186,7 +186,7 @@ def finish(outcome: "Outcome", unmet: list[str]) -> None:
     """End with the exit status of the error that ended the run, or of an acceptance limit."""
     from leactl.errors import AcceptanceFailed
 
-    for note in (*getattr(outcome.error, "__notes__", ()), *outcome.notes):
+    for note in outcome.notes:
         print(f"leactl: {note}", file=sys.stderr)
     if outcome.error is not None:
         raise outcome.error

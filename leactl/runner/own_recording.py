@@ -1,5 +1,7 @@
 """What a device's own recorder holds, saved as a text table that its importer reads and `leactl runs attach` takes."""
 
+import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -39,8 +41,8 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     Raises
     ------
     InputError : no such device, none with a recorder, a bench without buses of this machine, or a name that is taken.
-    DeviceError : a run holds the bench, the recorder holds nothing, or the device is not confirmed safe after it;
-        nothing was written.
+    DeviceError : a run holds the bench, or the recorder holds nothing: nothing was written. Or the device is not
+        confirmed safe after a finished upload, which was saved.
     """
     refuse_existing(target)
     file, devices, _document = load_checked(name_or_path)
@@ -57,14 +59,19 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
         )
     file = file.model_copy(update={"buses": {**file.buses, **moved}})
     with locks.held(file, chosen):
-        recording = _uploaded(Bench(file, chosen, MachineWiring()), device)
+        recording, unsafe = _uploaded(Bench(file, chosen, MachineWiring()), device)
     with new_file(target) as path:
         path.write_text(_table(recording), encoding="utf-8")
+    if unsafe:
+        raise DeviceError(f"{unsafe}; its recording is complete and was saved: {target}")
     return SavedRecording(target, recording.headings, len(recording.values), recording.interval)
 
 
-def _uploaded(bench: Bench, name: str) -> OwnRecording:
-    """Open the device, which switches it off, upload its recording, make it safe again and close it."""
+def _uploaded(bench: Bench, name: str) -> tuple[OwnRecording, str]:
+    """Open the device, which switches it off, upload its recording, make it safe again and close it.
+
+    Returns the recording, and what could not be confirmed of the device's safe state; empty if it is safe.
+    """
     device = bench.drivers[name]
     assert isinstance(device, RecordingDevice)
     bench.open()
@@ -74,9 +81,7 @@ def _uploaded(bench: Bench, name: str) -> OwnRecording:
         if unsafe := _let_go(bench, name):
             error.add_note(unsafe)
         raise
-    if unsafe := _let_go(bench, name):
-        raise DeviceError(unsafe)
-    return recording
+    return recording, _let_go(bench, name)
 
 
 def _let_go(bench: Bench, name: str) -> str:
@@ -88,7 +93,9 @@ def _let_go(bench: Bench, name: str) -> str:
 
 
 def _table(recording: OwnRecording) -> str:
-    lines = [",".join(("Time (s)", *recording.headings))]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")  # quotes a heading with a comma
+    table.writerow(("Time (s)", *recording.headings))
     for number, row in enumerate(recording.values.tolist()):
-        lines.append(",".join(f"{value:.{DIGITS}g}" for value in (number * recording.interval, *row)))
-    return "\n".join(lines) + "\n"
+        table.writerow([f"{value:.{DIGITS}g}" for value in (number * recording.interval, *row)])
+    return text.getvalue()

@@ -302,10 +302,21 @@ class FailingElmoEnd(ElmoSerialEmulator):
         super().__init__(self.shaft, counts_per_turn=COUNTS)
         self._deaf: set[str] = set()
         self._refused: dict[str, int] = {}
+        self._silent_after, self._answers_left = "", math.inf
 
     def follows(self) -> list:
         """Mode and setpoint that the shaft was told last."""
         return list(self.shaft.following)
+
+    def fall_silent(self, command: str, count: int) -> None:
+        """Answer nothing any more once so many commands that begin with this were answered, and the query after."""
+        self._silent_after, self._answers_left = command, count
+
+    def _obey(self, command: str, now: float) -> bytes:
+        if self._answers_left < 0:
+            return b""
+        self._answers_left -= not self._answers_left or command.startswith(self._silent_after)
+        return super()._obey(command, now)
 
     def hold(self, name: str, value: float) -> None:
         """Hold this value, as somebody has left it."""

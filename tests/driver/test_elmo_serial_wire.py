@@ -826,8 +826,8 @@ def test_a_host_that_is_killed_leaves_a_drive_that_switches_itself_off(make_seri
         assert bench.clock.now() - began < 10.0
 
 
-def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_drive, tmp_path):
-    bench = make_serial_drive()
+def recorded_bench(bench, tmp_path):
+    """Record 50 samples of three signals, and write the bench file that leads to the drive; gives its path."""
     bench.far.hold("RC", 0b1000000011)
     bench.far.hold("RL", 50)
     bench.talk(b"RR=2;")
@@ -842,8 +842,13 @@ def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_dri
         "bus": "line",
         "settings": {"counts_per_turn": COUNTS, "answer_timeout_s": 0.5},
     }
-    path, target = tmp_path / "bench.yaml", tmp_path / "step.csv"
+    path = tmp_path / "bench.yaml"
     path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_drive, tmp_path):
+    path, target = recorded_bench(make_serial_drive(), tmp_path), tmp_path / "step.csv"
     done = leactl("bench", "recording", "drive_test", str(path), "--out", str(target), "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -863,3 +868,21 @@ def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_dri
     assert record.time[-1] == pytest.approx(49e-4)
     with pytest.raises(InputError, match="exists already and is never overwritten"):
         save_recording(str(path), "drive_test", target)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_drive_that_falls_silent_while_it_is_uploaded_is_told_and_a_complete_recording_kept(
+    make_serial_drive, tmp_path, count
+):
+    bench = make_serial_drive()
+    path, target = recorded_bench(bench, tmp_path), tmp_path / "step.csv"
+    bench.far.fall_silent("BH", count)
+    done = leactl("bench", "recording", "drive_test", str(path), "--out", str(target))
+    assert done.returncode == 5, done.stderr
+    assert "leactl: NOT CONFIRMED SAFE, switch off the supply: drive_test: " in done.stderr
+    assert target.exists() == (count == 3)
+    if count == 3:
+        assert f"its recording is complete and was saved: {target}" in done.stderr
+        assert len(target.read_text().splitlines()) == 51
+    else:
+        assert "leactl: drive_test: no answer to " in done.stderr
