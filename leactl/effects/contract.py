@@ -126,6 +126,7 @@ class Effect:
     least: ClassVar[float] = 0.0  # size below which it is something else
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense,
     refined: ClassVar[int] = 1  # and for how many of a form's numbers, the first first
+    narrow: ClassVar[bool] = False  # whether the first of them may lie between its forms where both show nothing
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
     multiplies: ClassVar[bool] = False  # whether what it does to a channel goes with parameters that are calibrated

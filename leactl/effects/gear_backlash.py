@@ -25,6 +25,7 @@ class GearBacklash(Effect):
     """A load behind teeth with play, without an encoder behind it."""
 
     name = "gear_backlash"
+    relative_to = ("rotor_inertia",)
     one_sided = True
     explains = 0.6  # where the flanks meet is known to a sample, and the torque there is large
     least = 0.1  # of the inertia: a load is no loose part

@@ -23,10 +23,13 @@ class JointElasticity(Effect):
     """A load on an elastic transmission, without an encoder behind it."""
 
     name = "joint_elasticity"
+    relative_to = ("rotor_inertia",)
     one_sided = True
     least = 0.1  # of the inertia: a load is no loose part, and less is what a loop or a stamp is late by
     forms = tuple((float(rate), damping) for rate in np.geomspace(0.003, 0.045, 14) for damping in (0.02, 0.07, 0.25))
     form_scales = ("sampling rate", "1")
+    refined = 2
+    narrow = True
 
     def applies(self, model: Model) -> bool:
         """A model with a shaft says how elastic that is: what it lacks there is `shaft_compliance`."""

@@ -24,16 +24,19 @@ JOINTS = [  # an effect, and the kind of machine that has it
     ("position_spring", "spindle"),
 ]
 ONE_WAY = [6, 3]  # seeds
-SHARES = [  # an effect, its parameter, the kind of machine, and how near the parameter is to the truth
-    ("asymmetric_friction", "asymmetry", "gimbal_motor", 0.03),
-    ("position_dependent_friction", "amplitude", "exoskeleton", 0.05),
-    ("friction_run_in", "excess", "spindle", 0.1),
+SHARES = [  # effect, parameter, what that is a share of, kind of machine, seed, and how near it is to the truth
+    ("asymmetric_friction", "asymmetry", "coulomb_friction", "gimbal_motor", 4, 0.03),
+    ("position_dependent_friction", "amplitude", "coulomb_friction", "exoskeleton", 4, 0.05),
+    ("friction_run_in", "excess", "coulomb_friction", "spindle", 4, 0.1),
+    ("joint_elasticity", "share", "rotor_inertia", "wheel_motor", 11, 0.03),
+    ("gear_backlash", "share", "rotor_inertia", "geared_joint", 16, 0.05),
 ]
 COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
 DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, by what a test calls the case
     **{f"{name} of {kind}": (kind, [name], 3, "plain", {}) for name, kind in JOINTS},
     **{f"one way {seed}": ("heavy_axis", ["asymmetric_friction"], seed, "faint", {}) for seed in ONE_WAY},
-    **{f"share of {name}": (kind, [name], 4, "plain", {}) for name, _, kind, _ in SHARES},
+    **{f"share of {name}": (kind, [name], seed, "plain", {}) for name, _, _, kind, seed, _ in SHARES},
+    "lightly damped": ("drone_motor", ["joint_elasticity"], 5, "plain", {}),
     "gear": ("geared_joint", [], 5, "plain", {}),
     "sound": ("drone_motor", [], 8, "plain", {}),
     "coarse": ("heavy_axis", [], 6, "plain", COARSE),
@@ -118,14 +121,23 @@ def test_a_sound_machine_has_none_of_them(drawn_case):
     assert named(found) == []
 
 
-@pytest.mark.parametrize(("name", "parameter", "kind", "near"), SHARES)
-def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(drawn_case, name, parameter, kind, near):
+@pytest.mark.parametrize(("name", "parameter", "base", "kind", "seed", "near"), SHARES)
+def test_a_share_of_a_parameter_is_told_of_what_was_fitted(drawn_case, name, parameter, base, kind, seed, near):
     case, run = drawn_case(f"share of {name}")
-    friction = run.specimen.coulomb_friction / case.model.coulomb_friction
-    assert abs(friction - 1.0) > 2.0 * near, "the model file's friction has to be off by more than what is asked for"
+    fitted_over_nominal = getattr(run.specimen, base) / getattr(case.model, base)
+    assert abs(fitted_over_nominal - 1.0) > 2.0 * near, "the model file has to be off by more than what is asked for"
     cause = next(cause for cause in diagnose(case).causes if cause.effect == name)
     told = {item.name: item.value for item in cause.parameters}
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
+
+
+def test_a_load_that_swings_within_less_than_the_grid_of_frequencies_is_told_by_its_swing(drawn_case):
+    case, run = drawn_case("lightly damped")
+    cause = diagnose(case).causes[0]
+    assert cause.effect == "joint_elasticity"
+    fitted = {item.name: item.value for item in cause.parameters}
+    for parameter, near in (("frequency", 0.003), ("damping_ratio", 0.05), ("share", 0.02)):
+        assert fitted[parameter] == pytest.approx(run.parameter(cause.effect, parameter), rel=near)
 
 
 def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(drawn_case):

@@ -28,6 +28,7 @@ SAME = 1e-3  # of twice a log likelihood, by which fits are alike
 EXCHANGES = 4
 MOVES = 4  # of a form, at each of some steps:
 FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # of the grid's ratio, on a logarithmic scale
+SCANNED = 8  # trials from one value of a narrow effect's grid to the next
 ALIKE = 2.0  # weighted squares, by which forms may differ that nothing tells apart
 NOISE_ROUNDS = (2, 0)  # times that the noise is taken from what a set leaves over; 0 keeps the usual noise
 SHORTLIST = 4
@@ -406,6 +407,8 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         others = hypothesis[:index] + hypothesis[index + 1 :]
         grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
         ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
+        if effect.narrow:
+            form = scanned(evidence, others, name, form, ratios[0])
         hypothesis[index] = (name, refined(evidence, others, name, form, ratios))
     return hypothesis
 
@@ -417,6 +420,25 @@ def grid_values(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
     """
     alike = {other[place] for other in forms if other[place + 1 :] == form[place + 1 :]}
     return sorted(alike or {other[place] for other in forms})
+
+
+def scanned(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratio: float) -> Form:
+    """Search between one form and its neighbours on the grid, where a narrow effect may have several best forms.
+
+    ratio : of neighbouring grid values of the first parameter.
+    """
+    near = [form[0] * ratio ** (step / SCANNED) for step in range(-SCANNED, SCANNED + 1)]
+    later = sorted({other[1:] for other in evidence.forms.get(name, [])} | {form[1:]})
+    gains, _ = gains_of(evidence, others, [(name, (value, *rest)) for value, rest in product(near, later)])
+    return max(gains, key=lambda tried_form: gains[tried_form], default=form)
+
+
+def gains_of(evidence: Evidence, others: list[Candidate], tried: list[Candidate]) -> tuple[dict[Form, float], bool]:
+    """What each form gains beside other members, by form, and whether every one is possible there."""
+    evidence.add(tried)
+    normal, base = evidence.normal(), evidence.stack.columns_of(others)
+    possible = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
+    return {item.candidate[1]: item.gain for item in possible}, len(possible) == len(tried)
 
 
 def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
@@ -434,15 +456,12 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
         for _ in range(1 if strength_is_form else MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
             tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
-            evidence.add(tried)
-            normal, base = evidence.normal(), evidence.stack.columns_of(others)
-            possible = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
-            gains = {item.candidate[1]: item.gain for item in possible}
+            gains, all_possible = gains_of(evidence, others, tried)
             best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
             if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + SAME:
                 break
             form = best
-        if len(possible) == len(tried) and max(gains.values()) - min(gains.values()) < ALIKE:
+        if all_possible and max(gains.values()) - min(gains.values()) < ALIKE:
             break
     return form
 
