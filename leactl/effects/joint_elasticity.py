@@ -14,6 +14,7 @@ from leactl.effects.plant import ElasticLoad, Plant
 from leactl.model.nominal import Model
 
 DAMPED = 0.05  # of critical, as gears and belts have it
+CREEPS = 1.0  # of critical: such a load follows without a swing, which a lag of the motor's own may be
 HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
 DIES_AWAY = 4.0  # time constants, after which two per cent of a swing are left
 FEWEST = 4  # samples for each number of a fit
@@ -39,6 +40,8 @@ class JointElasticity(Effect):
         """Torque that the load takes from the rigid joint's balance, for all of the inertia."""
         inertia = signals.model.rotor_inertia
         if signals.mechanical != "free" or signals.acceleration is None or inertia is None:
+            return {}
+        if form[1] >= CREEPS:
             return {}
         behind = swung(signals.acceleration, form[0], form[1], signals.interval)
         behind += swing_at_start(signals, behind, form)

@@ -1,13 +1,18 @@
 """A log that is slower than what sets its setpoints makes no machine late; one that keeps up with them shows delays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals.setpoints import leaps, marked
+from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
+from tests.gap.drawn_machines import write_cases
 from tests.gap.joints import Effect, Log, case, drawn_joint
 from tests.gap.test_similar import thinned
+from tests.gap.test_similar_machines import case_of as logged_slower
 
 
 @pytest.fixture(autouse=True)
@@ -68,3 +73,14 @@ def test_a_wave_that_its_rows_show_does_not_leap():
     rows = np.arange(200)
     assert not leaps(np.sin(2.0 * np.pi * rows / 11.0)).any()
     assert np.flatnonzero(leaps((rows > 99).astype(float))).tolist() == [99, 100]
+
+
+@pytest.mark.parametrize(("third", "seed"), [("steps", 11), ("multisine", 2)])
+def test_a_sound_servo_is_not_late_in_a_log_of_every_fourth_sample(tmp_path, third, seed):
+    spindle = draw_machines(np.random.default_rng([77, 0]), 10)[1]
+    assert "velocity_reference" in spindle.channels
+    machine = replace(spindle, protocols=("levels", "ramp", third))
+    write_cases(tmp_path, {"servo": (machine, draw_runs(np.random.default_rng([77, 1, seed]), machine, [], "plain"))})
+    found = diagnose(logged_slower(tmp_path / "servo", divide=4))
+    assert found.verdict == "calibration"
+    assert not [cause for cause in found.causes if cause.probability >= 0.5]

@@ -12,7 +12,7 @@ from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import after_leaps, settling
 from leactl.gap.signals.smoothing import slope, smooth
-from leactl.gap.signals.stamps import TAPS, neighbour, stamp_columns
+from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 
 SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
 BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run
@@ -112,8 +112,10 @@ def current(record: Record, s: Signals) -> Equation | None:
     if moved_by_a_servo(clock):
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
         mask &= ~settling(swift, settles, s.interval)
-        # the drive's own servo moves the reference between samples: when in the interval is not recorded
-        nuisance["reference_sampling_s"] = (-change, 0.5 * s.interval)
+        # the drive's own servo moves the reference between samples: when in the interval is not recorded. Beside its
+        # slope stands what the sample before says, which is free of the swift change that may follow
+        nuisance[BETWEEN_SAMPLES] = (-change, 0.5 * s.interval)
+        nuisance["reference_before"] = (neighbour(s.following, -1) - s.following, 0.5)
     shared = stamp_columns(
         "current", clock, [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")], s.following
     )

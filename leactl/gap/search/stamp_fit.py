@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack
-from leactl.gap.signals.stamps import TAPS, lateness, tap_name
+from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, lateness, tap_name
 
 Array = npt.NDArray[np.float64]
 EACH = (
@@ -51,18 +51,21 @@ def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:
 
 
 def delay_of_stamps(stack: Stack, on_time: Collection[str], candidate: Candidate) -> float:
-    """Delay [s] that stamps which no file explains may have in the equations where an effect acts; zero where none.
+    """Delay [s] that no run can tell from its samples in the equations where an effect acts; zero where none.
+
+    Stamps that no file explains may be that late; where a servo inside the drive moves a reference between samples, its
+    moment is known to some half of an interval.
 
     on_time : equations one side of which is later than stamps can be, so that the whole of it is the effects'.
     """
-    own = (candidate[0], repr(candidate[1]))
+    form = (candidate[0], repr(candidate[1]))
+    acting = [rows for rows in stack.rows if any(name[1:3] == form for name in rows.columns)]
     late = [
         LATEST * rows.signals.interval
-        for rows in stack.rows
-        if rows.equation not in on_time
-        and ("nuisance", "", tap_name(rows.equation, PIVOT)) in rows.columns
-        and any(name[1:3] == own for name in rows.columns)
+        for rows in acting
+        if rows.equation not in on_time and ("nuisance", "", tap_name(rows.equation, PIVOT)) in rows.columns
     ]
+    late += [rows.priors.get(("nuisance", rows.run, BETWEEN_SAMPLES), 0.0) for rows in acting]
     return max(late, default=0.0)
 
 

@@ -16,6 +16,7 @@ from leactl.gap.signals.record import Clocked, Key, Record
 Array = npt.NDArray[np.float64]
 TAPS = np.array([-3, -2, -1, 1, 2, 3])  # samples
 TAP_PRIOR = 0.5  # standard deviation of a neighbour's weight
+BETWEEN_SAMPLES = "reference_sampling_s"  # nuisance: when a drive's own servo moves its reference inside an interval
 
 
 def stamp_columns(equation: str, clock: Clocked, keys: Sequence[Key], column: Array) -> dict[str, tuple[Array, float]]:
