@@ -138,6 +138,8 @@ def test_a_load_that_swings_within_less_than_the_grid_of_frequencies_is_told_by_
     fitted = {item.name: item.value for item in cause.parameters}
     for parameter, near in (("frequency", 0.003), ("damping_ratio", 0.05), ("share", 0.02)):
         assert fitted[parameter] == pytest.approx(run.parameter(cause.effect, parameter), rel=near)
+    uncertainties = {item.name: item.std / item.value for item in cause.parameters}
+    assert all(1e-5 < relative < 0.05 for relative in uncertainties.values())
 
 
 def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(drawn_case):

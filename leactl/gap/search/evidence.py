@@ -122,6 +122,7 @@ class Evidence:
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.forms, self.travel = forms_here(records, model), widest(records)
         self.visited = visited(records)
+        self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
         for record in records:
@@ -174,6 +175,7 @@ class Evidence:
         if self.null is not None:
             other.compare_with(self.null)
         other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
+        other.form_spread = self.form_spread
         return other
 
     def expected(self, rows: Rows) -> float:

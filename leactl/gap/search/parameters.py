@@ -1,7 +1,7 @@
 """Fitted coefficients as parameters of a model: what calibration makes of the nominal model, and its uncertainty."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ MODEL_ERROR = {
 """Relative error of a parameter that the discretised equations leave, beside noise."""
 SMALLEST = 0.05  # of a parameter's nominal value, or one over that of a reciprocal: no fit goes beyond
 LEAST_MODEL_ERROR = 5e-5
+UNSHOWN = 0.01  # change by which a parameter is tried of which no run shows how far it may change
 UNITS = {
     "phase_resistance": "ohm",
     "phase_inductance": "H",
@@ -179,43 +180,64 @@ def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> f
 def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tuple[EffectParameter, ...]:
     """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation.
 
-    Shares of a parameter of the model are told of its fitted value: a model file holds both.
+    Shares of a parameter of the model are told of its fitted value: a model file holds both. The error of a size holds
+    what sound machines show of the effect beside noise. Errors of coefficients and of what the effect is not linear in,
+    such as a frequency, are taken for independent of each other.
     """
     name, form = candidate
     places = [int(np.flatnonzero(fit.columns == place)[0]) for place in evidence.columns(candidate)]
     names = [evidence.coefficient(place) for place in evidence.columns(candidate)]
     values, spread = fit.values[places], fit.covariance[np.ix_(places, places)]
     effect, model = library()[name], evidence.model
+    size = effect.size(form, dict(zip(names, values.tolist(), strict=True)), model)
+    if size > 0.0:
+        spread = spread + (evidence.floor(candidate) / size) ** 2 * np.outer(values, values)
     fitted = fitted_over_nominal(evidence, fit, candidate)
     values, spread = values / fitted, spread / fitted**2
 
-    def at(coefficients: Array) -> dict[str, float]:
-        return effect.parameters(form, dict(zip(names, coefficients.tolist(), strict=True)), model)
+    def with_form(numbers: Sequence[float], coefficients: Array) -> dict[str, float]:
+        return effect.parameters(tuple(numbers), dict(zip(names, coefficients.tolist(), strict=True)), model)
 
-    here, units = at(values), effect_definition(name).parameters
-    if not np.isfinite(spread).all():  # no run shows one of its coefficients
-        return tuple(
-            EffectParameter(key, value, math.inf, model.units_of(units[key].units)) for key, value in here.items()
-        )
-    steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    slopes = {key: np.zeros(len(values)) for key in here}
-    for k, step in enumerate(steps):
-        if step > 0.0:
-            there = at(values + step * np.eye(len(values))[k])
-            for key in here:
-                slopes[key][k] = (there[key] - here[key]) / step
+    def at(logs: Array) -> dict[str, float]:
+        return with_form([*(form[: len(logs)] * np.exp(logs)), *form[len(logs) :]], values)
+
+    here, units = with_form(form, values), effect_definition(name).parameters
+    variances = propagated(here, lambda change: with_form(form, values + change), spread)
+    refined = evidence.form_spread.get(candidate)
+    if refined is not None:
+        of_form = propagated(here, at, refined)
+        variances = {key: variances[key] + of_form[key] for key in here}
     late = stamps_late(evidence, candidate)
     return tuple(
         EffectParameter(
             key,
             value,
-            math.hypot(
-                math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)), late if units[key].units == "s" else 0.0
-            ),
+            math.hypot(math.sqrt(variances[key]), late if units[key].units == "s" else 0.0),
             model.units_of(units[key].units),
         )
         for key, value in here.items()
     )
+
+
+def propagated(here: Mapping[str, float], at: Callable[[Array], dict[str, float]], spread: Array) -> dict[str, float]:
+    """Variance of each parameter, to first order; infinite where it goes with a change that no run shows.
+
+    at : gives the parameters after a change.
+    spread : covariance of the changes.
+    """
+    steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    shown = np.isfinite(spread).all(axis=1)
+    slopes = {key: np.zeros(len(spread)) for key in here}
+    for k, step in enumerate(np.where(shown, steps, UNSHOWN)):
+        if step > 0.0:
+            there = at(step * np.eye(len(spread))[k])
+            for key in here:
+                slopes[key][k] = (there[key] - here[key]) / step
+    finite = spread[np.ix_(shown, shown)]
+    return {
+        key: math.inf if slope[~shown].any() else max(float(slope[shown] @ finite @ slope[shown]), 0.0)
+        for key, slope in slopes.items()
+    }
 
 
 def stamps_late(evidence: Evidence, candidate: Candidate) -> float:

@@ -8,7 +8,7 @@ is measured against the size that sound machines in the place of the case give i
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import combinations, pairwise, product
 from operator import mul
 
 import numpy as np
@@ -409,8 +409,51 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
         if effect.narrow:
             form = scanned(evidence, others, name, form, ratios[0])
-        hypothesis[index] = (name, refined(evidence, others, name, form, ratios))
+        form = refined(evidence, others, name, form, ratios)
+        hypothesis[index] = (name, form)
+        if not effect.shaped:
+            evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
     return hypothesis
+
+
+def spread_of_form(
+    evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
+) -> npt.NDArray[np.float64]:
+    """Covariance of the logarithms of a form's refined numbers, all coefficients being fitted anew.
+
+    The gain falls by the squared deviation in standard errors: its curvature, over the finest step of the search, tells
+    them. Infinite where it does not fall to both sides, as at the edge of what is possible; zero for a number that is
+    not refined.
+    """
+    name, form = candidate
+    free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
+    steps = [FINER[-1] * math.log(ratios[index]) for index in free]
+    moves = {move for move in product((-1, 0, 1), repeat=len(free)) if 0 not in move or sum(map(abs, move)) < 2}
+
+    def moved(move: Sequence[int]) -> Form:
+        logs = dict(zip(free, map(mul, move, steps), strict=True))
+        return tuple(number * math.exp(logs.get(index, 0.0)) for index, number in enumerate(form))
+
+    gains, all_possible = gains_of(evidence, others, [(name, moved(move)) for move in sorted(moves)])
+    spread = np.zeros((len(ratios), len(ratios)))
+    at = np.ix_(free, free)
+    spread[at] = np.diag(np.full(len(free), math.inf))
+    if not all_possible or not free:
+        return spread
+    falls = {move: gains[form] - gains[moved(move)] for move in moves}
+
+    def fall_along(move: Sequence[int]) -> float:
+        """The mean of both directions, which is free of a slope."""
+        return 0.5 * (falls[tuple(move)] + falls[tuple(-part for part in move)])
+
+    own = np.eye(len(free), dtype=int)
+    curvature = np.diag([fall_along(row.tolist()) for row in own])
+    for i, j in combinations(range(len(free)), 2):
+        together, opposed = fall_along((own[i] + own[j]).tolist()), fall_along((own[i] - own[j]).tolist())
+        curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
+    if np.linalg.eigvalsh(curvature)[0] > 0.0:
+        spread[at] = np.linalg.inv(curvature) * np.outer(steps, steps)
+    return spread
 
 
 def grid_values(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
