@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from leactl import yamlfile
 
 app = group_of_commands()
+POLL_S = 0.2  # between two looks at a run that is followed; its writer adds rows each second
+STANDS_S = 10.0  # without a new row, after which a run that is followed may have been killed
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
@@ -448,3 +450,56 @@ def plot(
         typer.echo(str(html))
     else:
         typer.echo(text(traces, steps, part, columns, rows), nl=False)
+
+
+@app.command(
+    epilog=examples("runs tail RUN.h5", "runs tail RUN.h5 torque test_iq --follow --every 1", "runs tail RUN.h5 --json")
+)
+def tail(
+    run: Path,
+    channels: list[str] = typer.Argument(
+        None, metavar="[CHANNEL]...", help="As in `runs plot`; by default those of the stream with most rows."
+    ),
+    rows: int = typer.Option(10, "--rows", min=0, help="How many of each stream are printed first."),
+    follow: bool = typer.Option(False, "--follow", help="Go on with what is added, until the run ends or Ctrl-C."),
+    every: float = typer.Option(
+        0.0, "--every", min=0.0, metavar="SECONDS", help="At most one row of a stream in this."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print a line of JSON for each row on stdout."),
+) -> None:
+    """Print the last rows of a run, also of one that is being recorded; --follow prints them as they come."""
+    import shutil
+    import sys
+    import time
+
+    from leactl.report.run_tail import RowPrinter
+    from leactl.runfile.read.tail import RunTail, thinned
+
+    run_tail = RunTail(run, channels or [], rows)
+    printer = RowPrinter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
+    shown_until: dict[str, float] = {}
+    waits_since = time.monotonic()
+    left_out: tuple[str, ...] = ()
+    while True:
+        added = run_tail.read()
+        for block in added:
+            kept = thinned(block, every, shown_until)
+            lines = map(json.dumps, kept.as_json()) if as_json else printer.lines(kept)
+            for line in lines:
+                typer.echo(line)
+            sys.stdout.flush()
+        if printer.left_out != left_out:
+            left_out = printer.left_out
+            remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
+        if not (follow and run_tail.is_recording):
+            break
+        if added:
+            waits_since = time.monotonic()
+        elif waits_since and time.monotonic() - waits_since > STANDS_S:
+            remark(
+                f"{run}: no row for {STANDS_S:g} s; if its run was killed, none will come: leactl runs recover {run}"
+            )
+            waits_since = 0.0
+        time.sleep(POLL_S)
+    if follow:
+        remark(f"{run}: {run_tail.status}")
