@@ -33,6 +33,7 @@ COMMANDS = {
     "runs annotate": lambda path: ("runs", "annotate", path, "a note"),
     "runs export": lambda path: ("runs", "export", path, "--out", path.parent / "out"),
     "runs plot": lambda path: ("runs", "plot", path),
+    "runs tail": lambda path: ("runs", "tail", path),
     "runs plot --html": lambda path: ("runs", "plot", path, "--html", path.parent / "plot.html"),
     "analyze": lambda path: ("analyze", path),
     "analyze --json": lambda path: ("analyze", path, "--json"),
