@@ -112,8 +112,9 @@ def current(record: Record, s: Signals) -> Equation | None:
     if moved_by_a_servo(clock):
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
         mask &= ~settling(swift, settles, s.interval)
-        # the drive's own servo moves the reference between samples: when in the interval is not recorded. Beside its
-        # slope stands what the sample before says, which is free of the swift change that may follow
+    if moved_by_a_servo(clock) or not clock.setpoints_held:
+        # a servo inside the drive moves the reference between samples, or whatever sets it may: when in the interval is
+        # not recorded. Beside its slope stands what the sample before says, free of a swift change that follows
         nuisance[BETWEEN_SAMPLES] = (-change, 0.5 * s.interval)
         nuisance["reference_before"] = (neighbour(s.following, -1) - s.following, 0.5)
     shared = stamp_columns(

@@ -53,8 +53,8 @@ def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:
 def delay_of_stamps(stack: Stack, on_time: Collection[str], candidate: Candidate) -> float:
     """Delay [s] that no run can tell from its samples in the equations where an effect acts; zero where none.
 
-    Stamps that no file explains may be that late; where a servo inside the drive moves a reference between samples, its
-    moment is known to some half of an interval.
+    Stamps that no file explains may be that late. Where a servo inside the drive moves a reference between samples, its
+    moment is known to some half of an interval; a run whose reference nothing moves there tells a delay all the same.
 
     on_time : equations one side of which is later than stamps can be, so that the whole of it is the effects'.
     """
@@ -65,8 +65,8 @@ def delay_of_stamps(stack: Stack, on_time: Collection[str], candidate: Candidate
         for rows in acting
         if rows.equation not in on_time and ("nuisance", "", tap_name(rows.equation, PIVOT)) in rows.columns
     ]
-    late += [rows.priors.get(("nuisance", rows.run, BETWEEN_SAMPLES), 0.0) for rows in acting]
-    return max(late, default=0.0)
+    between = [rows.priors.get(("nuisance", rows.run, BETWEEN_SAMPLES), 0.0) for rows in acting]
+    return max(*late, min(between, default=0.0), 0.0)
 
 
 def put_on_time(rows: Sequence[Rows], equations: Collection[str]) -> None:

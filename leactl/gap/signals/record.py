@@ -49,6 +49,7 @@ class Clocked:
         default_factory=dict
     )  # by equation: how its channels' stamps stand to each other
     setpoints_between: bool = False  # whether setpoints change between the stamps, more than one in an interval
+    setpoints_held: bool = False  # whether a run of the log shows that they do not
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
     between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)  # stamps and values of one taken in between

@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 CURRENT, REFERENCE = ("q_axis_current", "test"), ("q_axis_current_reference", "test")
 LEAP, NEAR = 0.7, 3  # of the largest change so many rows near, by which a reference bends where it leaps
+STEP = 0.05  # of a leap, that a reference may change in the rows beside it
 TELLING = 20.0  # standard deviations of what is missed elsewhere, from which on a leap tells
 MISSED, FEWEST = 5.0, 3  # of these deviations, and how many rows have to be missed by more
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
@@ -30,12 +31,14 @@ SETTLES = 8.0  # time constants of a current loop, after which a leap is forgott
 
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
-    """The runs, all marked where one shows that its setpoints change between rows: they are of one log."""
-    pairs = [pair for record in records if (pair := missed_and_leaps(record, model)) is not None]
-    if not any(changes_between(missed, leaping) for missed, leaping in pairs):
-        return list(records)
+    """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
+    shown = [rows for record in records if (rows := missed_and_leaps(record, model)) is not None]
+    between = any(changes_between(missed, leaping) for missed, leaping, _ in shown)
+    held = not between and any(int(np.sum(leaping[steps] > TELLING)) >= FEWEST for _, leaping, steps in shown)
     return [
-        replace(record, fast=replace(record.fast, setpoints_between=True)) if record.fast is not None else record
+        replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
+        if record.fast is not None
+        else record
         for record in records
     ]
 
@@ -50,8 +53,10 @@ def changes_between(missed: Array, leaping: Array) -> bool:
     return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
 
 
-def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array] | None:
+def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array, Mask] | None:
     """By how much the best sum of neighbours misses a current, and how far its reference leaps, in the former's noise.
+
+    The last of the three says of each row whether its reference leaps at once (`steps`).
 
     None where a run has no such pair, where stamps are not told, and where a servo inside the drive is known to move
     the reference between rows.
@@ -72,7 +77,7 @@ def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array] | None
     weights = np.linalg.lstsq(sums[use], clock.values[CURRENT][use], rcond=None)[0]
     missed = (clock.values[CURRENT] - sums @ weights)[use]
     noise = float(np.median(np.abs(missed))) / 0.6745
-    return (missed / noise, leaps(reference)[use] / noise) if noise > 0.0 else None
+    return (missed / noise, leaps(reference)[use] / noise, steps(reference)[use]) if noise > 0.0 else None
 
 
 def leaps(reference: Array) -> Array:
@@ -81,6 +86,21 @@ def leaps(reference: Array) -> Array:
     near = maximum_filter1d(np.abs(change), 2 * NEAR)[1:]
     bends = np.abs(np.diff(change))
     return np.concatenate([[0.0], np.where(bends > LEAP * near, bends, 0.0), [0.0]])
+
+
+def steps(reference: Array) -> Mask:
+    """Rows at which a reference steps or begins to ramp at once: a setpoint between rows makes two changes of one."""
+    change = np.diff(reference, prepend=reference[0])
+    bend = np.diff(change, append=change[-1])
+    return isolated(change) | isolated(bend)
+
+
+def isolated(values: Array) -> Mask:
+    """Values that dwarf those before and after."""
+    size = np.abs(values)
+    around = np.maximum(np.roll(size, 1), np.roll(size, -1))
+    around[[0, -1]] = math.inf
+    return np.asarray(around < STEP * size, np.bool_)
 
 
 def after_leaps(reference: Array, noise: float, settles: float, interval: float) -> Mask:
