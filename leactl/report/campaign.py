@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from leactl.report.live import duration
+from leactl.report.terminal import duration
 
 
 def plan_text(title: str, body: Mapping[str, Any]) -> str:

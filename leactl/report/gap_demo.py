@@ -14,8 +14,7 @@ from leactl.report.gap_words import (
     variable_words,
 )
 from leactl.report.html import Html, joined, table, tag
-from leactl.report.listing import row
-from leactl.report.terminal import aligned
+from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition
 
 FORMAT, VERSION = "leactl-gap-demo", 1
@@ -85,7 +84,7 @@ def lines(shown: Demonstration, seed: int, files: Files) -> list[str]:
     picture = [f"over {variable_words(seen)}, held-out runs: {picture_words(seen)}"] if seen is not None else []
     said = [verdict(shown), meaning(shown.planted), *picture]
     written = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]
-    return [*(row("", text) for text in said), "", aligned(HEADINGS, rows(shown)), "", *written]
+    return [*(list_line("", text) for text in said), "", aligned(HEADINGS, rows(shown)), "", *written]
 
 
 def preface(shown: Demonstration, seed: int) -> Html:

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from leactl.quantities import ChannelSpec
 from leactl.report.html import fit
-from leactl.report.terminal import encodable, encoding_of, shows_all
+from leactl.report.terminal import duration, encodable, encoding_of, shows_all
 from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
@@ -155,13 +155,6 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
     room = height - len(foot)
     head = [title, step, _bar(progress.share, min(across, WIDEST_BAR), encoding)] if room > 2 else [step][:room]
     return [*head, *_table(_values(progress), across, room - len(head), encoding), *foot]
-
-
-def duration(seconds: float) -> str:
-    """`75` as `1:15`, `4000` as `1:06:40`."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 def _how_far(progress: Progress) -> str:

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from leactl.report.terminal import duration
 from leactl.runfile.catalog.selection import differing
 from leactl.runfile.summary import Summary
 
@@ -59,9 +60,7 @@ def _text(value: Any) -> str:
 
 
 def _time(seconds: float) -> str:
-    """Seconds below a minute, then minutes and hours."""
+    """Return a time [s]: in seconds below a minute, then as minutes and hours."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    return duration(seconds)

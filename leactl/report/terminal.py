@@ -22,6 +22,7 @@ from leactl.report.plot import draw
 ASCII = str.maketrans({"±": "+-", "…": "..."})
 WIDEST = 100  # characters; a plot gains nothing beyond
 SMALLEST = 40
+FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stays on one line
 
 
 def print_result(result: Result, plot: bool = True) -> None:
@@ -173,3 +174,34 @@ def wrapped(head: str, items: Any, width: int) -> str:
     """Items after a head, on as many lines as they need; long words such as paths stay whole."""
     text = f"{head} {', '.join(items)}"
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def list_line(head: str, text: str) -> str:
+    """Return one entry of a list: a single line into a pipe; in a terminal, text that is too long is wrapped.
+
+    Wrapped text is indented by the length of `head`.
+    """
+    line = f"{head}{text}".rstrip()
+    if not sys.stdout.isatty():
+        return line
+    width = shutil.get_terminal_size((80, 24)).columns
+    if len(line) <= width or width < len(head) + FEWEST_COLUMNS:
+        return line
+    return textwrap.fill(
+        text,
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def duration(seconds: float, always_hours: bool = False) -> str:
+    """Return a time [s] as minutes and seconds, with hours from one hour on: `75` as `1:15`, `4000` as `1:06:40`.
+
+    With `always_hours`, 75 s are `0:01:15`.
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours or always_hours else f"{minutes}:{rest:02d}"

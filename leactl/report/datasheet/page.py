@@ -3,25 +3,45 @@
 The same runs in the same places give the same page to the byte.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
+
+from leactl import yamlfile
 from leactl.analysis.analyze import method_of
 from leactl.analysis.anova.comparison import Comparison
+from leactl.analysis.estimate import Grid
+from leactl.errors import InputError
+from leactl.model.motor_schema import MotorSheet
 from leactl.report.conditions import by_reason
 from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
 from leactl.report.datasheet.instruments import instruments_of
-from leactl.report.datasheet.maps import map_of
-from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.datasheet.sheet import Datasheet, Section
 from leactl.report.datasheet.style import STYLE
 from leactl.report.datasheet.table import in_lines, links, rows_table
 from leactl.report.html import Html, document, joined, table, tag, text
+from leactl.report.motors import KnownFigure, Setting, cell, rows
 from leactl.report.terminal import figures as paper
 from leactl.report.terminal import interval_text, value_text
+
+UNITS = {"_rad_s": "rad/s", "_Nm": "N*m", "_V": "V", "_A": "A", "_W": "W", "_1": "1"}  # of a name's end
+NOT_HELD = "-"
+BY_FILE = (
+    "winding",
+    "pole_pairs",
+    "mass",
+    "outer_diameter",
+    "inner_diameter",
+    "length",
+    "encoder_lines",
+    "rotor_inertia",
+    "line_to_line_inductance",
+)
 
 
 def page(sheet: Datasheet, out: Path) -> str:
@@ -185,3 +205,56 @@ def instruments_table(own: RunSet, named: bool) -> Html:
 def address(path: Path, out: Path) -> str:
     """A link from the page to a file, relative where both can be moved together."""
     return quote(os.fsencode(os.path.relpath(path.resolve(), out.resolve().parent)))
+
+
+def motor_table(sets: Sequence[RunSet], motors: Sequence[str]) -> Html:
+    """A column for each motor whose file is known; empty where none is."""
+    found = [sheet for motor in dict.fromkeys(motors) if (sheet := sheet_of(sets, motor)) is not None]
+    if not found:
+        return Html("")
+    cells = [
+        [plain(row.name), *map(cell, row.values), pretty(row.units)]
+        for row in rows([KnownFigure(sheet, None, (), Setting()) for sheet in found])
+        if row.name in BY_FILE and any(value is not None for value in row.values)
+    ]
+    head = tag("p", "By the motor file that the runs carry, not measured:", class_="about")
+    return joined([head, table(["figure", *(sheet.name for sheet in found), "units"], cells)])
+
+
+def sheet_of(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
+    """The fullest motor file that runs of this motor carry; None where they carry none."""
+    found = []
+    for model in dict.fromkeys(entry.model for own in sets for entry in own.entries if entry.motor == motor):
+        try:
+            found.append(yamlfile.parse(model).validate(MotorSheet))
+        except InputError:
+            continue
+    return max(found, key=lambda sheet: len(sheet.model_fields_set), default=None)
+
+
+def map_of(grid: Grid, answer: GroupResult) -> Html:
+    """One map by its first quantity, the axis with more setpoints downwards; the others are for `analyze --json`."""
+    (quantity, rows), axes = next(iter(grid.values.items())), list(grid.axes.items())
+    cells = np.array(rows)
+    if len(axes[1][1]) > len(axes[0][1]):
+        cells, axes = cells.T, axes[::-1]
+    (down, setpoints), (across, others) = axes
+    headings = [f"{with_unit(down)} \\ {with_unit(across)}", *(f"{one:.4g}" for one in others)]
+    body = [[f"{one:.4g}", *map(map_cell, row)] for one, row in zip(setpoints, cells.tolist(), strict=True)]
+    whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
+    title = tag("summary", f"Values at every setpoint: {whose}")
+    said = tag("p", f"{with_unit(quantity).capitalize()} at {cells.size} setpoints, from ", links(answer.entries))
+    return tag("details", title, said, table(headings, body, "map"))
+
+
+def with_unit(name: str) -> str:
+    """A quantity with its unit, from a name that ends in it."""
+    end = next((one for one in UNITS if name.endswith(one)), "")
+    return pretty(f"{plain(name.removesuffix(end))} [{UNITS[end]}]") if end else plain(name)
+
+
+def map_cell(value: float) -> str:
+    """Three digits; a dash where the bench did not hold the setpoint."""
+    if not math.isfinite(value):
+        return NOT_HELD
+    return f"{value + 0.0:#.3g}".rstrip(".")  # no negative zero
