@@ -77,7 +77,7 @@ def status(
     as_json: bool = AS_JSON,
 ) -> None:
     """Show which runs of a campaign are finished, which are left, and what is wrong with its folder."""
-    from leactl.report.campaign import standing_text
+    from leactl.report.campaign import campaign_state_text
     from leactl.runner.campaign.folder import busy, found
 
     campaign, folder, entries = _read(name, variant, seed, out)
@@ -101,7 +101,7 @@ def status(
         "changed": list(now.changed),
         "unfinished": [str(file.path) for file in now.unfinished],
     }
-    typer.echo(json.dumps(body) if as_json else standing_text(body))
+    typer.echo(json.dumps(body) if as_json else campaign_state_text(body))
 
 
 @app.command(

@@ -187,8 +187,8 @@ def demo(
     from leactl.emulation.blind.key import read_key
     from leactl.emulation.blind.make import make
     from leactl.gap.blind.demonstration import demonstrate
-    from leactl.report.gap_demo import as_json as document
-    from leactl.report.gap_demo import files_of, lines, preface
+    from leactl.report.gap_demo import demonstration_json as document
+    from leactl.report.gap_demo import demonstration_lines, demonstration_section, files_of
     from leactl.report.gap_files import publish
     from leactl.report.gap_page import page
     from leactl.report.steps import Steps
@@ -199,8 +199,10 @@ def demo(
         step("planting an effect and running the emulated bench")
         make(1, files.bench, files.key, number, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
         shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
-        publish(files.page, page(shown.answer, preface(shown, number)))
-    typer.echo(json.dumps(document(shown, number, files)) if as_json else "\n".join(lines(shown, number, files)))
+        publish(files.page, page(shown.answer, demonstration_section(shown, number)))
+    typer.echo(
+        json.dumps(document(shown, number, files)) if as_json else "\n".join(demonstration_lines(shown, number, files))
+    )
 
 
 @app.command(
@@ -291,8 +293,8 @@ def score_blind(
     from leactl.errors import InputError
     from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
-    from leactl.report.blind import as_json as document
     from leactl.report.blind import markdown
+    from leactl.report.blind import score_json as document
     from leactl.report.steps import Steps
     from leactl.runfile.publish import new_file, refuse_existing
     from leactl.scheduler import workers_of

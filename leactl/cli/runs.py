@@ -427,13 +427,13 @@ def plot(
 
     from leactl.report import outputs
     from leactl.report.run_page import BINS, page
-    from leactl.report.run_plot import text
+    from leactl.report.run_plot import panels_text
     from leactl.runfile.publish import replacement
     from leactl.runfile.read.reader import Run
     from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
 
     if html:
-        outputs.check([html], [run])
+        outputs.check_files([html], [run])
     columns, rows = shutil.get_terminal_size((80, 24))
     with Run.open(run) as opened:
         part = part_of_run(opened, step, start, stop)
@@ -449,7 +449,7 @@ def plot(
     elif html:
         typer.echo(str(html))
     else:
-        typer.echo(text(traces, steps, part, columns, rows), nl=False)
+        typer.echo(panels_text(traces, steps, part, columns, rows), nl=False)
 
 
 @app.command(

@@ -38,8 +38,8 @@ def head(plan: Plan) -> dict[str, Any]:
 
 def searches(plan: Plan) -> list[str]:
     """One line for each search: its trials, its bounds, and how long it takes at the most."""
-    told = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
-    return [f"{line}{f', {told.count(line)} times' * (told.count(line) > 1)}" for line in dict.fromkeys(told)]
+    lines = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
+    return [f"{text}{f', {lines.count(text)} times' * (lines.count(text) > 1)}" for text in dict.fromkeys(lines)]
 
 
 def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ WIDEST_NAME = 50  # characters; `20261120T101530Z-torque-sensor-calibration-7f3a
 INDENT = "    "
 
 
-def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collection[str]) -> str:
+def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Collection[str]) -> str:
     """The runs shown: file, status, duration, actuator, condition, and parameters.
 
     Parameters
@@ -24,15 +24,15 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
     """
     columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
     width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)
-    varied = differing(every)
+    varied = differing(all_runs)
     lines = []
     for run in shown:
         if run.fault:
-            lines += _fitted(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
+            lines += _wrapped_entry(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
             continue
         wanted = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
         protocol = "" if run.protocol in run.file else run.protocol
-        told = [
+        details = [
             protocol,
             run.actuator,
             run.condition,
@@ -41,11 +41,11 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
             *([f"tags={','.join(run.tags)}"] if run.tags else []),
         ]
         head = f"{run.file:<{width}}  {run.status:<9} {_time(run.duration):>8}"
-        lines += _fitted(head, "  ".join(filter(None, told)), columns)
+        lines += _wrapped_entry(head, "  ".join(filter(None, details)), columns)
     return "".join(f"{line}\n" for line in lines)
 
 
-def _fitted(head: str, tail: str, columns: int) -> list[str]:
+def _wrapped_entry(head: str, tail: str, columns: int) -> list[str]:
     line = f"{head}  {tail}".rstrip()
     if not columns or len(line) <= columns:
         return [line]
