@@ -35,7 +35,7 @@ the key's SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
 
 
 def score_json(score: Score, command: str) -> dict[str, Any]:
-    """The score for other programs."""
+    """Return the score as a JSON document."""
     return {
         "format": FORMAT,
         "format_version": VERSION,
@@ -55,13 +55,13 @@ def score_json(score: Score, command: str) -> dict[str, Any]:
 
 
 def share_json(share: Share) -> dict[str, Any]:
-    """One share with its interval."""
+    """Return a share's fields, its value and its 95 % interval; both ends are None where it has no interval."""
     low, high = share.interval or (None, None)
     return {**asdict(share), "share": share.share, "low": low, "high": high}
 
 
 def markdown(score: Score, command: str) -> str:
-    """The report, with the command that made it."""
+    """Return the score as a page of Markdown that begins with the command that made it."""
     lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", MEANINGS]
     lines += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
     lines += [share_row(share) for share in score.shares]
@@ -95,7 +95,7 @@ def markdown(score: Score, command: str) -> str:
 
 
 def group_table(groups: Sequence[Group]) -> list[str]:
-    """A row a group, a column a question."""
+    """Return the lines of a Markdown table with a row for each group and a column for each question."""
     lines = [f"| {groups[0].by} | cases | {' | '.join(share.question for share in groups[0].shares)} |"]
     lines.append("|---" * (2 + len(groups[0].shares)) + "|")
     for group in groups:
@@ -105,7 +105,7 @@ def group_table(groups: Sequence[Group]) -> list[str]:
 
 
 def share_row(share: Share) -> str:
-    """One share as a row of a table."""
+    """Return a share as one row of a Markdown table; a share of no cases has no value."""
     if share.share is None or share.interval is None:
         return f"| {share.question} | {share.target} | - | 0 of 0 | |"
     low, high = share.interval
@@ -114,7 +114,7 @@ def share_row(share: Share) -> str:
 
 
 def reliability_table(calibration: Calibration) -> list[str]:
-    """The ten bins of probabilities."""
+    """Return the lines of a Markdown table that compares stated probabilities with the fraction that was right."""
     lines = ["| stated | cases | mean stated | right |", "|---|---|---|---|"]
     lines += [
         f"| {part.low:.1f} to {part.high:.1f} | {part.count} | {part.probability:.3f} | {part.right:.3f} |"

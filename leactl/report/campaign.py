@@ -7,7 +7,7 @@ from leactl.report.terminal import duration
 
 
 def plan_text(title: str, body: Mapping[str, Any]) -> str:
-    """Every run in its order with what it needs, prompts where something has to be mounted, and the time in all.
+    """Return every run in order with its duration, a line before each change of what is mounted, and the time in all.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
 
 
 def campaign_state_text(body: Mapping[str, Any]) -> str:
-    """How far a campaign is, a line for each run and for everything that is wrong.
+    """Return a line for each run of a campaign with its file or state, and a line for everything that is wrong.
 
     Parameters
     ----------

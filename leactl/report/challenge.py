@@ -1,4 +1,4 @@
-"""What a search for courses that beat the thermal guard has found, as text."""
+"""The result of a search for courses that beat the thermal guard, as text and as JSON."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ HEAD = f"{'role':<6}{'rate_Hz':>8}  {'angle':<9}{'courses':>8}{'below bound':>13
 
 
 def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
-    """A line for each search: how near the truth came to its bound, and how hot any phase became."""
+    """Return a line for each search: how far the true temperature stayed below its bound, and the hottest phase."""
     lines = [HEAD]
     for search in searches:
         warning = "" if search.held(limit) else "  NOT HELD"
@@ -21,12 +21,12 @@ def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
 
 
 def margin_text(search: Hunted) -> str:
-    """How far the truth stayed below its bound where it came nearest."""
+    """Return how far the true temperature stayed below its bound where it came nearest, in K."""
     return f"{-search.nearest.over_k:.2f} K" if math.isfinite(search.nearest.over_k) else "-"
 
 
 def challenge_json(searches: Sequence[Hunted], limit: float) -> dict[str, object]:
-    """The same for a program; genes make a course again."""
+    """Return the searches as a JSON document; the `genes` of an attempt make its course again."""
     return {
         "limit_degC": limit,
         "held": all(search.held(limit) for search in searches),

@@ -28,12 +28,12 @@ class LineMarks:
     whole: bool = False  # from end to end, however far its points are from each other
     labelled: bool = False  # its name stands on the line, and not in the legend
 
-    def reach(self) -> tuple[Array, Array]:
-        """What the axes have to hold."""
+    def extent(self) -> tuple[Array, Array]:
+        """Return all x and y values, which the axes have to contain."""
         return self.x, self.y
 
-    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
-        """The path; a gap where a value is not finite, and where points were left out."""
+    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+        """Return the path, interrupted where a value is not finite and where points are missing."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
         follows_gap = steps > GAP_STEPS * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
@@ -48,25 +48,25 @@ class LineMarks:
 
 @dataclass(frozen=True, eq=False)
 class PointMarks:
-    """A mark at each point; `style` says which."""
+    """A mark at each point; `style` names its shape and colour."""
 
     name: str
     style: str
     x: Array
     y: Array
 
-    def reach(self) -> tuple[Array, Array]:
-        """What the axes have to hold."""
+    def extent(self) -> tuple[Array, Array]:
+        """Return x and y of the finite points, which the axes have to contain."""
         finite = np.isfinite(self.x) & np.isfinite(self.y)
         return self.x[finite], self.y[finite]
 
-    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
-        """Strokes of next to no length: their ends are the marks, and keep their shape in a drawing that is stretched.
+    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+        """Return strokes of almost no length: their ends are the marks, whose shape a stretched drawing keeps.
 
         A PDF paints a stroke of no length with round ends alone (ISO 32000, 8.5.3.2): one with square ends has a tenth.
         """
         stroke = "h0.1" if "square" in self.style.split() else "h0"
-        pairs = zip(*map(np.ndarray.tolist, self.reach()), strict=True)
+        pairs = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
         d = "".join(f"M{across(x, a)} {down(y, b)}{stroke}" for a, b in pairs)
         marks = tag("path", d=d, class_=f"marks {self.style}")
         return joined([marks, tag("path", d=d, class_="marks hole")]) if "ring" in self.style.split() else marks
@@ -74,7 +74,7 @@ class PointMarks:
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """Mean and standard deviation in bins: a bar about a stroke each."""
+    """Mean and standard deviation in bins: each bin is a stroke at its mean inside a bar of two standard deviations."""
 
     name: str
     style: str
@@ -83,12 +83,12 @@ class Bins:
     mean: Array
     std: Array
 
-    def reach(self) -> tuple[Array, Array]:
-        """What the axes have to hold."""
+    def extent(self) -> tuple[Array, Array]:
+        """Return the edges of the bins and the ends of their bars, which the axes have to contain."""
         return np.concatenate([self.low, self.high]), np.concatenate([self.mean - self.std, self.mean + self.std])
 
-    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
-        """Two paths: bars and strokes."""
+    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+        """Return two paths: the bars, and the strokes over them."""
         bars, strokes = [], []
         for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
             start, end = across(x, a), across(x, b)
@@ -104,7 +104,7 @@ class Bins:
 
 @dataclass(frozen=True)
 class AxisRange:
-    """A part of one axis that is shaded."""
+    """A shaded part of one axis."""
 
     name: str
     style: str
@@ -112,12 +112,12 @@ class AxisRange:
     high: float
     upright: bool = True  # a part of x; else of y
 
-    def reach(self) -> tuple[Array, Array]:
-        """A part of x is cut at the axes; one of y has to be seen."""
+    def extent(self) -> tuple[Array, Array]:
+        """Return both ends of a part of y, which the axis has to contain; a part of x is cut at the axes instead."""
         return np.empty(0), np.empty(0) if self.upright else np.asarray([self.low, self.high])
 
-    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
-        """One rectangle across the other axis."""
+    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+        """Return one rectangle that reaches across the other axis."""
         if self.upright:
             path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{DRAWING_SIZE:g}H{across(x, self.low)}Z"
         else:
@@ -127,19 +127,19 @@ class AxisRange:
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """Polygons of one colour, corners (x, y) each."""
+    """Polygons of one colour, each a sequence of corners (x, y)."""
 
     name: str
     style: str
     polygons: Sequence[Sequence[tuple[float, float]]]
 
-    def reach(self) -> tuple[Array, Array]:
-        """All corners."""
+    def extent(self) -> tuple[Array, Array]:
+        """Return x and y of all corners, which the axes have to contain."""
         corners = np.array([corner for polygon in self.polygons for corner in polygon]).reshape(-1, 2)
         return corners[:, 0], corners[:, 1]
 
-    def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
-        """One path."""
+    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+        """Return one path of all polygons."""
         rings = ["L".join(f"{across(x, a)} {down(y, b)}" for a, b in polygon) for polygon in self.polygons]
         return tag("path", d="".join(f"M{ring}Z" for ring in rings), class_=f"band {self.style}")
 
@@ -157,14 +157,14 @@ def chart(
     keys: Sequence[Key] = (),
     x_log: bool = False,
 ) -> Html:
-    """Layers over each other, with ticks at round numbers and a legend.
+    """Return the layers drawn over each other, with ticks at round numbers and a legend.
 
     Parameters
     ----------
     beside : layers of another chart, which the axes are to hold too.
     keys : of the legend, style and name each; by default those of the layers, once a name.
     """
-    extents = [layer.reach() for layer in (*layers, *beside)]
+    extents = [layer.extent() for layer in (*layers, *beside)]
     x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])
     if not keys:
         unnamed = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
@@ -176,7 +176,7 @@ def chart(
     drawing = tag(
         "svg",
         tag("path", d=grid, class_="grid"),
-        *(layer.drawn(x, y) for layer in layers),
+        *(layer.markup(x, y) for layer in layers),
         viewBox=f"0 0 {DRAWING_SIZE:g} {DRAWING_SIZE:g}",
         preserveAspectRatio="none",
         data_x=f"{x.low:.12g} {x.high:.12g}",
@@ -197,7 +197,7 @@ def chart(
 
 
 def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Html]:
-    """The names of lines that are labelled, each in the middle of the longest of its name."""
+    """Return the labels of the lines that carry their name, each at the middle of the longest line of that name."""
     longest: dict[str, LineMarks] = {}
     for layer in layers:
         if isinstance(layer, LineMarks) and layer.labelled and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
@@ -211,28 +211,28 @@ def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Ht
 
 
 def legend(entries: Iterable[Key]) -> Html:
-    """A swatch and a name each."""
+    """Return a swatch and a name for each entry."""
     items = [tag("span", tag("i", class_=f"swatch {style}"), name, class_="key") for style, name in entries]
     return tag("div", *items, class_="legend")
 
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
-    """An axis over all finite values, on a logarithmic one over those above zero."""
+    """Return an axis over all finite values; a logarithmic axis is over those above zero."""
     pooled = np.concatenate(values)
     finite = pooled[np.isfinite(pooled) & ((pooled > 0.0) | (not log))]
     return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
 
 
 def across(x: PlotAxis, value: float) -> float:
-    """Where a value lies in the drawing, from the left, cut at its edges."""
+    """Return the x coordinate of a value in the drawing, from 0 at the left to `DRAWING_SIZE`, cut at both ends."""
     return round(DRAWING_SIZE * min(max(x.share(value), 0.0), 1.0), 1)
 
 
 def down(y: PlotAxis, value: float) -> float:
-    """Where a value lies in the drawing, from the top, cut at its edges."""
+    """Return the y coordinate of a value in the drawing, from 0 at the top to `DRAWING_SIZE`, cut at both ends."""
     return round(DRAWING_SIZE * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
 
 
 def tick_text(value: float, text: str) -> str:
-    """A tick's text; a long one with an exponent."""
+    """Return the text of a tick; a text that is too long becomes three digits with an exponent."""
     return text if len(text) <= LONGEST_TICK_TEXT else f"{value:.3g}"

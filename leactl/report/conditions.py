@@ -10,7 +10,7 @@ WIDTH = 80
 
 
 def comparisons_text(experiment: str, comparisons: Sequence[Comparison], refused: Sequence[str]) -> str:
-    """One part a result: the sentence first, then means, pairs, assumptions and notes."""
+    """Return a part for each compared result, and a part for each reason why results were not compared."""
     parts = [f"{experiment}: {len(comparisons)} results over conditions"]
     parts += [comparison_text(comparison) for comparison in comparisons]
     parts += [wrapped("not compared:", [line], WIDTH) for line in by_reason(refused)]
@@ -48,7 +48,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def by_reason(lines: Sequence[str]) -> list[str]:
-    """Lines `result: reason` with the results that share a reason in one."""
+    """Merge lines `result: reason` that share a reason into one line that lists their results."""
     reasons: dict[str, list[str]] = {}
     for line in lines:
         name, _, reason = line.partition(": ")

@@ -27,7 +27,7 @@ def print_drill(drilled: Drilled) -> None:
 
 
 def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
-    """The whole drill, for a stream of this width and encoding."""
+    """Return the whole drill as text for a stream of this width and encoding."""
     width = min(max(width, NARROWEST), WIDEST)
     text_width = width - VERDICT_WIDTH - AFTER_WIDTH - NO_TORQUE_WIDTH - 5  # a space between two columns
     name_width, end_width = max(LEAST_NAME_WIDTH, text_width // 3), max(LEAST_END_WIDTH, text_width // 4)
@@ -53,7 +53,7 @@ def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
 
 
 def markdown(drilled: Drilled) -> str:
-    """The same as a page of documentation, without its heading."""
+    """Return the whole drill as a page of Markdown without a heading."""
     lines = [summary(drilled), "", "| | rehearsed | ended by | after, s | no torque after, s | end |", "|" + "---|" * 6]
     for finding in drilled.findings:
         cells = ["ok" if finding.held else "**NOT**", *_cells(finding)]
@@ -65,7 +65,7 @@ def markdown(drilled: Drilled) -> str:
 
 
 def summary(drilled: Drilled) -> str:
-    """How many were rehearsed and how many were as they ought to be."""
+    """Return how many faults were rehearsed and how many ended as they ought to."""
     held = sum(finding.held for finding in drilled.findings)
     kind = "emulated" if drilled.emulated else "real or served"
     return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {held} ended as they ought to"
@@ -113,7 +113,7 @@ def _end(finding: Finding) -> str:
 
 @contextmanager
 def progress(console: Console | None = None) -> Iterator[Tell]:
-    """Show what is rehearsed and how long it will take: one line on a terminal, plain lines anywhere else."""
+    """Show which fault is rehearsed and the remaining time: one line on a terminal, plain lines anywhere else."""
     console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
     began = time.monotonic()
     if not console.is_terminal:

@@ -1,4 +1,4 @@
-"""A diagnosis as text, in the order of the questions: what, how far the gap shrinks, where; then calibration, notes."""
+"""A diagnosis as text: verdict, causes, how far the gap shrinks, where it sits, calibration, notes."""
 
 import shutil
 import sys
@@ -6,31 +6,31 @@ import textwrap
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
-from leactl.report.gap_simulator import summary, tables
+from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
     bare_units,
-    change,
-    claims,
+    change_text,
+    channel_label,
+    claimed_causes,
     closed_by_calibration,
+    closed_count_text,
     closed_text,
     closes_nothing,
-    counted,
-    figure,
-    floors,
-    label,
+    enumerated,
     largest_first,
-    listed,
+    multiple_of_floor,
     open_gap,
     parameter_text,
     picture_words,
-    probability,
+    probability_text,
     refusal_words,
     region_text,
     rest_channel,
     rest_words,
-    sentence,
+    three_digits,
     variable_words,
+    verdict_sentence,
     with_std,
 )
 from leactl.report.html import without_control_characters
@@ -48,7 +48,7 @@ def print_diagnosis(answer: Diagnosis) -> None:
 
 
 def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
-    """The whole answer, for a stream of this width and encoding."""
+    """Return the whole diagnosis as text for a stream of this width and encoding."""
     width = min(max(width, SMALLEST), WIDEST)
     parts = [
         verdict_part(answer, width),
@@ -63,10 +63,10 @@ def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
 
 
 def verdict_part(answer: Diagnosis, width: int) -> str:
-    """The verdict and the causes."""
-    chance = probability(answer.unexplained_probability)
+    """Return the verdict and the causes."""
+    chance = probability_text(answer.unexplained_probability)
     lines = [
-        filled(f"verdict: {answer.verdict}. {sentence(answer)}", width),
+        filled(f"verdict: {answer.verdict}. {verdict_sentence(answer)}", width),
         filled(f"probability that something unexplained acts: {chance}", width),
     ]
     if answer.causes:
@@ -79,18 +79,21 @@ def verdict_part(answer: Diagnosis, width: int) -> str:
 
 
 def simulator_part(answer: Diagnosis, width: int) -> str:
-    """What a simulator that stands for the model contains, and what it leaves over; empty where none does."""
+    """Return what a simulator that stands for the model contains and leaves over; empty where there is none."""
     nominal = answer.simulator
     if nominal is None:
         return ""
-    sentences = [filled(sentence, width) for sentence in summary(nominal, claims(answer.causes))]
+    sentences = [
+        filled(verdict_sentence, width)
+        for verdict_sentence in simulator_sentences(nominal, claimed_causes(answer.causes))
+    ]
     return "\n\n".join(
-        ["\n".join(sentences), *(table(*headings_and_rows, width) for headings_and_rows in tables(nominal))]
+        ["\n".join(sentences), *(table(*headings_and_rows, width) for headings_and_rows in simulator_tables(nominal))]
     )
 
 
 def unexplained_part(answer: Diagnosis, width: int) -> str:
-    """What the rest depends on, what comes nearest, and what would decide."""
+    """Return what the unexplained rest depends on, the effects that come near, and the experiment that would decide."""
     rest = answer.unexplained
     if rest is None:
         return ""
@@ -103,14 +106,14 @@ def unexplained_part(answer: Diagnosis, width: int) -> str:
 
 
 def cause_lines(cause: Cause, width: int) -> list[str]:
-    """One cause with its parameters, its class and the experiment that separates it."""
-    lines = [f"{probability(cause.probability):>6}  {cause.effect}"]
+    """Return one cause with its parameters, the effects that look like it, and the experiment that separates them."""
+    lines = [f"{probability_text(cause.probability):>6}  {cause.effect}"]
     name_width = max((len(parameter.name) for parameter in cause.parameters), default=0)
     lines += [f"          {parameter.name:{name_width}}  {parameter_text(parameter)}" for parameter in cause.parameters]
     if cause.picture is not None:
         lines.append(filled(f"over {variable_words(cause.picture)}: {picture_words(cause.picture)}", width, 10))
     if cause.indistinguishable_from:
-        lines.append(filled(f"cannot be told from {listed(cause.indistinguishable_from)}", width, 10))
+        lines.append(filled(f"cannot be told from {enumerated(cause.indistinguishable_from)}", width, 10))
     if cause.change:
         lines.append(filled(f"to mend: {cause.change}", width, 10))
     if cause.separating_experiment:
@@ -119,13 +122,13 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
 
 
 def shrinkage_part(answer: Diagnosis, width: int) -> str:
-    """The channels that have a gap, before and after, and how many have none."""
+    """Return the channels that have a gap, before and after, and how many have none."""
     if not answer.shrinkage:
         return ""
     shown = largest_first(answer.shrinkage)
     lines: list[str] = []
     headings: tuple[str, ...]
-    if shown and claims(answer.causes):
+    if shown and claimed_causes(answer.causes):
         headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
         lines.append(table(headings, [effect_row(channel, answer.shrinkage) for channel in shown], width, droppable=1))
         lines.append(filled("before: the calibrated model; after: with the effects; on held-out runs", width))
@@ -134,27 +137,37 @@ def shrinkage_part(answer: Diagnosis, width: int) -> str:
     if shown and not lines:
         headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
         lines.append(table(headings, [calibration_row(channel, answer.shrinkage) for channel in shown], width))
-    return "\n".join([*lines, filled(counted(answer.shrinkage), width)])
+    return "\n".join([*lines, filled(closed_count_text(answer.shrinkage), width)])
 
 
 def effect_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
-    """A channel before and after the effects."""
+    """Return a channel's RMS before and after the effects are added."""
     numbers = (channel.nominal_rms, channel.calibrated_rms, channel.augmented_rms, channel.floor_rms)
-    return [label(channel, channels), *map(figure, numbers), bare_units(channel.units), closed_text(channel)]
+    return [
+        channel_label(channel, channels),
+        *map(three_digits, numbers),
+        bare_units(channel.units),
+        closed_text(channel),
+    ]
 
 
 def calibration_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
-    """A channel before and after calibration, where no effect is added."""
+    """Return a channel's RMS before and after calibration, where no effect is added."""
     numbers = (channel.nominal_rms, channel.calibrated_rms, channel.floor_rms)
-    return [label(channel, channels), *map(figure, numbers), bare_units(channel.units), floors(channel)]
+    return [
+        channel_label(channel, channels),
+        *map(three_digits, numbers),
+        bare_units(channel.units),
+        multiple_of_floor(channel),
+    ]
 
 
 def region_part(answer: Diagnosis, width: int) -> str:
-    """The largest gaps and their regions."""
+    """Return the largest gaps and the region that holds most of each."""
     rows = [
         (
-            label(channel, answer.where),
-            f"{figure(channel.calibrated_rms)} {bare_units(channel.units)}",
+            channel_label(channel, answer.where),
+            f"{three_digits(channel.calibrated_rms)} {bare_units(channel.units)}",
             region_text(channel.region, channel.share),
         )
         for channel in answer.where
@@ -169,14 +182,14 @@ def region_part(answer: Diagnosis, width: int) -> str:
 
 
 def calibration_part(answer: Diagnosis, width: int) -> str:
-    """Parameters of the nominal model, fitted again."""
+    """Return the parameters of the nominal model before and after calibration."""
     rows = [
         (
             parameter.parameter,
             f"{parameter.nominal:.6g}",
             with_std(parameter.fitted, parameter.std),
             bare_units(parameter.units),
-            change(parameter),
+            change_text(parameter),
         )
         for parameter in answer.calibration
     ]
@@ -184,7 +197,7 @@ def calibration_part(answer: Diagnosis, width: int) -> str:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, droppable: int | None = None) -> str:
-    """Columns where they fit, first without the one to spare, then with the last cell of long rows on the next line.
+    """Return aligned columns; where they are too wide, column `droppable` goes, then last cells move to the next line.
 
     Where that does not fit either, each row's name has a line of its own.
     """
@@ -212,12 +225,12 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, dr
 
 
 def widest(text: str) -> int:
-    """Length of the longest line."""
+    """Return the length of the longest line."""
     return max(map(len, text.splitlines()))
 
 
 def filled(text: str, width: int, indent: int = 0) -> str:
-    """Text on as many lines as it needs; long words such as paths stay whole."""
+    """Wrap a text to a width; long words such as paths stay whole."""
     first, later = " " * indent, " " * (indent + 2)
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=later, break_long_words=False, break_on_hyphens=False

@@ -1,4 +1,4 @@
-"""A demonstration in words: what was planted beside what was named, for the terminal, for programs and for the page."""
+"""The planted effect of a demonstration beside the effects that were named, as text, as JSON and for the page."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 from leactl.gap.blind.demonstration import Demonstration
 from leactl.report.gap_words import (
     bare_units,
-    listed,
-    meaning,
+    effect_meaning,
+    enumerated,
     parameter_text,
     picture_words,
-    probability,
+    probability_text,
     variable_words,
 )
 from leactl.report.html import Html, joined, table, tag
@@ -22,7 +22,7 @@ HEADINGS = ["parameter", "planted", "fitted ± std"]
 
 
 class Files(NamedTuple):
-    """What a demonstration writes; the key lies apart from the bench's runs."""
+    """The files of a demonstration; the key lies apart from the bench's runs."""
 
     bench: Path
     key: Path
@@ -31,12 +31,12 @@ class Files(NamedTuple):
 
 
 def files_of(folder: Path) -> Files:
-    """The files of a demonstration in a folder."""
+    """Return the paths of a demonstration's files in a folder."""
     return Files(folder / "bench", folder / "key", folder / "answer.json", folder / "gap.html")
 
 
 def demonstration_json(demonstration: Demonstration, seed: int, files: Files) -> dict[str, Any]:
-    """The document for other programs."""
+    """Return the demonstration as a JSON document."""
     return {
         "format": FORMAT,
         "format_version": VERSION,
@@ -53,20 +53,20 @@ def demonstration_json(demonstration: Demonstration, seed: int, files: Files) ->
 
 
 def verdict(demonstration: Demonstration) -> str:
-    """Planted and named in one sentence."""
+    """Return one sentence that says what was planted and what was named."""
     planted = f"Planted, at {demonstration.strength} strength: {demonstration.planted}"
     if demonstration.cause is None:
-        others = listed([cause.effect for cause in demonstration.others])
+        others = enumerated([cause.effect for cause in demonstration.others])
         return f"{planted}. Missed: {f'named was {others}' if others else 'nothing was named'}."
-    chance = probability(demonstration.cause.probability)
+    chance = probability_text(demonstration.cause.probability)
     if not demonstration.others:
         return f"{planted}. Named: {demonstration.planted}, with a probability {_of(chance)}, and nothing else."
     indistinguishable = [
         c.effect for c in demonstration.others if c.effect in demonstration.cause.indistinguishable_from
     ]
     further = [c.effect for c in demonstration.others if c.effect not in demonstration.cause.indistinguishable_from]
-    confused = f", which these runs cannot tell from {listed(indistinguishable)}" if indistinguishable else ""
-    beside = f"; named beside it, though not planted: {listed(further)}" if further else ""
+    confused = f", which these runs cannot tell from {enumerated(indistinguishable)}" if indistinguishable else ""
+    beside = f"; named beside it, though not planted: {enumerated(further)}" if further else ""
     return f"{planted}. Named: {demonstration.planted}{confused}, with a probability {_of(chance)}{beside}."
 
 
@@ -75,7 +75,7 @@ def _of(chance: str) -> str:
 
 
 def parameter_rows(demonstration: Demonstration) -> list[list[str]]:
-    """Each parameter as planted and as fitted."""
+    """Return a row for each parameter: its name, its planted value and its fitted value."""
     fitted = (
         {}
         if demonstration.cause is None
@@ -89,10 +89,10 @@ def parameter_rows(demonstration: Demonstration) -> list[list[str]]:
 
 
 def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -> list[str]:
-    """For the terminal."""
+    """Return the lines that the terminal shows."""
     shape = demonstration.cause.picture if demonstration.cause is not None else None
     picture = [f"over {variable_words(shape)}, held-out runs: {picture_words(shape)}"] if shape is not None else []
-    sentences = [verdict(demonstration), meaning(demonstration.planted), *picture]
+    sentences = [verdict(demonstration), effect_meaning(demonstration.planted), *picture]
     written = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]
     return [
         *(list_line("", text) for text in sentences),
@@ -104,13 +104,13 @@ def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -
 
 
 def demonstration_section(demonstration: Demonstration, seed: int) -> Html:
-    """For the page: what the diagnosis was up against."""
+    """Return the section of the page that says what was planted and how the bench differs from the diagnosis."""
     about = (
         "An effect, its size and the bench's parameters were drawn, ten runs were made on an emulated bench whose plant"
         " shares no equation with the diagnosis, and the key was opened after the answer was written."
         f" The same again: leactl gap demo --seed {seed}"
     )
-    parts = [tag("p", tag("strong", verdict(demonstration))), tag("p", meaning(demonstration.planted))]
+    parts = [tag("p", tag("strong", verdict(demonstration))), tag("p", effect_meaning(demonstration.planted))]
     return tag(
         "section",
         tag("h2", "Planted and named"),

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: measured beside simulated, and what is left over over the variable of its region."""
+"""Figures of a diagnosis: measured beside simulated over time, and residuals over the variable of their region."""
 
 import math
 
@@ -11,8 +11,8 @@ from leactl.report.chart import AxisRange, Bins, Layer, LineMarks, chart
 from leactl.report.gap_words import (
     NEAR_FLOOR,
     bare_units,
-    floors,
-    label,
+    channel_label,
+    multiple_of_floor,
     open_gap,
     picture_words,
     region_text,
@@ -30,7 +30,7 @@ LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
 
 def channel_cards(answer: Diagnosis) -> list[Html]:
-    """A card for each of the channels with the largest gaps; a gap that calibration closed counts."""
+    """Return a card for each channel with a large gap, open gaps first, then gaps that calibration closed."""
     traces = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("traces", ())}
     profiles = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("profiles", ())}
     cards = []
@@ -42,18 +42,20 @@ def channel_cards(answer: Diagnosis) -> list[Html]:
         key = (channel.quantity, channel.role, channel.mechanical)
         if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < NEAR_FLOOR * channel.floor_rms:
             continue
-        charts = [over_time(traces[key])]
+        charts = [trace_figure(traces[key])]
         if key in profiles and len(profiles[key].low):
-            charts.append(over_variable(profiles[key], channel))
+            charts.append(profile_figure(profiles[key], channel))
         heading = tag(
-            "h3", label(channel, answer.where), tag("small", f"{floors(channel)} its practical floor after calibration")
+            "h3",
+            channel_label(channel, answer.where),
+            tag("small", f"{multiple_of_floor(channel)} its practical floor after calibration"),
         )
         cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
     return cards[:MOST_CARDS]
 
 
 def effect_cards(answer: Diagnosis) -> list[Html]:
-    """A card for each effect that is in the augmented model: what is left over, over the variable that it acts in."""
+    """Return a card for each cause: the residual before and after it is added, over the variable that it acts on."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
         picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
@@ -64,18 +66,18 @@ def effect_cards(answer: Diagnosis) -> list[Html]:
 
 
 def rest_cards(rest: Rest) -> list[Html]:
-    """A card for each variable that a rest depends on."""
+    """Return a card for each variable that an unexplained rest depends on."""
     return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in rest.shapes]
 
 
 def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Html:
-    """A picture with its numbers."""
+    """Return a picture with its title, its numbers and a caption."""
     heading = tag("h3", title, tag("small", picture_words(picture)))
     return tag("div", heading, tag("figure", tag("figcaption", caption), picture_chart(picture, names)), class_="card")
 
 
 def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
-    """Means in bins with their intervals, before and after, which are given names."""
+    """Return the mean residual in each bin with its 95 % interval, before and after; `names` are their legend."""
     drawn_bins = [each_bin for each_bin in picture.bins if math.isfinite(each_bin.before)]
     low, high = (np.asarray([getattr(each_bin, name) for each_bin in drawn_bins]) for name in ("low", "high"))
     layers: list[Layer] = []
@@ -90,16 +92,16 @@ def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
     return chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
 
 
-def before_and_after(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
-    """The models to compare, with their names: around the effects, or around the calibration where none is added."""
+def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Return name and legend of two models: around the effects, or around the calibration where no effect is added."""
     before, after = ("calibrated", "augmented") if effects else ("nominal", "calibrated")
     return (before, f"before ({before})"), (after, f"after ({after})")
 
 
-def over_time(trace: Trace) -> Html:
-    """Measured and simulated over a stretch of one run."""
+def trace_figure(trace: Trace) -> Html:
+    """Return a chart of the measured and the simulated channel over a part of one run."""
     layers: list[Layer] = [LineMarks("measured", "measured", trace.time, trace.measured)]
-    both = before_and_after(not np.array_equal(trace.calibrated, trace.augmented))
+    both = compared_models(not np.array_equal(trace.calibrated, trace.augmented))
     layers += [LineMarks(words, name, trace.time, getattr(trace, name)) for name, words in both]
     return tag(
         "figure",
@@ -108,12 +110,12 @@ def over_time(trace: Trace) -> Html:
     )
 
 
-def over_variable(profile: Profile, channel: Where) -> Html:
-    """What the models leave over: mean and standard deviation in bins of the variable."""
+def profile_figure(profile: Profile, channel: Where) -> Html:
+    """Return a chart of the residuals: mean and standard deviation in bins of the region's variable."""
     layers: list[Layer] = []
     if channel.region is not None:
         layers.append(AxisRange("region", "region", channel.region.low, channel.region.high))
-    for name, words in before_and_after(not np.array_equal(profile.mean[1], profile.mean[2])):
+    for name, words in compared_models(not np.array_equal(profile.mean[1], profile.mean[2])):
         row = MODELS.index(name)
         layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
     layers.append(AxisRange("± floor", "floor", -channel.floor_rms, channel.floor_rms, upright=False))
@@ -126,5 +128,5 @@ def over_variable(profile: Profile, channel: Where) -> Html:
 
 
 def with_units(quantity: str, units: str) -> str:
-    """A label for an axis."""
+    """Return the label of an axis: a quantity with its units in brackets, none for a ratio."""
     return f"{quantity} [{units}]" if bare_units(units) else quantity

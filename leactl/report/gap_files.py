@@ -17,14 +17,14 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where the answer goes; `-` for the JSON is stdout."""
+    """The files that an answer is written to; `-` for the JSON is stdout."""
 
     json: Path | None = None
     html: Path | None = None
     model: Path | None = None
 
     def check(self, inputs: Sequence[Path] = ()) -> None:
-        """Find fault with all files at once, before minutes are spent on what could not be written.
+        """Refuse files that could not be written, all at once, before minutes are spent on the diagnosis.
 
         An earlier answer of the same name is replaced; what was read never is.
 
@@ -37,7 +37,7 @@ class Outputs:
         check_files(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
     def write(self, answer: Diagnosis) -> None:
-        """Write what was asked for, each file whole or not at all; JSON on stdout comes last."""
+        """Write the wanted files, each whole or not at all; JSON on stdout comes last."""
         texts: list[tuple[Path, str]] = []
         if self.model is not None:
             texts.append((self.model, yaml.safe_dump(as_mapping(answer.extra["augmented"]), sort_keys=False)))
@@ -55,7 +55,7 @@ class Outputs:
 
 
 def publish(path: Path, text: str) -> None:
-    """Write beside and rename, so that no reader meets half a file; stopped half-way, nothing stays."""
+    """Write a text file by replacing it at once; an interrupted write leaves no part behind."""
     beside = path.with_name(f".{path.name}.part")
     try:
         beside.write_text(text, encoding="utf-8")

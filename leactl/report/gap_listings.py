@@ -4,7 +4,7 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from leactl.gap.explained import explained
-from leactl.report.gap_words import listed
+from leactl.report.gap_words import enumerated
 from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.vocabulary.setup_fault import setup_faults
@@ -131,7 +131,7 @@ def wrapped_list(text: str) -> list[str]:
 
 def closed_loop_lines(loop: "ClosedLoop") -> list[str]:
     """Return the lines of `gap loop`: the effects named, each held-out run before and after, files, notes."""
-    named = f"Named: {listed(list(loop.named))}." if loop.named else "No effect was named."
+    named = f"Named: {enumerated(list(loop.named))}." if loop.named else "No effect was named."
     rows = [played_cells(run) for run in (*loop.runs, loop.whole)]
     left_out = [
         f"{destination.entry.effect}: left out, {destination.reason}"

@@ -11,37 +11,37 @@ import numpy as np
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_figures import channel_cards, effect_cards, rest_cards
-from leactl.report.gap_simulator import summary, tables
+from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
-    PRESENT,
+    PRESENT_FROM,
     bare_units,
-    change,
-    claims,
+    change_text,
+    channel_label,
+    claimed_causes,
     closed_by_calibration,
+    closed_count_text,
     closed_text,
     closes_nothing,
-    counted,
-    figure,
-    floors,
-    label,
+    effect_meaning,
+    enumerated,
     largest_first,
-    listed,
-    meaning,
+    multiple_of_floor,
     open_gap,
     parameter_text,
-    percent,
-    probability,
+    percent_text,
+    probability_text,
     region_text,
     rest_channel,
     rest_words,
-    sentence,
+    three_digits,
+    verdict_sentence,
     with_std,
 )
 from leactl.report.html import Html, document, joined, table, tag
 from leactl.report.page_style import PAGE
 
-NOTHING = Html("")
+NO_CONTENT = Html("")
 MODELS = ("nominal", "calibrated", "augmented", "floor")
 MOST_CARDS = 12  # channels with bars, where no effect is added
 SCALE_START = 0.5  # of the smallest number, where the bars begin: on a log scale there is no zero
@@ -96,8 +96,8 @@ path.region { fill: var(--nominal); fill-opacity: 0.2; }
 )
 
 
-def page(answer: Diagnosis, preface: Html = NOTHING) -> str:
-    """The whole answer as one self-contained page; the same answer gives the same page.
+def page(answer: Diagnosis, preface: Html = NO_CONTENT) -> str:
+    """Return the whole diagnosis as one self-contained page; the same answer gives the same page.
 
     preface : what is to stand after the verdict.
     """
@@ -109,47 +109,47 @@ def page(answer: Diagnosis, preface: Html = NOTHING) -> str:
         tag("h1", f"Gap between model and bench{model_name}"),
         headline(answer),
         preface,
-        section("The simulator", simulator(answer)),
-        section("Causes", causes(answer)),
-        section("What each effect explains", tag("div", *cards, class_="pictures") if cards else NOTHING),
-        section("What is not explained", not_explained(answer)),
-        section("How far the gap shrinks", shrinkage(answer)),
-        section("Where the gap sits", joined([*channel_cards(answer), where(answer)])),
-        section("Calibration", calibration(answer)),
-        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else NOTHING),
+        section("The simulator", simulator_content(answer)),
+        section("Causes", causes_content(answer)),
+        section("What each effect explains", tag("div", *cards, class_="pictures") if cards else NO_CONTENT),
+        section("What is not explained", unexplained_content(answer)),
+        section("How far the gap shrinks", shrinkage_content(answer)),
+        section("Where the gap sits", joined([*channel_cards(answer), regions_table(answer)])),
+        section("Calibration", calibration_table(answer)),
+        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else NO_CONTENT),
     )
     return document(f"Gap{model_name}", STYLE, body)
 
 
 def section(title: str, content: Html) -> Html:
-    """A part of the page; one without content is left out."""
+    """Return a part of the page with its heading; empty where it has no content."""
     return tag("section", tag("h2", title), content) if content else content
 
 
 def headline(answer: Diagnosis) -> Html:
-    """The verdict, the chance that it misses something, and the largest gap closed."""
-    facts = [f"Probability that something unexplained acts: {probability(answer.unexplained_probability)}."]
+    """Return the verdict, the probability that something unexplained acts, and the largest gap."""
+    facts = [f"Probability that something unexplained acts: {probability_text(answer.unexplained_probability)}."]
     for channel in largest_first(answer.shrinkage)[:1]:
-        after = f", {figure(channel.augmented_rms)} with the effects" if claims(answer.causes) else ""
-        closed = f"; closed {closed_text(channel)}" if claims(answer.causes) else ""
+        after = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_causes(answer.causes) else ""
+        closed = f"; closed {closed_text(channel)}" if claimed_causes(answer.causes) else ""
         facts.append(
-            f"Largest gap: {label(channel, answer.shrinkage)},"
-            f" {figure(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{after},"
-            f" floor {figure(channel.floor_rms)}{closed}."
+            f"Largest gap: {channel_label(channel, answer.shrinkage)},"
+            f" {three_digits(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{after},"
+            f" floor {three_digits(channel.floor_rms)}{closed}."
         )
-    facts += [f"{counted(answer.shrinkage)}."] if answer.shrinkage else []
+    facts += [f"{closed_count_text(answer.shrinkage)}."] if answer.shrinkage else []
     return tag(
         "div",
-        tag("p", tag("strong", answer.verdict, class_="verdict"), " ", sentence(answer), class_="lead"),
+        tag("p", tag("strong", answer.verdict, class_="verdict"), " ", verdict_sentence(answer), class_="lead"),
         *(tag("p", fact) for fact in facts),
         class_="headline",
     )
 
 
-def causes(answer: Diagnosis) -> Html:
-    """One entry for each effect, a bar for its probability."""
+def causes_content(answer: Diagnosis) -> Html:
+    """Return an entry with a bar of its probability for each cause."""
     if not answer.causes:
-        return NOTHING
+        return NO_CONTENT
     intro = "Each bar is the probability that the effect is present; they need not sum to 1."
     empty = closes_nothing(answer)
     parts = [tag("p", intro, class_="about")]
@@ -158,18 +158,23 @@ def causes(answer: Diagnosis) -> Html:
 
 
 def cause_entry(entry: Cause, closes_no_gap: bool) -> Html:
-    """Name, bar (pale where effects close no gap), meaning, parameters, class and the experiment that separates it."""
+    """Return a cause's name, probability, meaning, parameters, similar effects and separating experiment."""
     share = min(max(entry.probability, 0.0), 1.0) if math.isfinite(entry.probability) else 0.0
-    bar = "bar weak" if closes_no_gap or share < PRESENT else "bar"
+    bar = "bar weak" if closes_no_gap or share < PRESENT_FROM else "bar"
     parts = [
-        tag("div", tag("span", entry.effect, class_="name"), tag("span", probability(entry.probability)), class_="row"),
+        tag(
+            "div",
+            tag("span", entry.effect, class_="name"),
+            tag("span", probability_text(entry.probability)),
+            class_="row",
+        ),
         tag(
             "div",
             tag("i", style=f"width:{100 * share:.4g}%"),
             class_=bar,
         ),
     ]
-    if words := meaning(entry.effect):
+    if words := effect_meaning(entry.effect):
         parts.append(tag("p", words))
     if entry.parameters:
         parts.append(
@@ -184,12 +189,12 @@ def cause_entry(entry: Cause, closes_no_gap: bool) -> Html:
         )
     if entry.share > 0.0 and entry.family == "setup":
         parts.append(
-            tag("p", f"Mended, {percent(entry.share)} of what the channel is off by is gone, on held-out runs.")
+            tag("p", f"Mended, {percent_text(entry.share)} of what the channel is off by is gone, on held-out runs.")
         )
     elif entry.share > 0.0:
-        parts.append(tag("p", f"Its share of what all causes explain: {percent(entry.share)}."))
+        parts.append(tag("p", f"Its share of what all causes explain: {percent_text(entry.share)}."))
     if entry.indistinguishable_from:
-        parts.append(tag("p", f"Cannot be told from {listed(entry.indistinguishable_from)} with these runs."))
+        parts.append(tag("p", f"Cannot be told from {enumerated(entry.indistinguishable_from)} with these runs."))
     if entry.change:
         parts.append(tag("p", f"To mend it: {entry.change}."))
     if entry.separating_experiment:
@@ -197,22 +202,24 @@ def cause_entry(entry: Cause, closes_no_gap: bool) -> Html:
     return tag("li", *parts)
 
 
-def simulator(answer: Diagnosis) -> Html:
-    """What a simulator that stands for the model contains, and what it leaves over; empty where none does."""
+def simulator_content(answer: Diagnosis) -> Html:
+    """Return what a simulator that stands for the model contains and leaves over; empty where there is none."""
     nominal = answer.simulator
     if nominal is None:
-        return NOTHING
-    summary_text = tag("p", " ".join(summary(nominal, claims(answer.causes))))
+        return NO_CONTENT
+    summary_text = tag("p", " ".join(simulator_sentences(nominal, claimed_causes(answer.causes))))
     pairs = [tag("li", f"{Path(pair.simulated).name} for {Path(pair.real).name}") for pair in nominal.runs]
     runs = tag("details", tag("summary", "Runs"), tag("ul", *pairs))
-    return joined([summary_text, *(table(list(heads), rows, "figures") for heads, rows in tables(nominal)), runs])
+    return joined(
+        [summary_text, *(table(list(heads), rows, "figures") for heads, rows in simulator_tables(nominal)), runs]
+    )
 
 
-def not_explained(answer: Diagnosis) -> Html:
-    """What the rest depends on, its shape, what comes nearest, and what would decide."""
+def unexplained_content(answer: Diagnosis) -> Html:
+    """Return what the unexplained rest depends on, the effects that come near, and the experiment that would decide."""
     rest = answer.unexplained
     if rest is None:
-        return NOTHING
+        return NO_CONTENT
     parts = [tag("p", tag("strong", rest_channel(rest)), ": ", rest_words(rest), ".")]
     if rest.nearest:
         refusals = [
@@ -226,76 +233,87 @@ def not_explained(answer: Diagnosis) -> Html:
     return joined(parts)
 
 
-def shrinkage(answer: Diagnosis) -> Html:
-    """Bars for the channels with a gap, and a table of all."""
+def shrinkage_content(answer: Diagnosis) -> Html:
+    """Return bars for the channels with a gap, and a table of all channels."""
     if not answer.shrinkage:
-        return NOTHING
-    effects = bool(claims(answer.causes))
+        return NO_CONTENT
+    effects = bool(claimed_causes(answer.causes))
     largest = largest_first(answer.shrinkage)
     shown = largest if effects else [*largest, *closed_by_calibration(answer.shrinkage)][:MOST_CARDS]
     parts = []
     if shown:
         intro = "RMS of measured minus simulated on held-out runs. The bars' scale is logarithmic, each over its floor."
-        low, high = span(shown)
+        low, high = scale_ends(shown)
         parts += [tag("p", intro, class_="about")]
         parts += [
-            tag("div", *(bars(channel, answer.shrinkage, low, high, effects) for channel in shown), class_="shrinkage")
+            tag(
+                "div",
+                *(channel_bars(channel, answer.shrinkage, low, high, effects) for channel in shown),
+                class_="shrinkage",
+            )
         ]
-    parts.append(tag("p", f"{counted(answer.shrinkage)}."))
+    parts.append(tag("p", f"{closed_count_text(answer.shrinkage)}."))
     rows = [
-        [label(channel, answer.shrinkage), *map(figure, rms(channel)), bare_units(channel.units), closed_text(channel)]
+        [
+            channel_label(channel, answer.shrinkage),
+            *map(three_digits, rms_by_model(channel)),
+            bare_units(channel.units),
+            closed_text(channel),
+        ]
         for channel in [*largest, *(channel for channel in answer.shrinkage if not open_gap(channel))]
     ]
     all_channels = table(["channel", *MODELS, "units", "closed (95 %)"], rows, "figures")
     return joined([*parts, tag("details", tag("summary", "All channels"), all_channels)])
 
 
-def rms(channel: Shrinkage) -> tuple[float, float, float, float]:
-    """The four numbers in the order of `MODELS`."""
+def rms_by_model(channel: Shrinkage) -> tuple[float, float, float, float]:
+    """Return a channel's RMS of the residuals in the order of `MODELS`."""
     return channel.nominal_rms, channel.calibrated_rms, channel.augmented_rms, channel.floor_rms
 
 
-def span(channels: Sequence[Shrinkage]) -> tuple[float, float]:
-    """Ends of the bars' common scale, as logarithms of multiples of the floor."""
-    ratios = np.asarray([value / base(channel) for channel in channels for value in rms(channel)])
+def scale_ends(channels: Sequence[Shrinkage]) -> tuple[float, float]:
+    """Return both ends of the bars' common scale, as natural logarithms of multiples of the floor."""
+    ratios = np.asarray([value / bar_unit(channel) for channel in channels for value in rms_by_model(channel)])
     positive = ratios[np.isfinite(ratios) & (ratios > 0.0)]
     return math.log(SCALE_START * float(positive.min())), math.log(float(positive.max()))
 
 
-def base(channel: Shrinkage) -> float:
-    """What a channel's bars are multiples of: its floor, or the smallest number where there is none."""
-    positive = [value for value in rms(channel) if math.isfinite(value) and value > 0.0]
+def bar_unit(channel: Shrinkage) -> float:
+    """Return the RMS that a channel's bars are multiples of: its floor, or its smallest RMS where it has no floor."""
+    positive = [value for value in rms_by_model(channel) if math.isfinite(value) and value > 0.0]
     return channel.floor_rms if channel.floor_rms in positive else min(positive, default=1.0)
 
 
-def bars(channel: Shrinkage, channels: Sequence[Shrinkage], low: float, high: float, effects: bool) -> Html:
-    """The bars of one channel; without an effect the augmented model is the calibrated one and has none."""
+def channel_bars(channel: Shrinkage, channels: Sequence[Shrinkage], low: float, high: float, effects: bool) -> Html:
+    """Return one channel's bars; without an effect the augmented model has none, since it is the calibrated one."""
     drawn = []
-    for name, value in zip(MODELS, rms(channel), strict=True):
+    for name, value in zip(MODELS, rms_by_model(channel), strict=True):
         if name == "augmented" and not effects:
             continue
         positive = math.isfinite(value) and value > 0.0
-        share = (math.log(value / base(channel)) - low) / (high - low) if positive else 0.0
+        share = (math.log(value / bar_unit(channel)) - low) / (high - low) if positive else 0.0
         drawn += [
             tag("span", name),
             tag("div", tag("i", class_=name, style=f"width:{100 * share:.4g}%"), class_="bar"),
-            tag("span", f"{figure(value)} {bare_units(channel.units)}"),
+            tag("span", f"{three_digits(value)} {bare_units(channel.units)}"),
         ]
-    remark = f"closed {closed_text(channel)}" if effects else f"{floors(channel)} its floor after calibration"
-    head = tag("h3", label(channel, channels), tag("small", remark))
+    remark = (
+        f"closed {closed_text(channel)}" if effects else f"{multiple_of_floor(channel)} its floor after calibration"
+    )
+    head = tag("h3", channel_label(channel, channels), tag("small", remark))
     return tag("div", head, tag("div", *drawn, class_="bars"), class_="card")
 
 
-def where(answer: Diagnosis) -> Html:
-    """Every channel with a gap, and the region that holds most of it."""
+def regions_table(answer: Diagnosis) -> Html:
+    """Return a row for each channel with a gap and the region that holds most of it."""
     rows = [
         [
-            label(channel, answer.where),
-            figure(channel.nominal_rms),
-            figure(channel.calibrated_rms),
-            figure(channel.floor_rms),
+            channel_label(channel, answer.where),
+            three_digits(channel.nominal_rms),
+            three_digits(channel.calibrated_rms),
+            three_digits(channel.floor_rms),
             bare_units(channel.units),
-            floors(channel),
+            multiple_of_floor(channel),
             region_text(channel.region, channel.share),
         ]
         for channel in answer.where
@@ -311,19 +329,19 @@ def where(answer: Diagnosis) -> Html:
         "region and its share of the square",
     ]
     about = "The practical floor is what noise leaves, or a replay that explains the channel, up to a few times that."
-    return joined([table(headings, rows, "figures"), tag("p", about, class_="about")]) if rows else NOTHING
+    return joined([table(headings, rows, "figures"), tag("p", about, class_="about")]) if rows else NO_CONTENT
 
 
-def calibration(answer: Diagnosis) -> Html:
-    """Parameters of the nominal model before and after."""
+def calibration_table(answer: Diagnosis) -> Html:
+    """Return a row for each parameter of the nominal model, before and after calibration."""
     rows = [
         [
             parameter.parameter,
             f"{parameter.nominal:.6g}",
             with_std(parameter.fitted, parameter.std),
             bare_units(parameter.units),
-            change(parameter),
+            change_text(parameter),
         ]
         for parameter in answer.calibration
     ]
-    return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else NOTHING
+    return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else NO_CONTENT

@@ -1,4 +1,4 @@
-"""A simulator that stands for the model, in words and rows: what it contains, what floor it has, what real runs share.
+"""A simulator that stands for the model: its effects and floors, and what of them the real runs share.
 
 The terminal and the page show the same.
 """
@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import Presence, SimulatorAnswer
-from leactl.report.gap_words import bare_units, figure, label, listed, with_std
+from leactl.report.gap_words import bare_units, channel_label, enumerated, three_digits, with_std
 
 PARAMETERS = ("parameter", "start", "simulator ± std", "real ± std", "")
 EFFECTS = ("simulator contains", "simulator ± std", "real ± std", "real runs")
@@ -26,17 +26,17 @@ PAIRED = {
 }
 
 
-def summary(simulator: SimulatorAnswer, beyond: Sequence[str]) -> list[str]:
-    """What the simulator contains and what the real runs have beyond it, a sentence each.
+def simulator_sentences(simulator: SimulatorAnswer, beyond: Sequence[str]) -> list[str]:
+    """Return sentences on what the simulator contains and what the real runs have beyond it.
 
     beyond : effects that were named for the real runs.
     """
     ways = Counter(pair.paired_by for pair in simulator.runs)
-    pairings = listed([f"{count} {PAIRED[way]}" for way, count in ways.items()])
+    pairings = enumerated([f"{count} {PAIRED[way]}" for way, count in ways.items()])
     contains = [effect.effect for effect in simulator.effects]
     sentences = [
         f"The nominal is a simulator: its runs have the inputs of the real ones (paired: {pairings}).",
-        f"It contains {listed(contains)}." if contains else "It contains no effect beyond the model's plain form.",
+        f"It contains {enumerated(contains)}." if contains else "It contains no effect beyond the model's plain form.",
     ]
     if simulator.verdict == "unknown":
         sentences.append("It does something that no effect of the library explains, which counts as its floor.")
@@ -44,15 +44,15 @@ def summary(simulator: SimulatorAnswer, beyond: Sequence[str]) -> list[str]:
     resized = [f"{name} of another size" for name in beyond if name in contains]
     lacking = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
     differing = [parameter.parameter for parameter in simulator.parameters if parameter.differs]
-    sentences.append(f"The real runs have {listed([*new_effects, *resized]) or 'no effect'} beyond it.")
+    sentences.append(f"The real runs have {enumerated([*new_effects, *resized]) or 'no effect'} beyond it.")
     if lacking:
-        sentences.append(f"The real runs lack {listed(lacking)} of it.")
+        sentences.append(f"The real runs lack {enumerated(lacking)} of it.")
     if differing:
-        sentences.append(f"Parameters differ beyond both uncertainties: {listed(differing)}.")
+        sentences.append(f"Parameters differ beyond both uncertainties: {enumerated(differing)}.")
     return sentences
 
 
-def tables(simulator: SimulatorAnswer) -> list[tuple[tuple[str, ...], list[list[str]]]]:
+def simulator_tables(simulator: SimulatorAnswer) -> list[tuple[tuple[str, ...], list[list[str]]]]:
     """Return headings and rows of the tables of parameters, effects and floors, without those that have no row."""
     pairs = (
         (PARAMETERS, parameter_rows(simulator)),
@@ -63,7 +63,7 @@ def tables(simulator: SimulatorAnswer) -> list[tuple[tuple[str, ...], list[list[
 
 
 def parameter_rows(simulator: SimulatorAnswer) -> list[list[str]]:
-    """Cells under `PARAMETERS`."""
+    """Return the cells under `PARAMETERS`, a row for each parameter."""
     return [
         [
             f"{parameter.parameter}{' (differs)' if parameter.differs else ''}",
@@ -77,7 +77,7 @@ def parameter_rows(simulator: SimulatorAnswer) -> list[list[str]]:
 
 
 def effect_rows(simulator: SimulatorAnswer) -> list[list[str]]:
-    """Cells under `EFFECTS`, a row for each parameter of an effect."""
+    """Return the cells under `EFFECTS`, a row for each parameter of an effect."""
     rows = []
     for effect in simulator.effects:
         presence = IN_REAL[effect.in_real]
@@ -98,12 +98,12 @@ def effect_rows(simulator: SimulatorAnswer) -> list[list[str]]:
 
 
 def floor_rows(simulator: SimulatorAnswer) -> list[list[str]]:
-    """Cells under `FLOORS`."""
+    """Return the cells under `FLOORS`, a row for each channel."""
     return [
         [
-            label(channel, simulator.floors),
-            figure(channel.left_rms),
-            figure(channel.floor_rms),
+            channel_label(channel, simulator.floors),
+            three_digits(channel.left_rms),
+            three_digits(channel.floor_rms),
             bare_units(channel.units),
         ]
         for channel in simulator.floors

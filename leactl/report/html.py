@@ -11,23 +11,23 @@ UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\ufff
 
 
 class Html(str):
-    """Text that is markup already."""
+    """Text that is HTML already and is not escaped again."""
 
     __slots__ = ()
 
 
 def escaped(words: str) -> Html:
-    """Words made safe, for a body or for an attribute."""
+    """Escape a text for a body or an attribute; HTML stays as it is."""
     return words if isinstance(words, Html) else Html(escape(without_control_characters(words), quote=True))
 
 
 def without_control_characters(words: str) -> str:
-    """Words without what a page or a terminal cannot take."""
+    """Replace the characters that neither a page nor a terminal can take by U+FFFD."""
     return UNFIT.sub("\ufffd", words)
 
 
 def tag(name: str, *children: str, **attributes: str) -> Html:
-    """One element; an attribute's trailing underscore is dropped and others become hyphens."""
+    """Return one element; an attribute's trailing underscore is dropped and other underscores become hyphens."""
     attribute_text = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escaped(value)}"' for key, value in attributes.items()
     )
@@ -37,12 +37,12 @@ def tag(name: str, *children: str, **attributes: str) -> Html:
 
 
 def joined(parts: list[Html], by: str = "") -> Html:
-    """Elements one after the other."""
+    """Return elements one after the other, with `by` between them."""
     return Html(escaped(by).join(parts))
 
 
 def table(headings: list[str], rows: list[list[str]], class_: str = "") -> Html:
-    """A table that scrolls sideways by itself where the page is too narrow; the first cell of a row is its heading."""
+    """Return a table that scrolls sideways where the page is too narrow; the first cell of a row is its heading."""
     head = tag("thead", tag("tr", *(tag("th", heading, scope="col") for heading in headings)))
     body = tag(
         "tbody",
@@ -52,7 +52,7 @@ def table(headings: list[str], rows: list[list[str]], class_: str = "") -> Html:
 
 
 def document(title: str, style: str, body: Html, script: str = "") -> str:
-    """A whole page that asks nothing of any network; the one script that may run in it is named by its hash."""
+    """Return a whole page that loads nothing; its policy allows the given script alone, by its hash."""
     policy = "default-src 'none'; style-src 'unsafe-inline'"
     scripts = []
     if script:

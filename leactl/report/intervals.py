@@ -1,4 +1,4 @@
-"""Values with their 95 % intervals below each other on one axis, the paper's figure as a stroke beside each."""
+"""A chart of values with their 95 % intervals, a row each over one axis, with the paper's figure as a stroke."""
 
 import math
 import re
@@ -16,7 +16,7 @@ STRIP_HEIGHT = 20.0  # units of the drawing of one row, down
 
 @dataclass(frozen=True)
 class Interval:
-    """One row; what is not known is NaN."""
+    """One row of the chart; a value or an end that is not known is NaN."""
 
     label: str
     style: str
@@ -27,7 +27,7 @@ class Interval:
 
 
 def intervals(rows: Sequence[Interval], x_label: str) -> Html:
-    """A strip for each row over one axis with ticks."""
+    """Return the rows below each other over one axis with ticks and a legend."""
     marks = [paper_value(row.paper) for row in rows]
     x = axis([np.array([row.value, row.low, row.high, mark]) for row, mark in zip(rows, marks, strict=True)], TICKS[0])
     ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
@@ -40,7 +40,7 @@ def intervals(rows: Sequence[Interval], x_label: str) -> Html:
 
 
 def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> Html:
-    """One row's drawing."""
+    """Return the drawing of one row; `mark` is the paper's value, NaN where it has none."""
     middle = STRIP_HEIGHT / 2.0
     paths = [tag("path", d="".join(f"M{at} 0V{STRIP_HEIGHT:g}" for at in ticks), class_="grid")]
     if math.isfinite(mark):
@@ -63,6 +63,6 @@ def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> Ht
 
 
 def paper_value(text: str) -> float:
-    """The number that a figure of the paper begins with; NaN for a bound or for none."""
+    """Return the number that a figure of the paper begins with; NaN for a bound or for no figure."""
     match = re.match(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?", text)
     return float(match[0]) if match else math.nan

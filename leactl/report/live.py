@@ -40,10 +40,7 @@ TO_THE_TOP, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[K", "\x1b[J"
 
 @contextmanager
 def live_view(progress: Progress, console: Console) -> Iterator[None]:
-    """Show a run while the block lasts.
-
-    What goes wrong with the view is left in `progress.view_fault`.
-    """
+    """Show a run while the block lasts; a fault of the view goes to `progress.view_fault`."""
     show = _paint if console.is_terminal and not console.is_dumb_terminal else _write
     ended = threading.Event()
     thread = threading.Thread(target=_shown, args=(show, progress, console, ended), name="leactl-view", daemon=True)
@@ -70,7 +67,7 @@ def _shown(
 
 
 def _own_console(console: Console) -> Console:
-    """The same terminal by a descriptor of its own: a write that never ends holds no lock that the run's end needs."""
+    """Return a console on a copy of the descriptor, so that a write that never ends holds no lock of the run."""
     encoding = encoding_of(console.file)
     try:
         copy = os.dup(console.file.fileno())
@@ -106,12 +103,12 @@ def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) 
 
 
 def _back(height: int) -> str:
-    """From the last line of a frame to the start of its first."""
+    """Return the escape sequence from a frame's last line to the start of its first."""
     return f"\x1b[{height - 1}A\r" if height > 1 else "\r"
 
 
 def _size(console: Console) -> tuple[int, int]:
-    """Columns and lines as they are now: COLUMNS and LINES do not follow a window."""
+    """Return columns and lines of the terminal now, since COLUMNS and LINES do not follow a resized window."""
     try:
         columns, lines = os.get_terminal_size(console.file.fileno())
     except (OSError, io.UnsupportedOperation):
@@ -130,7 +127,7 @@ def _write(progress: Progress, console: Console, wait: Callable[[float], bool]) 
 
 
 def log_line(progress: Progress) -> str:
-    """A run as it stands, in one line."""
+    """Return step, progress, time and newest values of a run in one line."""
     values = ", ".join(f"{name} {value}" for name, value in _values(progress))
     parts = [f"{progress.title}: {progress.step or 'starting'}", _how_far(progress), _so_far(progress), values]
     parts += [f"warning: {progress.warnings[-1]}"] if progress.warnings else []
@@ -138,7 +135,7 @@ def log_line(progress: Progress) -> str:
 
 
 def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -> list[Text]:
-    """One frame for a terminal of this size.
+    """Return the lines of one frame for a terminal of this size.
 
     Where not all fits, the values go first, then title and bar; how to stop the run goes last.
     """
@@ -167,14 +164,14 @@ def _so_far(progress: Progress) -> str:
 
 
 def _bar(share: float, width: int, encoding: str) -> Text:
-    """What is done in another character than what is not: colours may be switched off."""
+    """Return a bar whose done part differs from the rest in its character too, since colours may be off."""
     done, open_ = "━─" if shows_all(encoding) else "#-"
     filled = round(share * width)
     return Text.assemble((done * filled, "green"), (open_ * (width - filled), "dim"))
 
 
 def _beside(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
-    """A name at the left and a value at the right, which stays whole as long as it can where the name is cut."""
+    """Return a line with a name at the left and a value at the right; the name is cut before the value is."""
     value = _plain(value, encoding)
     if cell_len(value) >= width:
         return Text(set_cell_size(value, width))
@@ -190,7 +187,7 @@ def _plain(text: str, encoding: str) -> str:
 
 
 def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: str) -> list[Text]:
-    """Values in as many columns as fit, one below the other; the last line counts those that have no room."""
+    """Return names and values in as many columns as fit; the last line counts those that do not."""
     columns = max(1, (width + 1) // CELL)
     across = min(WIDEST_CELL, (width - 2 * (columns - 1)) // columns)
     rows = -(-len(cells) // columns)
@@ -208,7 +205,7 @@ def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: 
 
 
 def _values(progress: Progress) -> list[tuple[str, str]]:
-    """Names and values of all channels and windings."""
+    """Return names and values of all channels and windings."""
     cells = []
     for stream, channels in progress.streams.items():
         cells += _cells(channels, progress.values if stream == "loop" else progress.own.get(stream, ()))

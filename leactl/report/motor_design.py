@@ -26,7 +26,7 @@ ENERGIES = {
 
 
 def scaled_text(motor: MotorSheet, figures: Sequence[Scaled], radius: float) -> str:
-    """Figures of a motor of another air-gap radius beside those it was scaled from."""
+    """Return the figures of a motor that was scaled to another air-gap radius [m], beside the original's."""
     table = [
         (f"{figure.name} [{figure.units}]", cell(figure.known), cell(figure.scaled), f"r^{figure.power:g}")
         for figure in figures
@@ -39,7 +39,7 @@ def scaled_text(motor: MotorSheet, figures: Sequence[Scaled], radius: float) -> 
 
 
 def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[Stride], notes: Sequence[str]) -> str:
-    """One cycle by several motors: a column each, energies in J."""
+    """Return one cycle's energies [J], temperature and peaks, a column for each motor."""
     rows = [("ratio", *(f"{stride.ratio:.4g}" for stride in strides))]
     rows += [(f"{words} [J]", *(cell(getattr(stride, name)) for stride in strides)) for name, words in ENERGIES.items()]
     rows.append(("winding in the end [degC]", *(cell(stride.winding_temperature) for stride in strides)))
@@ -65,7 +65,7 @@ def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[St
 
 
 def ceilings_passed(stride: Stride) -> list[str]:
-    """Which ceilings a cycle passes, and where first."""
+    """Return a line for each ceiling that a cycle passes: voltage or current, and temperature."""
     lines = []
     if stride.over_voltage or stride.over_current:
         causes = [f"{stride.over_voltage} by voltage"] * (stride.over_voltage > 0)
@@ -77,7 +77,7 @@ def ceilings_passed(stride: Stride) -> list[str]:
 
 
 def stride_json(motor: MotorSheet, stride: Stride, notes: Sequence[str]) -> dict[str, Any]:
-    """One motor over one cycle."""
+    """Return one motor over one cycle as JSON takes it."""
     energies = {name: getattr(stride, name) for name in (*ENERGIES, "joule")}
     return {
         "motor": motor.name,
@@ -99,7 +99,7 @@ def stride_json(motor: MotorSheet, stride: Stride, notes: Sequence[str]) -> dict
 def preload_text(
     bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
 ) -> str:
-    """Preloads at some gaps under each reading of the two told points, and whether they contradict each other."""
+    """Return the preloads at some gaps under each reading of the source, and how far each reading contradicts it."""
     lines = [
         wrapped(
             f"{bearings.each_side} bearings a side, {bearings.static_radial_load:g} N each at"
@@ -137,7 +137,7 @@ def preload_text(
 def preload_json(
     bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
 ) -> dict[str, Any]:
-    """The same for a script."""
+    """Return the preloads under each reading as JSON takes them."""
     return {
         "bearings": bearings.model_dump(),
         "readings": [

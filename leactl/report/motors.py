@@ -1,4 +1,4 @@
-"""Motors side by side: figures that mean the same whatever the winding, what each can carry, what its file lacks."""
+"""Motors side by side: figures that do not depend on the winding, torques that each carries, gaps in its file."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ WIDTH = 80
 
 @dataclass(frozen=True)
 class OperatingConditions:
-    """What figures of motors depend on beside the motors."""
+    """Ambient temperature and bus voltage under which motors are compared."""
 
     ambient: float = 25.0  # degC
     bus_voltage: float = 29.6  # V
@@ -38,7 +38,7 @@ class OperatingConditions:
 
 @dataclass(frozen=True)
 class ComparedMotor:
-    """One motor with what follows from it; `carried` is None where its file lacks what that takes."""
+    """A motor file and the currents it carries; `carried` is None where the file lacks what that needs."""
 
     sheet: MotorSheet
     carried: Nominal | None
@@ -61,7 +61,7 @@ FRAME_DEPENDENT = {"torque_constant", "phase_resistance", "phase_inductance", "c
 
 
 def compared_motor(name_or_path: str, setting: OperatingConditions) -> ComparedMotor:
-    """Read a motor, and work out what it carries where its file tells enough.
+    """Read a motor file, and work out the currents it carries where the file is complete.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]
 
 
 def figure_rows(motors: Sequence[ComparedMotor]) -> list[FigureRow]:
-    """Every figure of these motors."""
+    """Return every figure of these motors, a row each."""
     return [
         FigureRow(name, units, tuple(figure_of(motor) for motor in motors), name in FRAME_DEPENDENT)
         for name, units, figure_of in FIGURES
@@ -90,7 +90,7 @@ def figure_rows(motors: Sequence[ComparedMotor]) -> list[FigureRow]:
 
 
 def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
-    """All of it as JSON takes it."""
+    """Return conditions, figures and notes of these motors as JSON takes them."""
     return {
         "motors": [motor.sheet.name for motor in motors],
         "ambient_degC": motors[0].setting.ambient,
@@ -104,7 +104,7 @@ def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
 
 
 def comparison_text(motors: Sequence[ComparedMotor]) -> str:
-    """A table with a column a motor; what depends on a frame is left out where frames differ."""
+    """Return a table with a column for each motor; figures of a winding's frame are left out where frames differ."""
     differ = len({motor.sheet.winding for motor in motors}) > 1
     shown = [
         (f"{row.name} [{row.units}]" if row.units else row.name, *(cell(value) for value in row.values))
@@ -116,7 +116,7 @@ def comparison_text(motors: Sequence[ComparedMotor]) -> str:
 
 
 def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
-    """What a reader of the table must know."""
+    """Return notes on what cannot be compared, what files lack, and values that contradict each other."""
     notes = []
     if len({motor.sheet.winding for motor in motors}) > 1:
         notes.append(
@@ -139,7 +139,7 @@ def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
 
 
 def against_itself(sheet: MotorSheet) -> list[str]:
-    """Where two values of one file cannot both be."""
+    """Return a note for each two values of one file that contradict each other."""
     contradictions = []
     torque, voltage = sheet.torque_constant, sheet.back_emf_constant
     # what a winding takes of electrical power it gives as mechanical
@@ -157,7 +157,7 @@ def against_itself(sheet: MotorSheet) -> list[str]:
 
 
 def against_print(motor: ComparedMotor) -> list[str]:
-    """Where the source's own print does not follow from its values."""
+    """Return a note for each printed figure of the source that does not follow from its other values."""
     sheet, printed = motor.sheet, motor.sheet.printed
     torques = continuous_torques(sheet, motor.setting.ambient)
     pairs = [
@@ -176,7 +176,7 @@ def against_print(motor: ComparedMotor) -> list[str]:
 
 
 def cell(value: float | str | None) -> str:
-    """One value; `-` where it is missing."""
+    """Return four digits of a value, or a text as it is; `-` where it is missing."""
     if value is None:
         return "-"
     return value if isinstance(value, str) else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
@@ -187,7 +187,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
-    """Torque of a current that the winding carries [N*m]."""
+    """Return the figure that turns a current which the winding carries into torque [N*m]."""
 
     def torque(motor: ComparedMotor) -> float | None:
         held = None if motor.carried is None else current(motor.carried)

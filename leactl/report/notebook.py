@@ -13,12 +13,12 @@ HEIGHT_PX = 560  # of the frame; what is longer scrolls inside
 
 
 def framed(page: str) -> str:
-    """A page as a notebook's cell shows it; no script of it may run."""
+    """Return a page as a frame for a notebook's cell; no script of it may run."""
     return f'<iframe srcdoc="{escape(page, quote=True)}" sandbox="" width="100%" height="{HEIGHT_PX}"></iframe>'
 
 
 def analysis_page(result: Result) -> str:
-    """Results, plots and notes of one experiment."""
+    """Return a page with results, plots and notes of one experiment."""
     parts = [tag("h1", f"{result.experiment}, {len(result.runs)} run{'s' if len(result.runs) != 1 else ''}")]
     for actuator, condition in result.groups:
         title = ", ".join(filter(None, (actuator, condition)))

@@ -1,4 +1,4 @@
-"""Files that an answer goes to: found fault with all at once, before minutes are spent on what could not be written."""
+"""Output files that are checked all at once, before minutes are spent on what could not be written."""
 
 import os
 import tempfile
@@ -9,7 +9,7 @@ from leactl.errors import InputError
 
 
 def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Sequence[str] = ()) -> None:
-    """Refuse what could not be written; an earlier answer of the same name is replaced, what was read never is.
+    """Refuse files that could not be written; an existing file is replaced, but never an input.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def check_folder(folder: Path) -> None:
 
 
 def refusal(folder: Path) -> str:
-    """Why a folder takes no file, by trying: rights alone do not tell of a disk that is mounted read-only."""
+    """Return why a folder takes no file, by trying, since a disk may be mounted read-only; empty where it takes one."""
     if not folder.is_dir():
         return ""  # another fault
     try:

@@ -27,7 +27,7 @@ LONGEST_S = 120.0
 
 
 def examine() -> HostFinding:
-    """Whether a page can be printed on this machine."""
+    """Return the finding of `leactl doctor` on whether this machine can print a page."""
     browser_path = installed()
     text = browser_path or "none in PATH; `leactl report --pdf` prints by one"
     return HostFinding(
@@ -36,12 +36,12 @@ def examine() -> HostFinding:
 
 
 def installed() -> str | None:
-    """Path of the first browser that is installed; None where there is none."""
+    """Return the path of the first installed browser; None where there is none."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def browser() -> str:
-    """Path of the first browser that is installed.
+    """Return the path of the first installed browser, or refuse `--pdf`.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def browser() -> str:
 
 
 def print_pdf(html: Path, out: Path) -> None:
-    """Print a page to a PDF; an earlier one is replaced at once or not at all.
+    """Print a page to a PDF, which replaces an earlier one at once or not at all.
 
     Raises
     ------

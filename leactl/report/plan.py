@@ -14,7 +14,7 @@ from leactl.safety.limits import Limits
 
 
 def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
-    """The expanded timeline with duration and peak values, beside the limits of a bench where there are any."""
+    """Return the expanded timeline with duration and peak setpoints, beside the limits of a bench if one is given."""
     lines = [f"{plan.name}: {plan.title}".rstrip(": ")]
     lines += [f"  {name} = {value}" for name, value in plan.parameters.items()]
     lines.append(f"{'start/s':>10} {'last/s':>9} {'settle/s':>9}  {'step':<10}  setpoints")
@@ -31,19 +31,19 @@ def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
 
 
 def head(plan: Plan) -> dict[str, Any]:
-    """What a protocol is."""
+    """Return name, set-up, rates, condition, duration and parameters of a protocol as JSON takes them."""
     keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
     return {**{key: getattr(plan, key) for key in keys}, "parameters": dict(plan.parameters)}
 
 
 def searches(plan: Plan) -> list[str]:
-    """One line for each search: its trials, its bounds, and how long it takes at the most."""
+    """Return a line for each search: its trials, its bounds, and how long it takes at most."""
     lines = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
     return [f"{text}{f', {lines.count(text)} times' * (lines.count(text) > 1)}" for text in dict.fromkeys(lines)]
 
 
 def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
-    """The largest setpoint of each quantity and role, and where the limits of a bench have it."""
+    """Return the largest setpoint of each role and quantity with its unit, and the bench's limits where it has any."""
     return [
         {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
         | ({} if limits is None else {"limits": limits.of(quantity)})
@@ -52,7 +52,7 @@ def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
 
 
 def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
-    """What a run would do now, for a script."""
+    """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
     plan, windings = rehearsal.plan, rehearsal.windings
     return {
         **head(plan),
@@ -81,7 +81,7 @@ def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
 
 
 def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, Any]) -> str:
-    """What a run would do now.
+    """Return what a run would do now as text.
 
     Parameters
     ----------

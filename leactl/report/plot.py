@@ -15,7 +15,7 @@ BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
 class PlotAxis:
-    """One direction of the plot: its range, and ticks at round numbers; `log` spaces decades evenly."""
+    """One axis of a plot: its range, and ticks at round numbers; a logarithmic axis spaces decades evenly."""
 
     def __init__(self, values: Sequence[float], ticks: int, log: bool = False) -> None:
         self.log = log
@@ -33,14 +33,14 @@ class PlotAxis:
         self.ticks = {k * step: f"{k * step:.{digits}f}" for k in range(first, last + 1)}
 
     def share(self, value: float) -> float:
-        """Where a value lies, 0 to 1 from low to high; what no logarithm takes lies at the low end."""
+        """Return the position of a value, 0 to 1 from low to high; on a logarithmic axis, 0 for values up to zero."""
         if self.log:
             value = math.log10(value) if value > 0.0 else self.low
         return (value - self.low) / (self.high - self.low)
 
 
 def decades(low: float, high: float, most: int) -> dict[float, str]:
-    """Ticks of a logarithmic axis between two powers of ten: 1, 2 and 5 of each decade, or whole decades alone."""
+    """Return at most `most` ticks between two powers of ten: 1, 2 and 5, or 1 and 3, or 1 of each decade."""
     powers = range(math.floor(low), math.ceil(high) + 1)
     for mantissas in ((1, 2, 5), (1, 3), (1,)):
         ticks = [factor * 10.0**power for power in powers for factor in mantissas]
@@ -51,13 +51,13 @@ def decades(low: float, high: float, most: int) -> dict[float, str]:
 
 
 def round_step(least: float) -> float:
-    """The next 1, 2 or 5 times a power of ten."""
+    """Return the smallest 1, 2 or 5 times a power of ten that is not below `least`."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least * (1 - 1e-9))
 
 
 def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> list[str]:
-    """Lines of text, none wider than `width`; empty where there are no finite points."""
+    """Return the plot as lines of text, none wider than `width`; no line where it has no finite point."""
     shown = [series for series in plot.points if any(True for _ in pairs(series))]
     if not shown:
         return []
@@ -79,7 +79,7 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
 
 
 def rows_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
-    """The canvas with its y axis to the left, tick labels in a gutter of so many columns."""
+    """Return the canvas's rows with the y axis and its tick labels to the left, in `gutter` columns."""
     bar, tee = ("|", "+") if canvas.ascii_only else ("│", "┤")
     ticks = {canvas.row(value): text for value, text in canvas.y.ticks.items()}
     return [
@@ -89,7 +89,7 @@ def rows_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
 
 
 def floor_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
-    """The x axis below the canvas and its tick labels."""
+    """Return the x axis and its tick labels as two lines below the canvas."""
     corner, flat, tick = ("+", "-", "+") if canvas.ascii_only else ("└", "─", "┴")
     floor = [flat] * canvas.columns
     for value in canvas.x.ticks:
@@ -99,13 +99,13 @@ def floor_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
 
 
 def pairs(series: Series) -> Iterator[tuple[float, float]]:
-    """Finite points."""
+    """Return the finite points of a series."""
     both = zip(series.x, series.y, strict=True)
     return ((x, y) for x, y in both if math.isfinite(x) and math.isfinite(y))
 
 
 def tick_line(ticks: dict[int, str], columns: int) -> str:
-    """Tick texts below their places, those left out that would touch the one before."""
+    """Return one line of tick labels, each centred on its column; a label that touches the one before is left out."""
     text = ""
     for column, label in sorted(ticks.items()):
         start = min(max(column - len(label) // 2, 0), columns - len(label))
@@ -115,7 +115,7 @@ def tick_line(ticks: dict[int, str], columns: int) -> str:
 
 
 class Canvas:
-    """Cells of characters, the topmost row first."""
+    """A grid of characters, the topmost row first."""
 
     def __init__(self, columns: int, rows: int, x: PlotAxis, y: PlotAxis, ascii_only: bool) -> None:
         self.columns, self.rows, self.x, self.y, self.ascii_only = columns, rows, x, y, ascii_only
@@ -126,11 +126,11 @@ class Canvas:
         self._dots: dict[tuple[int, int], int] = {}
 
     def column(self, value: float) -> int:
-        """The column of a value along x."""
+        """Return the column of a value along x."""
         return cell_index(self.x.share(value), self.columns)
 
     def row(self, value: float) -> int:
-        """The row of a value along y."""
+        """Return the row of a value along y."""
         return cell_index(1.0 - self.y.share(value), self.rows)
 
     def points(self, mark: str, points: Sequence[tuple[float, float]]) -> None:
@@ -144,7 +144,7 @@ class Canvas:
             self.cells[row][column] = shown_mark
 
     def line(self, points: Sequence[tuple[float, float]]) -> None:
-        """Draw from point to point in the finest dots there are."""
+        """Draw lines from point to point in the finest dots there are."""
         wide, high = self.columns * self._fine[0], self.rows * self._fine[1]
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
             a0, b0 = self.x.share(x0) * wide, (1.0 - self.y.share(y0)) * high
@@ -165,5 +165,5 @@ class Canvas:
 
 
 def cell_index(share: float, count: int) -> int:
-    """The cell of a share of the way, from 0 to count - 1."""
+    """Return the index of a cell, from 0 to `count` - 1, for a share of the way from 0 to 1."""
     return min(max(int(share * count), 0), count - 1)

@@ -1,4 +1,4 @@
-"""What every channel of a short run read: mean, scatter, and how old its last value was at the end."""
+"""The readings of every channel over a short run: mean, standard deviation, and age of the last value."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from leactl.runfile.read.reader import Channel, Run
 
 @dataclass(frozen=True)
 class ChannelSummary:
-    """One channel; None where it had too few values to tell."""
+    """The readings of one channel; None where it has too few values."""
 
     quantity: str
     role: str
@@ -25,7 +25,7 @@ class ChannelSummary:
 
 
 def readings(run: Run) -> list[ChannelSummary]:
-    """Every channel of a run but setpoints of drives that followed none."""
+    """Return a summary of every channel of a run, without the setpoints of drives that followed none."""
     wanted = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
     channels = [channel for quantity, role in wanted for channel in run.channels(quantity, role)]
     end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=math.nan)
@@ -50,7 +50,7 @@ def _reading(channel: Channel, end: float) -> ChannelSummary:
 
 
 def table(channels: Sequence[ChannelSummary]) -> str:
-    """The readings as lines of text."""
+    """Return the summaries as a table of text."""
     lines = [f"{'quantity':<26} {'role':<6} {'mean':>12} {'std':>12} {'unit':<6} {'age/s':>7}  device"]
     for channel in channels:
         numbers = f"{_shown(channel.mean):>12} {_shown(channel.standard_deviation):>12}"

@@ -1,4 +1,4 @@
-"""The list of runs as text: a line each into a pipe; in a terminal what does not fit stands below, indented."""
+"""The list of runs as text: one line for each into a pipe; in a terminal, long lines are wrapped and indented."""
 
 import shutil
 import sys
@@ -15,7 +15,7 @@ INDENT = "    "
 
 
 def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Collection[str]) -> str:
-    """The runs shown: file, status, duration, actuator, condition, and parameters.
+    """Return a line for each run: file, status, duration, actuator, condition and parameters.
 
     Parameters
     ----------

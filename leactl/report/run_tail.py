@@ -10,7 +10,7 @@ TIME = "time s"
 
 
 class RowPrinter:
-    """Writes rows of several streams; a heading stands before the first row and wherever the stream changes."""
+    """A printer of rows of several streams; a heading opens the first row and each change of stream."""
 
     def __init__(self, columns: int | None) -> None:
         """Take the width of the terminal in characters; None where lines may be of any length."""
@@ -18,7 +18,7 @@ class RowPrinter:
         self.left_out: tuple[str, ...] = ()  # channels that have no room beside the others
 
     def lines(self, rows: StreamRows) -> Iterator[str]:
-        """Yield the lines of some rows."""
+        """Yield a line for each row, after a heading where the stream changes."""
         headings = [f"{name} {unit}".rstrip() for name, unit in zip(rows.names, rows.units, strict=True)]
         widths = [max(len(heading) + 2, LEAST_WIDTH) for heading in headings]
         shown = self._shown(rows.stream, widths)
@@ -33,11 +33,11 @@ class RowPrinter:
 
     @staticmethod
     def _first(stream: str) -> int:
-        """Width of the column of times, which the heading begins with the stream's name."""
+        """Return the width of the column of times, whose heading begins with the stream's name."""
         return max(len(f"# {stream}: {TIME}"), 2 * DIGITS)
 
     def _shown(self, stream: str, widths: list[int]) -> int:
-        """How many columns there is room for; one at least."""
+        """Return how many columns fit into the terminal, one at least."""
         if self._columns is None:
             return len(widths)
         room = self._columns - self._first(stream)

@@ -1,4 +1,4 @@
-"""The keys of the YAML files as their models have them: JSON Schema for editors, and tables for the documents."""
+"""The keys of each kind of YAML file, by its pydantic model: JSON Schema for editors, tables for the manual."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -74,7 +74,7 @@ def _protocol() -> JsonSchema:
 
 
 def _or_parameter(value: JsonSchema) -> JsonSchema:
-    """A value, or an item of it, that a parameter may stand for."""
+    """Return a schema that accepts a value, or items of it, as a reference to a parameter too."""
     for choice in (value, *value.get("anyOf", ())):
         if "items" in choice:
             choice["items"] = {"anyOf": [choice["items"], REFERENCE]}
@@ -82,7 +82,7 @@ def _or_parameter(value: JsonSchema) -> JsonSchema:
 
 
 def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
-    """Move a model's schema, and those that it needs, among the blocks; returns the reference to it."""
+    """Move a model's schema and those that it needs among the blocks, and return the reference to it."""
     blocks.update(block.pop("$defs", {}))
     if "properties" not in block:
         return block
@@ -132,7 +132,7 @@ KINDS: dict[str, tuple[Callable[[], JsonSchema], str]] = {
 
 
 def schema_of(kind: str) -> JsonSchema:
-    """The JSON Schema of a kind of file, each key with what it means.
+    """Return the JSON Schema of a kind of file, each key with its meaning.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def schema_of(kind: str) -> JsonSchema:
 
 
 def tables_of(kind: str) -> str:
-    """Every block of a kind of file as a table in Markdown: key, unit, what is accepted, default, meaning."""
+    """Return a Markdown table for each block of a kind of file: key, unit, accepted values, default, meaning."""
     whole = schema_of(kind)
     lines: list[str] = []
     for name, block in _blocks(whole):
@@ -168,7 +168,7 @@ def tables_of(kind: str) -> str:
 
 
 def _with_choices(whole: JsonSchema) -> JsonSchema:
-    """The schema with every named choice written out where it is asked for."""
+    """Return the schema with each named list of choices written out where it is used."""
     choices = {name: block for name, block in whole.get("$defs", {}).items() if "enum" in block}
 
     def written_out(part: Any) -> Any:
@@ -216,7 +216,7 @@ def _default(value: JsonSchema) -> str:
 
 
 def _accepted(value: JsonSchema) -> str:
-    """What may stand there, in few words."""
+    """Return the values that a key accepts, in few words."""
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
         alternatives = [_accepted(choice) for choice in choices if choice.get("type") != "null" and choice != REFERENCE]

@@ -13,7 +13,7 @@ from leactl.errors import Stopped
 
 
 class Steps:
-    """Call it with each step as it begins; when the block ends in order, it says how long all took.
+    """A callable that shows each step of a computation as it begins, and at the end how long all took.
 
     Raises
     ------
@@ -31,7 +31,7 @@ class Steps:
             self._task = self._shown.add_task("reading")
 
     def __call__(self, step: str) -> None:
-        """Tell the step that begins, or end here where somebody asked for it."""
+        """Show the step that begins; stop here where Ctrl-C was pressed before."""
         if self._asked:
             raise Stopped("stopped")
         if self._shown is not None:
@@ -62,7 +62,7 @@ class Steps:
         raise KeyboardInterrupt
 
     def _dropped(self, what: "sys.UnraisableHookArgs") -> None:
-        """Keep the trace of a Ctrl-C that was swallowed from the terminal; the next step says that it ends here."""
+        """Hide the trace of a swallowed Ctrl-C from the terminal; the next step stops the computation."""
         if not (self._asked and isinstance(what.exc_value, KeyboardInterrupt)):
             self._unraisable(what)
 

@@ -26,24 +26,24 @@ FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stay
 
 
 def print_result(result: Result, plot: bool = True) -> None:
-    """Print the answer as wide as the terminal, 80 columns into a pipe."""
+    """Print a result as wide as the terminal, or 80 columns wide into a pipe."""
     width = shutil.get_terminal_size((80, 24)).columns
     sys.stdout.write(render(result, width, encoding_of_stdout(), plot))
 
 
 def encoding_of_stdout() -> str:
-    """What stdout's terminal shows."""
+    """Return the encoding of the terminal behind stdout."""
     return encoding_of(sys.stdout)
 
 
 def encoding_of(stream: IO[str]) -> str:
-    """What a terminal shows: under LC_ALL=C Python writes UTF-8 unasked, and the terminal may know ASCII alone."""
+    """Return the encoding of a stream; the locale's in UTF-8 mode, since the terminal may know ASCII alone."""
     unasked = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
     return locale.getencoding() if unasked else getattr(stream, "encoding", None) or "ascii"
 
 
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
-    """The whole answer, for a stream of this width and encoding."""
+    """Return the whole result as text for a stream of this width and encoding."""
     unicode = shows_all(encoding)
     width = min(max(width, SMALLEST), WIDEST)
     parts = [wrapped(f"{result.experiment}, {len(result.runs)} run{'s' * (len(result.runs) > 1)}:", result.runs, width)]
@@ -58,12 +58,12 @@ def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool 
 
 
 def encodable(text: str, encoding: str) -> str:
-    """The text with whatever a stream of this encoding cannot show replaced."""
+    """Replace the characters that a stream of this encoding cannot show."""
     return text if shows_all(encoding) else text.translate(ASCII).encode(encoding, "replace").decode(encoding)
 
 
 def shows_all(encoding: str) -> bool:
-    """Whether a stream of this encoding takes what the table and the plot are drawn with."""
+    """Return whether a stream of this encoding takes the characters of tables and plots."""
     try:
         "±⣿│┤└─┴".encode(encoding)
     except (UnicodeEncodeError, LookupError):
@@ -72,7 +72,7 @@ def shows_all(encoding: str) -> bool:
 
 
 def table(result: Result, group: tuple[str, str]) -> str:
-    """Estimates of one actuator under one condition; below each the paper's figure where there is one."""
+    """Return the estimates of one actuator and condition, with the paper's figure below each that has one."""
     paper = paper_figures(result.experiment, group[1])
     rows, parent = [], ""
     for estimate in result.results:
@@ -90,7 +90,7 @@ def table(result: Result, group: tuple[str, str]) -> str:
 
 
 def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
-    """Print some estimates of several experiments, a table for each with a row for each condition."""
+    """Print a table for each named estimate, with a row for each condition, over several experiments."""
     tables = []
     for name in names:
         estimates = [
@@ -111,7 +111,7 @@ def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
 
 
 def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns as wide as they need: a number that is cut or folded is worse than a long line.
+    """Return rows under headings, in columns as wide as their longest cell; nothing is cut or folded.
 
     What nothing follows in its row takes no width of its column.
     """
@@ -124,14 +124,14 @@ def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def paper_figures(experiment: str, condition: str) -> Mapping[str, str]:
-    """The paper's figures of an experiment under a condition; empty where it has none."""
+    """Return the paper's figures of an experiment under a condition, by result; empty where it has none."""
     by_condition = figures_by_condition(experiment)
     return {**by_condition.get("any", {}), **by_condition.get(condition, {})}
 
 
 @cache
 def figures_by_condition(experiment: str) -> Mapping[str, Mapping[str, str]]:
-    """The paper's figures of an experiment by condition; `any` are those under every one."""
+    """Return the paper's figures of an experiment by condition; those of `any` hold under every condition."""
     entry = resources.files("leactl.report") / "paper" / f"{experiment}.yaml"
     if not entry.is_file():
         return {}
@@ -140,20 +140,20 @@ def figures_by_condition(experiment: str) -> Mapping[str, Mapping[str, str]]:
 
 @cache
 def units_in_paper() -> Mapping[str, str]:
-    """Units of the paper's figures, by the names of results."""
+    """Return the units of the paper's figures by the names of results."""
     entry = resources.files("leactl.report") / "units_in_paper.yaml"
     return yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data  # type: ignore[no-any-return]
 
 
 def value_text(estimate: Estimate) -> str:
-    """Value and standard uncertainty, both to the second significant digit of the uncertainty (GUM, 7.2.6)."""
+    """Return value ± standard uncertainty, both to the uncertainty's second significant digit (GUM, 7.2.6)."""
     if not math.isfinite(estimate.std):
         return without_uncertainty(estimate.value)
     return f"{number(estimate.value, estimate.std)} ± {number(estimate.std, estimate.std)}"
 
 
 def interval_text(estimate: Estimate) -> str:
-    """The 95 % interval to the digits of the value, a bound where one side is open; empty where there is none."""
+    """Return the 95 % interval, a bound where one side is open; empty where there is none."""
     if estimate.low > 0.0 and math.isinf(estimate.high):
         return f"> {estimate.low:.6g}"
     if not (math.isfinite(estimate.low) and math.isfinite(estimate.high)):
@@ -162,7 +162,7 @@ def interval_text(estimate: Estimate) -> str:
 
 
 def number(value: float, std: float) -> str:
-    """A value to the second significant digit of its uncertainty."""
+    """Return a value to the second significant digit of its uncertainty."""
     if not (0.0 < std < math.inf and math.isfinite(value)):
         return f"{value:.6g}"
     exponent = math.floor(math.log10(float(f"{std:.1e}")))
@@ -172,7 +172,7 @@ def number(value: float, std: float) -> str:
 
 
 def without_uncertainty(value: float) -> str:
-    """A value without uncertainty: four decimals, or as many as tell it from one."""
+    """Return a value to four decimals, or to as many as tell it from 1."""
     if not math.isfinite(value):
         return "not known"
     digits = next((n for n in range(4, 12) if value == 1.0 or float(f"{value:.{n}f}") != 1.0), 12)
@@ -180,7 +180,7 @@ def without_uncertainty(value: float) -> str:
 
 
 def wrapped(head: str, items: Any, width: int) -> str:
-    """Items after a head, on as many lines as they need; long words such as paths stay whole."""
+    """Return a head and its items, wrapped to a width; long words such as paths stay whole."""
     text = f"{head} {', '.join(items)}"
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 

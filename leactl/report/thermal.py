@@ -17,7 +17,7 @@ HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
 def limits_text(motor: Motor, ambient: float, continuous: Sequence[Held], peaks: Sequence[Peak]) -> str:
-    """Continuous and peak figures of one motor."""
+    """Return the continuous and peak currents [A] and torques [N*m] of one motor."""
     lines = [
         f"{motor.name}: hottest phase at {motor.limits.winding_temperature:g} degC, ambient {ambient:g} degC",
         "guaranteed: by every actuator inside the motor file's tolerances",
@@ -36,7 +36,7 @@ def _row(label: str, values: Carried) -> str:
 
 
 def fit_text(fitted: ActuatorFit) -> str:
-    """Parameters with standard errors, their largest correlations, a `tolerances:` block, and notes."""
+    """Return fitted parameters with standard errors, their largest correlations, a `tolerances:` block and notes."""
     fit = fitted.fit
     lines = [
         wrapped(
@@ -62,7 +62,7 @@ def fit_text(fitted: ActuatorFit) -> str:
 
 
 def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """How warm each winding may be."""
+    """Return an upper bound of each winding's temperature [degC]."""
     lines = [f"{bench}: at most, in degC", f"{'role':<6}{'phase':>8}{'winding':>9}{'housing':>9}{'limit':>7}  known by"]
     for row in rows:
         numbers = f"{row['hottest_phase_degC']:8.1f}{row['winding_degC']:9.1f}{row['housing_degC']:9.1f}"
@@ -71,7 +71,7 @@ def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def forecast_text(body: Mapping[str, Any]) -> str:
-    """Peaks of a plan, and what would keep it below the limit."""
+    """Return the peak temperatures [degC] of a plan, and the waits that would keep it below the limit."""
     lines = [f"{body['protocol']}: hottest phases at most, limit {body['limit_degC']:g} degC"]
     lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
     if (least := body["turning_from_Hz"]) is not None:
@@ -89,7 +89,7 @@ def forecast_text(body: Mapping[str, Any]) -> str:
 
 
 def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str) -> dict[str, Any]:
-    """How far the commissioning of an actuator came, as `--json` has it; temperatures are the bound's [degC]."""
+    """Return how far the commissioning of an actuator came, as JSON takes it; temperatures are upper bounds [degC]."""
     tolerances = commissioned.motor.tolerances
     passing = commissioned.forecast.passing
     return {
@@ -109,7 +109,7 @@ def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str
 
 
 def commissioned_text(body: Mapping[str, Any]) -> str:
-    """What was heated, what the motor file has now, and what to do with it."""
+    """Return the runs that heated the actuator, the tolerances that its motor file has now, and the next step."""
     state = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
     lines = [f"{body['actuator']}: protocol '{body['protocol']}' {state}"]
     lines += [f"  {run['heating_s']:6.0f} s of heating  {run['run']}" for run in body["runs"]]

@@ -1,4 +1,4 @@
-"""Thermal networks by actuator, from those of many runs that tell of one and pass the gate of the analyses."""
+"""Thermal networks by actuator, fitted to those of many runs that have the channels a network needs."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -17,7 +17,7 @@ from leactl.runfile.read.reader import Run
 
 @dataclass(frozen=True)
 class ActuatorFit:
-    """The network of one actuator."""
+    """The thermal network of one actuator."""
 
     actuator: str
     runs: tuple[str, ...]
@@ -25,7 +25,7 @@ class ActuatorFit:
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Parameters, their correlation, the tolerances that they leave, and what was noted."""
+        """Return parameters, their correlation, the resulting tolerances and notes as JSON takes them."""
         return {
             "actuator": self.actuator,
             "runs": list(self.runs),
@@ -74,7 +74,7 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
 
 
 def fitted(actuator: str, runs: Sequence[Run], motor: Motor) -> ActuatorFit:
-    """The network of one actuator from its runs, with doubts of their channels first among the notes."""
+    """Fit the network of one actuator to its runs; doubts on their channels come first among the notes."""
     notes = [note for run in runs for note in (*channel_doubts(run), *remarks_on(run))]
     fit = thermal_fit(runs, motor)
     return ActuatorFit(actuator, tuple(str(run.path) for run in runs), fit, tuple(dict.fromkeys([*notes, *fit.notes])))

@@ -12,9 +12,9 @@ WIDTH = 80
 
 
 def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
-    """What the runs say together first, then each of them, then the picture."""
+    """Return whether the result changed, a row for each run, and a plot."""
     group = ", ".join(filter(None, (trend.actuator, trend.condition)))
-    head = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {sentence(trend)}"
+    head = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {change_sentence(trend)}"
     lines = [*textwrap.wrap(head, WIDTH, subsequent_indent="  "), ""]
     beyond = set(trend.chart.beyond) if trend.chart else set()
     shifted = set(trend.chart.shifted) if trend.chart else set()
@@ -33,8 +33,8 @@ def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
     return "\n".join(lines)
 
 
-def sentence(trend: Trend) -> str:
-    """Whether anything speaks for a change."""
+def change_sentence(trend: Trend) -> str:
+    """Return one sentence that says whether the runs show a change of the result."""
     chart, count = trend.chart, len(trend.points)
     if chart is None:
         return f"{count} run{'s' if count != 1 else ''}; limits need {FEWEST}"
@@ -47,7 +47,7 @@ def sentence(trend: Trend) -> str:
 
 
 def trend_plot(trend: Trend) -> Plot:
-    """Values over the number of the run, with centre and limits."""
+    """Return a plot of the values over the runs' numbers, with centre line and limits."""
     numbers = tuple(float(index + 1) for index in range(len(trend.points)))
     values = tuple(point.value.value for point in trend.points)
     ends = (numbers[0], numbers[-1])

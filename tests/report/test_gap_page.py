@@ -14,7 +14,7 @@ from leactl.gap.diagnosis import Diagnosis, Region, Shrinkage
 from leactl.report.chart import LineMarks
 from leactl.report.gap import render
 from leactl.report.gap_page import page
-from leactl.report.gap_words import figure
+from leactl.report.gap_words import three_digits
 from leactl.report.plot import PlotAxis
 from tests.report.answers import LOCKED, answer, picture, profile, rest, trace
 from tests.report.browser import look, needs_chromium
@@ -240,7 +240,7 @@ def test_every_text_is_escaped(words_):
     [(0.0, "0"), (0.0216, "0.0216"), (999.6, "1000"), (-14.0, "-14.0"), (1.5e-7, "1.50e-07"), (np.nan, "not known")],
 )
 def test_figures_have_three_digits(value, shown):
-    assert figure(value) == shown
+    assert three_digits(value) == shown
 
 
 @needs_chromium
@@ -256,7 +256,7 @@ def test_a_curve_has_a_gap_where_points_were_left_out():
     time = np.concatenate([np.arange(20.0), 300.0 + np.arange(20.0)])
     for part, strokes in ((time, 2), (time[:20], 1)):
         axes = PlotAxis(part.tolist(), 5), PlotAxis([-1.0, 1.0], 5)
-        assert str(LineMarks("measured", "measured", part, np.sin(part)).drawn(*axes)).count("M") == strokes
+        assert str(LineMarks("measured", "measured", part, np.sin(part)).markup(*axes)).count("M") == strokes
 
 
 @pytest.mark.parametrize("low, named", [(-16.9, True), (-0.01, True), (None, True), (0.02, False)])

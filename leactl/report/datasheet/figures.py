@@ -37,7 +37,7 @@ class Figure:
 
 
 def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link: Link) -> Html:
-    """Every plot of one experiment; where there are two sets, each plot of both on the same axes."""
+    """Return the cards of every plot of one experiment; plots of two sets of runs share their axes."""
     answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     all_answers = [answer for answers in answers_by_set for answer in answers]
     measured = {answer.condition for answer in all_answers}
@@ -57,14 +57,14 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link
 
 
 def figure(drawing: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html:
-    """A chart with its caption and links to its runs."""
+    """Return a chart with its caption and the links to its runs; the axes contain the layers `beside` too."""
     caption = tag("figcaption", f"{whose}{drawing.caption}; ", link(drawing.entries))
     labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
     return tag("figure", caption, chart(drawing.layers, *labels, beside, drawing.keys, drawing.plot.x_log))
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
-    """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
+    """Return plot `index` of the answers; an actuator's conditions share one drawing where they stay readable."""
     drawable = [answer for answer in answers if index < len(answer.result.plots)]
     drawn = []
     for actuator in dict.fromkeys(answer.actuator for answer in drawable):
@@ -82,7 +82,7 @@ def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str,
 
 
 def plot_layers(plot: Plot) -> list[Layer]:
-    """A colour for each kind of points and for the lines through them; lines of their own, as contours, are grey."""
+    """Return one answer's layers: a colour for each kind of points and its fitted lines, grey for other lines."""
     if plot.bands:
         return map_layers(plot)
     colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
@@ -100,7 +100,7 @@ def plot_layers(plot: Plot) -> list[Layer]:
 
 
 def map_layers(plot: Plot) -> list[Layer]:
-    """A map's bands in their colours, contours with their levels on them, and where it was measured."""
+    """Return a map's layers: coloured bands, contours that carry their level, and a mark at each measured point."""
     bands: list[Layer] = [
         Area(band.label, f"b{k}", band.polygons) for k, band in enumerate(plot.bands) if band.polygons
     ]
@@ -110,14 +110,14 @@ def map_layers(plot: Plot) -> list[Layer]:
 
 
 def subject(plot: Plot) -> str:
-    """What is drawn over what, without units."""
+    """Return `y over x`, the names of a plot's axes without units."""
     return f"{plot.y_label.partition(' [')[0]} over {plot.x_label.partition(' [')[0]}"
 
 
 def overlaid_layers(
     answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
-    """A colour for each condition, the same with every actuator; a mark for each kind of points."""
+    """Return layers and legend of several conditions: a colour for each condition, a mark for each kind of points."""
     kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
     layers: list[Layer] = []
     for answer, plot in zip(answers, plots, strict=True):
@@ -138,7 +138,7 @@ def overlaid_layers(
 
 
 def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
-    """Marks, fine ones where a kind of the plot has many, or a line where many follow each other and none was fitted.
+    """Return points as marks; many points that follow each other without a fitted line become a line themselves.
 
     A level line is no fit: it marks a threshold or a mean.
     """
@@ -151,22 +151,22 @@ def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -
 
 
 def points_first(layers: Sequence[Layer]) -> list[Layer]:
-    """Points below the lines through them, which fewer of them would hide."""
+    """Sort layers so that lines are drawn over the points, which would hide them."""
     return sorted(layers, key=lambda layer: isinstance(layer, LineMarks))
 
 
 def kind_of(line: Series, kinds: dict[str, str] | dict[str, None]) -> str:
-    """The kind of points that a line belongs to: the longest that its name begins with; empty where there is none."""
+    """Return the longest label of points with which a line's label begins; empty where none fits."""
     return max((kind for kind in kinds if line.label.startswith(kind)), key=len, default="")
 
 
 def arrays(series: Series) -> tuple[np.ndarray, np.ndarray]:
-    """Both columns."""
+    """Return x and y of a series as arrays of the same length."""
     return np.asarray(series.x, np.float64), np.asarray(series.y, np.float64)
 
 
 def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Html:
-    """A strip of intervals for each result that has several rows or sets."""
+    """Return a chart of intervals below each other for each result that has several rows or sets."""
     charts = []
     for name in dict.fromkeys(row.name for row in rows):
         same_result = [row for row in rows if row.name == name]
@@ -193,18 +193,18 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Htm
 
 
 def plain(name: str) -> str:
-    """A name of a result or an experiment as words."""
+    """Return the name of a result or an experiment as words: `back_emf_constant` as `back EMF constant`."""
     words = re.split("[_-]", name)
     return " ".join(AS_WRITTEN.get(word, word) for word in words)
 
 
 def heading(name: str) -> str:
-    """A name as a heading has it."""
+    """Return a name as words with a capital letter."""
     words = plain(name)
     return words[:1].upper() + words[1:]
 
 
 def pretty(words: str) -> str:
-    """Words with units as they are printed: a dot for a product, raised powers, and none for a ratio."""
+    """Return a text with its units as printed: `N*m/s^2` as `N·m/s²`, and no unit for a ratio."""
     printed = words.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
     return UNIT.sub(lambda match: PRINTED[match[0]], printed)

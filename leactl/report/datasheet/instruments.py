@@ -9,7 +9,7 @@ from leactl.report.datasheet.runset import RunEntry, RunSet
 
 @dataclass(frozen=True)
 class InstrumentUse:
-    """One instrument as runs know it."""
+    """One instrument in one state of calibration, and the runs that it measured."""
 
     device: str
     facts: tuple[tuple[str, str], ...]
@@ -17,23 +17,23 @@ class InstrumentUse:
 
     @property
     def known(self) -> dict[str, str]:
-        """Model, serial number, firmware and calibration, each where it is known."""
+        """Return model, serial number, firmware and calibration, each where it is known."""
         return dict(self.facts)
 
     @property
     def overdue(self) -> list[RunEntry]:
-        """Runs that were recorded after its calibration was due."""
+        """Return the runs that were recorded after its calibration was due."""
         due = self.known.get("calibration_due", "")
         return [entry for entry in self.entries if due and entry.about.get("created", "")[:10] > due]
 
     def as_json(self) -> dict[str, Any]:
-        """What is known of it, and its runs by their labels."""
+        """Return the known facts of the instrument, and its runs by their labels."""
         runs = {"runs": [entry.label for entry in self.entries], "overdue": [entry.label for entry in self.overdue]}
         return {"device": self.device, **self.known, **runs}
 
 
 def instruments_of(run_set: RunSet) -> list[InstrumentUse]:
-    """The instruments of a set of runs; one that was changed or calibrated between runs stands once for each state."""
+    """Return the instruments of a set of runs, one entry for each state of calibration, sorted by device."""
     used: dict[tuple[str, tuple[tuple[str, str], ...]], list[RunEntry]] = {}
     for entry in run_set.entries:
         for device, facts in entry.instruments.items():
@@ -42,7 +42,7 @@ def instruments_of(run_set: RunSet) -> list[InstrumentUse]:
 
 
 def warnings_of(sets: Sequence[RunSet]) -> list[str]:
-    """A line for each instrument whose calibration had run out when runs were recorded."""
+    """Return a line for each instrument whose calibration was overdue when runs were recorded."""
     return [
         f"{use.device}: calibration was due {use.known['calibration_due']}, before"
         f" {', '.join(entry.label for entry in use.overdue)}"

@@ -18,7 +18,7 @@ from leactl.runfile.publish import replacement
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to come of it."""
+    """The outputs that the command line asks for."""
 
     html: Path | None
     pdf: bool
@@ -26,11 +26,11 @@ class Wanted:
 
     @property
     def printed(self) -> Path | None:
-        """Where the PDF goes: beside the page."""
+        """Return the path of the PDF, which lies beside the page; None where no PDF is wanted."""
         return self.html.with_suffix(".pdf") if self.pdf and self.html is not None else None
 
     def refuse(self, inputs: Sequence[Path]) -> None:
-        """Refuse what could not be written.
+        """Refuse outputs that could not be written.
 
         Raises
         ------
@@ -46,7 +46,7 @@ class Wanted:
 
 
 def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, float], wanted: Wanted) -> Datasheet:
-    """Analyse runs, or two sets of them side by side, and write what is wanted; runs that gave nothing go to stderr.
+    """Analyse one set of runs, or compare two, and write the wanted files; runs that were not analysed go to stderr.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
 
 
 def refuse_shared(sets: Sequence[RunSet]) -> None:
-    """Refuse a run in two sets: it would be compared with itself.
+    """Refuse a run that is in two sets, since it would be compared with itself.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def refuse_shared(sets: Sequence[RunSet]) -> None:
 
 
 def with_distinct_names(sets: tuple[RunSet, ...]) -> tuple[RunSet, ...]:
-    """Sets with names that differ."""
+    """Return the sets with `A` and `B` behind their names where the names are the same."""
     if len({run_set.name for run_set in sets}) == len(sets):
         return sets
     return tuple(replace(run_set, name=f"{run_set.name} {'AB'[k]}") for k, run_set in enumerate(sets))

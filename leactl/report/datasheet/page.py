@@ -45,7 +45,7 @@ MOTOR_FILE_FIGURES = (
 
 
 def page(sheet: Datasheet, out: Path) -> str:
-    """The whole datasheet for a file at `out`, from where links to runs begin."""
+    """Return the datasheet as an HTML page; its links to runs are relative to the file `out`."""
     compared = " and ".join(run_set.name for run_set in sheet.sets) if len(sheet.sets) > 1 else ""
     motors = ", ".join(section.title for section in sheet.sections)
     title = f"Datasheet: {motors}" + (f", {compared}" if compared else "")
@@ -63,7 +63,7 @@ def page(sheet: Datasheet, out: Path) -> str:
 
 
 def run_set_facts(run_set: RunSet, named: bool) -> Html:
-    """Whose runs these are, and when they were made."""
+    """Return the number of runs, their actuators, conditions and benches, and the days of recording."""
     days = sorted(entry.about["created"][:10] for entry in run_set.entries if entry.about.get("created"))
     rows = [
         ("runs", str(len(run_set.entries))),
@@ -76,12 +76,12 @@ def run_set_facts(run_set: RunSet, named: bool) -> Html:
 
 
 def distinct_values(run_set: RunSet, key: str) -> list[str]:
-    """What the runs say of themselves, each once."""
+    """Return the values of one describing attribute over the runs, each once, without empty ones."""
     return list(dict.fromkeys(value for entry in run_set.entries if (value := entry.about.get(key, ""))))
 
 
 def motor_section(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
-    """Table and figures of one motor."""
+    """Return the table and the experiments of one motor; `anchor` opens the targets of its links."""
     about = (
         "Value ± standard uncertainty, and the 95 % interval. What these hold, and what they leave out, is in the notes"
         " of each experiment. The LEA in the paper as it is printed there."
@@ -106,7 +106,7 @@ def motor_section(sets: Sequence[RunSet], section: Section, anchor: str) -> Html
 def experiment_section(
     sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[GroupResult], anchor: str
 ) -> Html:
-    """Method, what the conditions do, figures, every result, notes."""
+    """Return method, comparison of conditions, figures, notes and all results of one experiment."""
     parts = [tag("h3", heading(experiment)), tag("p", method_of(experiment), class_="method about")]
     notes: list[str] = []
     for run_set, motor in zip(sets, section.motors, strict=True):
@@ -131,7 +131,7 @@ def experiment_section(
 
 
 def comparison_paragraphs(comparisons: Sequence[Comparison], whose: str, entries: Sequence[RunEntry]) -> list[Html]:
-    """What the data support, and below it what that holds for and what is doubtful; a remark on all results once."""
+    """Return a sentence for each compared result, then the remarks; a remark on all results is written once."""
     results_of_note: dict[str, list[str]] = {}
     for comparison in comparisons:
         for note in comparison.notes:
@@ -150,14 +150,14 @@ def comparison_paragraphs(comparisons: Sequence[Comparison], whose: str, entries
 
 
 def with_labels(note: str, entries: Sequence[RunEntry]) -> str:
-    """A note with the short names of runs in place of their paths."""
+    """Return a note with the labels of runs in place of their paths."""
     for entry in sorted(entries, key=lambda entry: -len(str(entry.path))):
         note = note.replace(str(entry.path), entry.label)
     return note
 
 
 def results_table(answer: GroupResult) -> Html:
-    """Every result of one actuator under one condition."""
+    """Return every result of one actuator under one condition, with the paper's values."""
     paper_values = paper(answer.experiment, answer.condition)
     cells = [
         [
@@ -176,7 +176,7 @@ def results_table(answer: GroupResult) -> Html:
 
 
 def runs_table(run_set: RunSet, out: Path, named: bool) -> Html:
-    """Every file with what came of it; its name leads to it."""
+    """Return a row for each file with a link to it and whether it was analysed."""
     cells = []
     for entry in run_set.entries:
         about = entry.about
@@ -197,7 +197,7 @@ def runs_table(run_set: RunSet, out: Path, named: bool) -> Html:
 
 
 def instruments_table(run_set: RunSet, named: bool) -> Html:
-    """Every instrument with its runs; empty where no run tells of any."""
+    """Return a row for each instrument with its runs; empty where no run names an instrument."""
     cells = []
     for use in instruments_of(run_set):
         known = use.known
@@ -214,12 +214,12 @@ def instruments_table(run_set: RunSet, named: bool) -> Html:
 
 
 def link_target(path: Path, out: Path) -> str:
-    """A link from the page to a file, relative where both can be moved together."""
+    """Return the URL of a file relative to the page, so that both can be moved together."""
     return quote(os.fsencode(os.path.relpath(path.resolve(), out.resolve().parent)))
 
 
 def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> Html:
-    """A column for each motor whose file is known; empty where none is."""
+    """Return a column for each motor whose motor file the runs carry; empty where they carry none."""
     sheets = [sheet for motor in dict.fromkeys(motors) if (sheet := fullest_motor_file(sets, motor)) is not None]
     if not sheets:
         return Html("")
@@ -233,7 +233,7 @@ def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> Html:
 
 
 def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
-    """The fullest motor file that runs of this motor carry; None where they carry none."""
+    """Return the motor file with the most keys that runs of this motor carry; None where they carry none."""
     sheets = []
     for model in dict.fromkeys(entry.model for run_set in sets for entry in run_set.entries if entry.motor == motor):
         try:
@@ -244,7 +244,7 @@ def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
 
 
 def map_table(grid: Grid, answer: GroupResult) -> Html:
-    """One map by its first quantity, the axis with more setpoints downwards; the others are for `analyze --json`."""
+    """Return the table of a map's first quantity; the axis with more setpoints goes down."""
     (quantity, values_by_row), axes = next(iter(grid.values.items())), list(grid.axes.items())
     cells = np.array(values_by_row)
     if len(axes[1][1]) > len(axes[0][1]):
@@ -261,13 +261,13 @@ def map_table(grid: Grid, answer: GroupResult) -> Html:
 
 
 def with_unit(name: str) -> str:
-    """A quantity with its unit, from a name that ends in it."""
+    """Return a quantity with its unit, by the suffix of its name: `speed_rad_s` as `speed [rad/s]`."""
     suffix = next((ending for ending in UNIT_OF_SUFFIX if name.endswith(ending)), "")
     return pretty(f"{plain(name.removesuffix(suffix))} [{UNIT_OF_SUFFIX[suffix]}]") if suffix else plain(name)
 
 
 def map_cell(value: float) -> str:
-    """Three digits; a dash where the bench did not hold the setpoint."""
+    """Return three digits of a value; a dash for NaN, where the bench did not hold the setpoint."""
     if not math.isfinite(value):
         return UNHELD_CELL
     return f"{value + 0.0:#.3g}".rstrip(".")  # no negative zero

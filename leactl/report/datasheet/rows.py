@@ -16,7 +16,7 @@ NOT_MEASURED = "not measured"
 
 @dataclass(frozen=True)
 class DatasheetCell:
-    """What one set of runs says; without an estimate, `lacks` says why."""
+    """The estimate of one result from one set of runs; without an estimate, `lacks` says why."""
 
     estimate: Estimate | None
     entries: tuple[RunEntry, ...] = ()
@@ -26,13 +26,13 @@ class DatasheetCell:
 
     @property
     def actuator(self) -> str:
-        """The actuator, or how many were put together; empty where none was measured."""
+        """Return the actuator's name, or the number of actuators that were pooled; empty where none was measured."""
         return f"{len(self.actuators)} actuators" if len(self.actuators) > 1 else "".join(self.actuators)
 
 
 @dataclass(frozen=True)
 class DatasheetRow:
-    """One result."""
+    """One result under one condition, with a cell for each set of runs."""
 
     experiment: str
     name: str
@@ -43,20 +43,20 @@ class DatasheetRow:
 
     @property
     def units(self) -> str:
-        """Of the first that is known, of the paper's figure where none is."""
+        """Return the units of the first estimate; those of the paper's figure where there is no estimate."""
         measured = (cell.estimate.units for cell in self.cells if cell.estimate is not None)
         return next(measured, units_in_paper().get(self.name, ""))
 
     @property
     def difference(self) -> Estimate | None:
-        """The second set less the first; None where either is not known."""
+        """Return the second set's estimate less the first's; None where either is not known."""
         known = [cell.estimate for cell in self.cells if cell.estimate is not None]
         if len(known) < 2 or not all(math.isfinite(estimate.value) for estimate in known):
             return None
         return difference(known[0], known[1])
 
     def as_json(self, sets: Sequence[RunSet]) -> dict[str, Any]:
-        """The row for a script; what is not known is null."""
+        """Return the row as JSON takes it; what is not known is null."""
         difference = self.difference if len(self.cells) > 1 else None
         row = {
             "experiment": self.experiment,
@@ -80,13 +80,13 @@ class DatasheetRow:
 
 
 def estimate_json(estimate: Estimate | None) -> dict[str, float | None]:
-    """Value, std and interval as JSON takes them."""
+    """Return value, std, low and high of an estimate; all are None without one."""
     row = {} if estimate is None else estimate.as_json()
     return {key: row.get(key) for key in ("value", "std", "low", "high")}
 
 
 def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[DatasheetRow]:
-    """Rows of one experiment; motor k is that of set k.
+    """Return the rows of one experiment; motor k is that of set k.
 
     One set has a row for each actuator, and one for all where several know the result; of two sets only what all of
     each know together is side by side.
@@ -121,7 +121,7 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
 
 
 def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
-    """Results for the table: those that the paper has; of an experiment that it has not, those with an interval.
+    """Return the names of an experiment's rows: the paper's results, or those with an interval where it has none.
 
     A result that is a part of another, such as that of one direction alone, is left to the list of all results.
     """
@@ -140,7 +140,7 @@ def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
 
 
 def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
-    """Conditions of a result: those of the paper in its order, then others; one without a name where there is none."""
+    """Return the conditions of a result, the paper's first in its order; one empty name where there is none."""
     in_paper = [
         label
         for label, paper_values in figures_by_condition(experiment).items()
@@ -151,7 +151,7 @@ def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> li
 
 
 def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
-    """Conditions of the paper in its order, then others: the same for every set of runs, however theirs was drawn."""
+    """Return the paper's conditions in its order, then others: the same order for every set of runs."""
     papers = [label for each in names() for label in figures_by_condition(each) if label != "any"]
     return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
 
@@ -159,7 +159,7 @@ def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
 def cells_of(
     answers: Sequence[GroupResult], faulty: Sequence[RunEntry], name: str, condition: str
 ) -> list[DatasheetCell]:
-    """A cell for each actuator that was measured; an empty one where none was."""
+    """Return a cell for each actuator that was measured, or one empty cell where none was."""
     of_condition = [answer for answer in answers if answer.condition == condition]
     estimates = [
         (answer, estimate) for answer in of_condition for estimate in answer.result.results if estimate.name == name
@@ -171,7 +171,7 @@ def cells_of(
 
 
 def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
-    """What actuators say together: the mean of those that know a value, or else the bounds that hold for all."""
+    """Pool the cells of several actuators: the mean of their values, or bounds that hold for all where none has one."""
     pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
     valued = [(cell, known) for cell, known in pairs if math.isfinite(known.value)]
     bounded = [(cell, known) for cell, known in pairs if not (math.isnan(known.low) and math.isnan(known.high))]
@@ -184,7 +184,7 @@ def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
 
 
 def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> DatasheetCell:
-    """The cell with the names of its actuators where its set has others besides."""
+    """Return the cell with its actuators named in `whose` where the set has other actuators too."""
     actuators = {entry.group[0] for entry in run_set.entries if entry.experiment and entry.motor == motor}
     if not cell.actuators or actuators <= set(cell.actuators):
         return cell
@@ -192,13 +192,13 @@ def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> Dat
 
 
 def shared_actuator(cells: Sequence[DatasheetCell]) -> str:
-    """The actuator of a row, where its cells have the same one."""
+    """Return the actuator that all cells with an estimate are of; empty where they differ."""
     actuators = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
     return next(iter(actuators)) if len(actuators) == 1 else ""
 
 
 def unlisted(sets: Sequence[RunSet], motors: Sequence[str]) -> list[str]:
-    """Experiments without a run and without a figure in the paper."""
+    """Return the experiments that have neither a run nor a figure in the paper."""
     measured = {
         entry.experiment
         for run_set, motor in zip(sets, motors, strict=True)

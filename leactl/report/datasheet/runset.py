@@ -24,7 +24,7 @@ Tell = Callable[[str], None]
 
 @dataclass
 class RunEntry:
-    """One file; `fault` says why nothing came of it, and is empty where something did."""
+    """One file; `fault` says why it was not analysed and is empty where it was."""
 
     path: Path
     label: str = ""  # short name in the datasheet
@@ -38,18 +38,18 @@ class RunEntry:
 
     @property
     def identity(self) -> str:
-        """What tells one run from another, whatever its path."""
+        """Return the run's identifier, which copies share; the path where the file has none."""
         return self.about.get("run_id", "") or str(self.path.resolve())
 
     @property
     def group(self) -> tuple[str, str]:
-        """Actuator and condition."""
+        """Return actuator and condition."""
         return self.about.get("actuator", ""), self.about.get("condition", "")
 
 
 @dataclass(frozen=True)
 class GroupResult:
-    """What the runs of one experiment, actuator and condition gave."""
+    """The result of the runs of one experiment, actuator and condition."""
 
     motor: str
     experiment: str
@@ -69,7 +69,7 @@ class ConditionVerdict:
 
 @dataclass(frozen=True)
 class RunSet:
-    """Runs that belong together."""
+    """Runs that are reported together, and their results."""
 
     name: str
     entries: tuple[RunEntry, ...]
@@ -78,7 +78,7 @@ class RunSet:
 
     @property
     def motors(self) -> list[str]:
-        """Motors of its runs, in order; a run that tells none has an empty name."""
+        """Return the motors of its runs in order; a run that names none has an empty name."""
         return list(dict.fromkeys(entry.motor for entry in self.entries if entry.experiment))
 
     def answers_of(self, motor: str, experiment: str) -> list[GroupResult]:
@@ -87,7 +87,7 @@ class RunSet:
 
 
 def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], tell: Tell) -> RunSet:
-    """Read runs and folders of runs and analyse what can be: repeats combined, by actuator and condition.
+    """Read runs and folders of runs and analyse them, repeats combined, by actuator and condition.
 
     Parameters
     ----------
@@ -132,19 +132,19 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
 
 
 def order_key(entry: RunEntry) -> tuple[bool, str, bool, str]:
-    """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
+    """Return the key that sorts runs by time; files without an identifier come last, unfinished copies after others."""
     run_id = entry.about.get("run_id", "")
     return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
 
 
 def name_of_runs(paths: Sequence[Path]) -> str:
-    """What to call the runs: by their folders."""
+    """Return the names of the folders that the runs lie in."""
     folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in paths)
     return listed((folder.name for folder in folders), MOST_NAMED)
 
 
 def entry_of(path: Path) -> RunEntry:
-    """What a file says of itself."""
+    """Read what a file says of itself; `fault` says why it cannot be analysed."""
     try:
         with Run.open(path) as run:
             model = run.source("model") or ""
@@ -161,7 +161,7 @@ def entry_of(path: Path) -> RunEntry:
 
 
 def checksum_fault(path: Path) -> str:
-    """Why a copy of a run is not the one to take; empty where its values are those of its checksums."""
+    """Return which values of a run do not match their checksums; empty where all do."""
     try:
         return fault_text(InputError(altered(path)), path)
     except InputError as fault:
@@ -169,7 +169,7 @@ def checksum_fault(path: Path) -> str:
 
 
 def motor_of(model: str) -> str:
-    """Name of the motor in the model that a run carries; empty where it carries none that can be read."""
+    """Return the motor's name in the model text that a run carries; empty where there is none that can be read."""
     try:
         data = yamlfile.parse(model).data if model else None
     except InputError:
@@ -179,12 +179,12 @@ def motor_of(model: str) -> str:
 
 
 def is_simulated(run: Run) -> bool:
-    """Whether its bench was emulated."""
+    """Return whether the run is from an emulated bench."""
     return str(run.attributes.get("simulated", "")) == "1"
 
 
 def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
-    """Entries of the same actuator and condition together, each group where its first one stands."""
+    """Group entries by actuator and condition, in the order of each group's first entry."""
     groups: dict[tuple[str, str], list[RunEntry]] = {}
     for entry in entries:
         groups.setdefault(entry.group, []).append(entry)
@@ -192,7 +192,7 @@ def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
 
 
 def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
-    """What runs of one experiment, actuator and condition give; a run that spoils it is left out with its reason."""
+    """Analyse the runs of one experiment, actuator and condition; a run that prevents it is left out with its fault."""
     first = entries[0]
     accepted = options_of(first.experiment, options)
     try:
@@ -210,7 +210,7 @@ def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> Grou
 
 
 def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
-    """Why a run cannot be analysed by itself; empty where it can."""
+    """Return why a run cannot be analysed by itself; empty where it can."""
     try:
         analyze_runs([entry.path], **options)
     except InputError as fault:
@@ -219,12 +219,12 @@ def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
 
 
 def fault_text(fault: InputError, path: Path) -> str:
-    """A fault without the path before it."""
+    """Return the lines of a fault without the path in front of each."""
     return "; ".join(line.removeprefix(f"{path}: ") for line in fault.faults)
 
 
 def condition_verdict(entries: Sequence[RunEntry], options: Mapping[str, float]) -> ConditionVerdict:
-    """The results of an experiment over its conditions, as `leactl stats` has them."""
+    """Compare the results of an experiment over its conditions, as `leactl stats` does."""
     accepted = options_of(entries[0].experiment, options)
     try:
         _, comparisons, refused = compare_all([entry.path for entry in entries], **accepted)
@@ -234,7 +234,7 @@ def condition_verdict(entries: Sequence[RunEntry], options: Mapping[str, float])
 
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
-    """Those options that the analysis of an experiment takes."""
+    """Return the options that the analysis of an experiment takes."""
     accepted = taken_by(analysis_of(experiment, experiment))
     return {name: value for name, value in options.items() if name in accepted}
 

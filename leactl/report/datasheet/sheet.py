@@ -17,7 +17,7 @@ NO_MOTOR = "motor not told"
 
 @dataclass(frozen=True)
 class Section:
-    """One motor, or two that are compared."""
+    """The rows of one motor, or of two that are compared."""
 
     motors: tuple[str, ...]  # one for each set
     rows: dict[str, list[DatasheetRow]]  # by experiment, those that were not measured among them
@@ -25,7 +25,7 @@ class Section:
 
     @property
     def title(self) -> str:
-        """Its motors."""
+        """Return the names of its motors."""
         return " and ".join(dict.fromkeys(motor or NO_MOTOR for motor in self.motors))
 
 
@@ -37,7 +37,7 @@ class Datasheet:
 
     @cached_property
     def sections(self) -> list[Section]:
-        """A section for each motor; two sets of one motor each are compared even where the motors differ."""
+        """Return a section for each motor; two sets of one motor each are compared even where the motors differ."""
         motors_of_sets = [run_set.motors for run_set in self.sets]
         if all(len(motors) == 1 for motors in motors_of_sets):
             pairs = [tuple(motors[0] for motors in motors_of_sets)]
@@ -50,7 +50,7 @@ class Datasheet:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the whole must know."""
+        """Return notes on the whole sheet: mixed motors, emulated runs, overdue instruments, runs not analysed."""
         notes = []
         motors = list(dict.fromkeys(motor or NO_MOTOR for run_set in self.sets for motor in run_set.motors))
         if len(motors) > 1:
@@ -76,7 +76,7 @@ class Datasheet:
         return notes
 
     def refuse_empty(self) -> None:
-        """Refuse a sheet without a figure.
+        """Refuse a sheet in which no run was analysed.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class Datasheet:
             raise InputError([f"{entry.path}: {entry.fault}" for run_set in self.sets for entry in run_set.entries])
 
     def as_json(self) -> dict[str, Any]:
-        """The whole table with runs and notes."""
+        """Return runs, instruments, rows, verdicts and notes as JSON takes them."""
         return {
             "sets": [
                 {
@@ -149,7 +149,7 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
 
 
 def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
-    """Rows of every experiment that was measured or that the paper has.
+    """Return the rows of every experiment that was measured or that the paper has.
 
     What is known comes first, then what runs did not tell, then what was not measured; of each the paper's first.
     """
@@ -162,7 +162,7 @@ def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
 
 
 def _unknown(row: DatasheetRow) -> int:
-    """0 for a row with a figure, 1 for one of whose runs nothing came, 2 for one that was not measured."""
+    """Return 0 for a row with an estimate, 1 where no run could be analysed, 2 where nothing was measured."""
     if any(cell.estimate is not None for cell in row.cells):
         return 0
     return 2 if all(cell.lacks == NOT_MEASURED for cell in row.cells) else 1

@@ -13,7 +13,7 @@ from leactl.report.terminal import interval_text, value_text
 
 
 def rows_table(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
-    """All rows; the name of an experiment that was measured leads to its figures."""
+    """Return the table of all rows; the name of a measured experiment links to its figures."""
     several = len(sets) > 1
     headings = ["quantity", "condition"] + ([] if several else ["actuator"])
     headings += [*(run_set.name for run_set in sets), "difference"] if several else ["value ± std", "95 % interval"]
@@ -30,7 +30,7 @@ def rows_table(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
 
 
 def table_row(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html:
-    """One result; each cell carries its heading, which a narrow screen shows beside it."""
+    """Return one row; each cell carries its heading, which a narrow screen shows beside it."""
     cells: list[str] = [row.condition] + ([] if several else [row.actuator])
     if several:
         cells += [in_lines(*value_and_interval(cell), cell.whose) for cell in row.cells]
@@ -49,19 +49,19 @@ def table_row(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html
 
 
 def value_and_interval(cell: DatasheetCell) -> list[str]:
-    """Value and interval, or why there is none."""
+    """Return a cell's value and 95 % interval as text, or why it has none."""
     if cell.estimate is None:
         return [cell.lacks, ""]
     return [value_text(cell.estimate), interval_text(cell.estimate)]
 
 
 def in_lines(first: str, *others: str) -> Html:
-    """One below the other, those that say something, for tables that need the width."""
+    """Return texts below each other, without empty ones."""
     return joined([escaped(first), *(tag("span", other, class_="second") for other in others if other)])
 
 
 def difference_cell(difference: Estimate | None) -> Html:
-    """The difference of two sets, strong where its interval does not hold zero; none without an uncertainty."""
+    """Return the difference of two sets, strong where its interval excludes zero; empty without an uncertainty."""
     if difference is None or not math.isfinite(difference.std):
         return Html("")
     cell = in_lines(value_text(difference), interval_text(difference))
@@ -69,7 +69,7 @@ def difference_cell(difference: Estimate | None) -> Html:
 
 
 def links(entries: Sequence[RunEntry]) -> Html:
-    """Short names of runs, each a link to where it is listed."""
+    """Return the labels of runs, each a link to its row in the list of runs."""
     return joined(
         [tag("a", entry.label, href=f"#{entry.label}", title=entry.about.get("run_id", "")) for entry in entries], ", "
     )
