@@ -42,7 +42,7 @@ def _literal(value: Any, indent: str = "") -> str:
 
 def parameters(model: Model, patched: Patch) -> dict[str, Any]:
     """What the callbacks of a joint ask for."""
-    acting = [one.entry for one in patched.effects if one.goes_to == CALLBACKS]
+    acting = [destination.entry for destination in patched.effects if destination.goes_to == CALLBACKS]
     expected, joint = patched.expected, patched.joint
     return {
         "joint": joint.name,
@@ -99,10 +99,10 @@ def _heading(patched: Patch, source: Path, into: Path, out: Path) -> str:
         "    mujoco.mj_step(model, data)",
         "",
     ]
-    for one in patched.effects:
-        meaning = effect_definition(one.entry.effect).meaning
-        where = {CALLBACKS: "here", MJCF: f"in {out.name}"}.get(one.goes_to, f"nowhere, {one.reason}")
-        lines += wrap(f"- {one.entry.effect} ({where}): {meaning}", WIDTH, subsequent_indent="  ")
+    for destination in patched.effects:
+        meaning = effect_definition(destination.entry.effect).meaning
+        where = {CALLBACKS: "here", MJCF: f"in {out.name}"}.get(destination.goes_to, f"nowhere, {destination.reason}")
+        lines += wrap(f"- {destination.entry.effect} ({where}): {meaning}", WIDTH, subsequent_indent="  ")
     if not patched.effects:
         lines.append("The model has no effects.")
     text = "\n".join(lines).replace("\\", "\\\\").replace('"""', "'''")

@@ -225,8 +225,10 @@ class _About:
 
     def _pulls(self, tendon: int) -> bool:
         model, kinds = self.model, self.mujoco.mjtTrn
-        own = ("stiffness", "damping", "frictionloss", "limited", "armature")
-        if any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in own if hasattr(model, f"tendon_{name}")):
+        properties = ("stiffness", "damping", "frictionloss", "limited", "armature")
+        if any(
+            np.any(getattr(model, f"tendon_{name}")[tendon]) for name in properties if hasattr(model, f"tendon_{name}")
+        ):
             return True
         driven = (np.asarray(model.actuator_trntype) == kinds.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
         tied = (np.asarray(model.eq_type) == self.mujoco.mjtEq.mjEQ_TENDON) & (

@@ -44,18 +44,18 @@ class ExportRequest:
             "--timestep": self.timestep,
             "--ctrl current": self.ctrl_is_current or None,
         }
-        asked = {"mjcf": ["--into", "--out"], "urdf": ["--into", "--out"], "json": []}[self.to]
+        needed = {"mjcf": ["--into", "--out"], "urdf": ["--into", "--out"], "json": []}[self.to]
         allowed = {"mjcf": ["--callbacks", "--ctrl current"], "urdf": [], "json": ["--out", "--timestep"]}[self.to]
-        faults = [f"--to {self.to} needs {name}" for name in asked if given[name] is None]
+        faults = [f"--to {self.to} needs {name}" for name in needed if given[name] is None]
         faults += [
             f"{name} does not go with --to {self.to}"
             for name, value in given.items()
-            if value is not None and name not in (*asked, *allowed)
+            if value is not None and name not in (*needed, *allowed)
         ]
         check_new((self.out, self.callbacks), self.callbacks, faults)
 
 
-def check_new(files: Iterable[Path | None], code: Path | None, also: Sequence[str] = ()) -> None:
+def check_new(files: Iterable[Path | None], code_file: Path | None, other_faults: Sequence[str] = ()) -> None:
     """Refuse names that new files cannot take; nothing is ever overwritten.
 
     Parameters
@@ -68,9 +68,9 @@ def check_new(files: Iterable[Path | None], code: Path | None, also: Sequence[st
     InputError : a folder does not exist, a file exists, or two have one name; one line each.
     """
     new = [path for path in files if path is not None]
-    faults = [*also, *(f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir())]
-    if code is not None and code.suffix != ".py":
-        faults.append(f"--callbacks {code}: a file named .py was expected")
+    faults = [*other_faults, *(f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir())]
+    if code_file is not None and code_file.suffix != ".py":
+        faults.append(f"--callbacks {code_file}: a file named .py was expected")
     if len({path.resolve() for path in new}) < len(new):
         faults.append(f"{new[0]}: is named for two outputs; give each a file of its own")
     if faults:
@@ -90,8 +90,8 @@ class Exported:
 
     def as_json(self) -> dict[str, Any]:
         """The same for other programs."""
-        told = {"changes": [], "effects": [], "notes": []} if self.patched is None else self.patched.as_json()
-        return {"written": [str(path) for path in self.written]} | told
+        changes = {"changes": [], "effects": [], "notes": []} if self.patched is None else self.patched.as_json()
+        return {"written": [str(path) for path in self.written]} | changes
 
 
 def export(request: ExportRequest) -> Exported:
@@ -139,12 +139,12 @@ def _lines(patched: Patch, code: Path | None) -> list[str]:
     for change in patched.changes:
         after = "removed" if change.after is None else f"{change.before or 'not given'} -> {change.after}"
         lines.append(f"line {change.line}: {change.element}: {change.attribute} {after}")
-    for one in patched.effects:
-        reason = f": {one.reason}" if one.reason else ""
-        if one.goes_to == CALLBACKS and code is None:
+    for destination in patched.effects:
+        reason = f": {destination.reason}" if destination.reason else ""
+        if destination.goes_to == CALLBACKS and code is None:
             reason = ": give --callbacks FILE.py, MJCF cannot hold it"
         where = {CALLBACKS: "in the callbacks" if code else "left out", NOWHERE: "left out"}.get(
-            one.goes_to, "in the file"
+            destination.goes_to, "in the file"
         )
-        lines.append(f"{one.entry.effect}: {where}{reason}")
+        lines.append(f"{destination.entry.effect}: {where}{reason}")
     return [*lines, *(f"note: {note}" for note in patched.notes)]

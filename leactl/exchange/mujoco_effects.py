@@ -33,11 +33,11 @@ class JointEffects:
             raise ValueError("integrator RK4 evaluates a step four times; what has a memory needs another integrator")
         self.model, self.parameters = model, parameters
         self._effects: dict[str, list[Mapping[str, float]]] = {}
-        for one in parameters["effects"]:
-            self._effects.setdefault(one["effect"], []).append(one["parameters"])
+        for entry in parameters["effects"]:
+            self._effects.setdefault(entry["effect"], []).append(entry["parameters"])
         limits = ("torque_limit", "command_slew_limit")  # one after the other as the model has them
         self._commands = [
-            (one["effect"], one["parameters"]) for one in parameters["effects"] if one["effect"] in limits
+            (entry["effect"], entry["parameters"]) for entry in parameters["effects"] if entry["effect"] in limits
         ]
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, parameters["joint"])
         if joint < 0:

@@ -185,8 +185,12 @@ class _ModelKeys:
         self.missing["phase_resistance"] = "the winding"
         self.missing["bench.current_loop_bandwidth"] = "how fast the drive's current follows"
 
+    def _force_limits(self, actuator: JointActuator) -> list[float]:
+        """Return the limits [N*m] of the actuator's force and of the joint's torque, each where the file has it."""
+        return [limit for limit in (actuator.force_limit, self.joint.torque_limit) if limit is not None]
+
     def _torque_limit(self, actuator: JointActuator) -> None:
-        limits = [limit for limit in (actuator.force_limit, self.joint.torque_limit) if limit is not None]
+        limits = self._force_limits(actuator)
         if actuator.control_range is not None:
             limits.append(abs(actuator.gain) * min(map(abs, actuator.control_range)))
         if limits:
@@ -200,7 +204,7 @@ class _ModelKeys:
 
         Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is what brakes, K/R V the limit, K/R gain the stiffness.
         """
-        limits = [limit for limit in (actuator.force_limit, self.joint.torque_limit) if limit is not None]
+        limits = self._force_limits(actuator)
         braking, bearing = actuator.kv, self.joint.damping
         if not braking and bearing:
             braking, bearing = bearing, 0.0

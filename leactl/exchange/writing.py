@@ -8,15 +8,14 @@ from typing import Any
 from leactl.errors import InputError
 from leactl.exchange.compiled import Joint, JointActuator, compile_file, is_urdf, joint_of, read_joint
 from leactl.exchange.destinations import CURRENT, MJCF, NOWHERE, SERVO, Destination, destinations
+from leactl.exchange.reading import DIGITS
 from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file
 
-DIGITS = 9
 AS_WRITTEN = 1e-6  # relative, by which MuJoCo may read back another figure than was written
-STUCK_STEPS = (
-    4.0  # steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
-)
+# steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
+STUCK_STEPS = 4.0
 STUCK = "0.999 0.9999 0.001"  # solimpfriction for the same
 
 
@@ -48,7 +47,8 @@ class Patch:
         return {
             "changes": [vars(change) for change in self.changes],
             "effects": [
-                {"effect": one.entry.effect, "goes_to": one.goes_to, "reason": one.reason} for one in self.effects
+                {"effect": destination.entry.effect, "goes_to": destination.goes_to, "reason": destination.reason}
+                for destination in self.effects
             ],
             "notes": self.notes,
         }
@@ -170,7 +170,7 @@ class _JointPatch:
             self.wanted["damping"] = max((model.viscous_damping or 0.0) + braking - added, 0.0)
         if model.coulomb_friction is not None:
             self.wanted["frictionloss"] = model.coulomb_friction
-        for spring in (one.entry.parameters for one in self.effects if one.goes_to == MJCF):
+        for spring in (destination.entry.parameters for destination in self.effects if destination.goes_to == MJCF):
             self.wanted |= {"stiffness": spring["stiffness"], "springref": spring["rest_angle"]}
         level = model.load.level_torque
         if not joint.slides and abs(level - joint.level_torque) > 1e-3 * max(level, joint.level_torque):
@@ -243,7 +243,9 @@ class _JointPatch:
             self.notes.append(f"URDF has no armature; {armature:.6g} kg*m^2 are left out")
         for name in ("stiffness", "springref"):
             self.wanted.pop(name, None)
-        self.effects = [Destination(one.entry, NOWHERE, "URDF has no word for it") for one in self.effects]
+        self.effects = [
+            Destination(destination.entry, NOWHERE, "URDF has no word for it") for destination in self.effects
+        ]
 
     def _element(self, within: str, tag: str | None, attribute: str) -> Element:
         """The element of the joint, or of what refers to it."""
@@ -260,8 +262,10 @@ class _JointPatch:
         )
 
     def _in_degrees(self) -> bool:
-        told = [one.attributes.get("angle", "") for one in self.text.elements if one.name == "compiler"]
-        return not self.of.slides and "radian" not in told
+        angle_units = [
+            element.attributes.get("angle", "") for element in self.text.elements if element.name == "compiler"
+        ]
+        return not self.of.slides and "radian" not in angle_units
 
     def _change(self, element: Element, values: dict[str, str | None]) -> None:
         before = element.attributes

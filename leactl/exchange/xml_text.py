@@ -60,18 +60,18 @@ class XmlText:
         changes : attributes by the index of their element.
         below : text of an element to put first below another, by the other's index.
         """
-        parts, at = [], 0
+        parts, copied_to = [], 0
         for index in sorted({*changes, *below}):
             element = self.elements[index]
-            parts.append(self.raw[at : element.begin])
+            parts.append(self.raw[copied_to : element.begin])
             tag = self.raw[element.begin : element.end].decode("utf-8")
             for name, value in changes.get(index, {}).items():
                 tag = _with_attribute(tag, name, value)
             parts.append(tag.encode("utf-8"))
-            at = element.end
+            copied_to = element.end
             if index in below:
                 parts.append((_break_before(self.raw, element) + below[index]).encode("utf-8"))
-        return b"".join([*parts, self.raw[at:]])
+        return b"".join([*parts, self.raw[copied_to:]])
 
 
 def read_xml(path: Path) -> XmlText:

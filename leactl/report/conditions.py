@@ -20,8 +20,8 @@ def comparisons_text(experiment: str, comparisons: Sequence[Comparison], refused
 def comparison_text(comparison: Comparison) -> str:
     """Return one comparison: its sentence, the groups' means, Tukey's pairs, the checks of assumptions, notes."""
     groups = [
-        (f"  {one.condition}", f"{one.count}", number(one.mean, one.std), number(one.std, one.std))
-        for one in comparison.groups
+        (f"  {group.condition}", f"{group.count}", number(group.mean, group.std), number(group.std, group.std))
+        for group in comparison.groups
     ]
     pairs = [
         (
@@ -42,7 +42,9 @@ def comparison_text(comparison: Comparison) -> str:
         lines.append(
             f"  actuators: {in_words(comparison.anova.actuator)}, std between them {comparison.anova.actuator_std:.2g}"
         )
-    checks = [f"{one.name} {'not checked' if one.p is None else f'p = {one.p:.2g}'}" for one in comparison.checks]
+    checks = [
+        f"{check.name} {'not checked' if check.p is None else f'p = {check.p:.2g}'}" for check in comparison.checks
+    ]
     lines.append(wrapped("  assumptions:", checks, WIDTH))
     return "\n".join([*lines, *(wrapped("  note:", [note], WIDTH) for note in comparison.notes)])
 

@@ -100,7 +100,9 @@ def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str
         "peak_degC": round(commissioned.forecast.peaks["test"], 2),
         "limit_degC": round(commissioned.limit, 2),
         "passes_after_s": None if passing is None else round(passing.time_s, 2),
-        "runs": [{"run": str(one.path), "heating_s": one.heating_s, "whole": one.whole} for one in commissioned.heats],
+        "runs": [
+            {"run": str(heat.path), "heating_s": heat.heating_s, "whole": heat.whole} for heat in commissioned.heats
+        ],
         "next_heating_s": commissioned.next_heating_s,
         "motor_file": None if commissioned.file is None else str(commissioned.file),
         "load_motor": commissioned.load_motor,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
-from leactl.analysis.experiments.torque_constant import TORQUE
+from leactl.analysis.experiments.torque_constant import TORQUE, intercepts_by_hold
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
@@ -57,7 +57,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
     InputError : an uncertainty below zero, or torque and motion of opposite senses.
     """
-    place = f"{paths_of(runs)}: back-drive"
+    error_prefix = f"{paths_of(runs)}: back-drive"
     notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
     gain = gain_std(runs, TORQUE, torque_gain_std)
     for run in runs:
@@ -69,13 +69,13 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, HELD),
         HELD,
     )
-    turning = at_setpoint(runs, gathered.value, place)
+    turning = at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [note for torque in torques.values() for note in torque.notes]
     notes += [*gathered.notes, *turning.notes]
-    line = fit_drag(levels, -levels.value[TORQUE], place)
+    line = fit_drag(levels, -levels.value[TORQUE], error_prefix)
     fastest = float(np.max(np.abs(levels.setpoint)))
-    refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
+    refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), error_prefix, "torque and velocity")
     notes += fit_notes(line, levels.std[TORQUE], "N*m")
     if not both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
@@ -88,7 +88,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     results = []
     if breakaways.value:
         released = breakaway(breakaways.value, gain)
-        refuse_below_zero(released.value, place, "torque and angle")
+        refuse_below_zero(released.value, error_prefix, "torque and angle")
         results.append(released.value)
         notes += released.notes
     results += coefficients(line, gain)
@@ -126,7 +126,7 @@ def refuse_powered(run: Run) -> None:
 
 def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimate]:
     """Estimate the mean breakaway torque over both directions; it has no interval without a repeat."""
-    trials, values = [each.trial for each in breakaways], [each.torque for each in breakaways]
+    trials, values = [release.trial for release in breakaways], [release.torque for release in breakaways]
     notes = []
     if len({trial.side for trial in trials}) == 1:
         notes.append("breakaway in one direction only: the zero of the torque sensor is part of it")
@@ -141,13 +141,17 @@ def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimat
 def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
     """Torque against the motion over speed, each direction, and the fit."""
     velocity = levels.value[VELOCITY]
-    zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
-    against = (-levels.value[TORQUE] - (zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
+    sensor_zeros = intercepts_by_hold(line)
+    torque_against = (-levels.value[TORQUE] - (sensor_zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
     points = []
     for label, sign in (("forward", 1.0), ("backward", -1.0)):
-        of_it = np.sign(velocity) == sign
-        if of_it.any():
-            points.append(Series(label, tuple(np.abs(velocity[of_it]).tolist()), tuple(against[of_it].tolist())))
+        in_direction = np.sign(velocity) == sign
+        if in_direction.any():
+            points.append(
+                Series(
+                    label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(torque_against[in_direction].tolist())
+                )
+            )
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
     fitted = Series("fit", tuple(speeds.tolist()), tuple(drag_at(line.fit, line, speeds).tolist()))
     return Plot("speed [rad/s]", "torque against the motion [N*m]", tuple(points), (fitted,))

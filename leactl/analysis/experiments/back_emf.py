@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import Estimate, Noted, Plot, Result, Series, joined
+from leactl.analysis.experiments.friction import refuse_torque_constant
 from leactl.analysis.quality import current_convention
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
@@ -22,7 +23,7 @@ from leactl.analysis.voltage_waves.line_voltages import PAIRS
 from leactl.analysis.voltage_waves.pole_pairs import waves_per_turn, whole_pole_pairs
 from leactl.analysis.voltage_waves.turning_holds import TurningHold, turning_holds
 from leactl.analysis.voltage_waves.wave_means import CommonUncertainties, constant_of, drift_of
-from leactl.errors import InputError, NotIdentifiable
+from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 RESULTS = {
@@ -79,75 +80,78 @@ def analyze(
     NotIdentifiable : no pair with waves, too few of them, or a count of pole pairs that is no whole number.
     InputError : a torque constant that is no positive number.
     """
-    place = f"{paths_of(runs)}: back-EMF"
+    error_prefix = f"{paths_of(runs)}: back-EMF"
     notes = setup_notes(runs, ("coupled",), "another machine has to turn the shaft")
     every_hold = joined(turning_holds(run) for run in runs)
-    parts = every_hold.value
+    holds = every_hold.value
     notes += every_hold.notes
-    if not parts:
-        raise NotIdentifiable("\n".join([f"{place}: no hold with waves that can be used", *notes]))
-    pole_pairs = pole_pairs_of(parts, place)
+    if not holds:
+        raise NotIdentifiable("\n".join([f"{error_prefix}: no hold with waves that can be used", *notes]))
+    pole_pairs = pole_pairs_of(holds, error_prefix)
     count, poles = pole_pairs.value
     winding = winding_of(runs[0])
     notes += [*pole_pairs.notes, *winding.notes]
 
-    series = {name: [poles * part.sizes[name] for part in parts if name in part.sizes] for name in PAIRS}
-    series = {name: found for name, found in series.items() if found}
+    series = {name: [poles * hold.sizes[name] for hold in holds if name in hold.sizes] for name in PAIRS}
+    series = {name: constants for name, constants in series.items() if constants}
     shares = CommonUncertainties(
-        scale=max(part.scale_std for part in parts),
+        scale=max(hold.scale_std for hold in holds),
         time_base=TIME_BASE,
-        resolution=max(part.resolution for part in parts),
-        ripple=max(part.shaft.ripple for part in parts),
+        resolution=max(hold.resolution for hold in holds),
+        ripple=max(hold.shaft.ripple for hold in holds),
     )
-    whole_machine = [poles * part.mean_of_pairs for part in parts]
-    both = all(part.complete for part in parts)
-    line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if both else shares.of_one_pair)
-    if any(part.left_over > SUM_OF_THREE for part in parts):
+    whole_machine = [poles * hold.mean_of_pairs for hold in holds]
+    all_complete = all(hold.complete for hold in holds)
+    line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if all_complete else shares.of_one_pair)
+    if any(hold.left_over > SUM_OF_THREE for hold in holds):
         widened = covering(line, series)
         line = widened.value
         notes += widened.notes
     kb = scaled(line, TO_Q[winding.value], "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
-        constant_of(f"line_to_line_constant_{name}", UNITS, found, shares.of_one_pair) for name, found in series.items()
+        constant_of(f"line_to_line_constant_{name}", UNITS, constants, shares.of_one_pair)
+        for name, constants in series.items()
     ]
     if len(series) > 1:
         results.append(unevenness(series, shares))
     results.append(count)
     results.append(
-        constant_of("electrical_frequency", "Hz", [part.angle.frequencies for part in parts], shares.of_time)
+        constant_of("electrical_frequency", "Hz", [hold.angle.frequencies for hold in holds], shares.of_time)
     )
     ratio = torque_constant_ratio(runs, kb, torque_constant, torque_constant_std)
-    results += [*ratio.value, *harmonics_of(parts)]
+    results += [*ratio.value, *harmonics_of(holds)]
 
-    notes += [*ratio.notes, *remarks(parts, series, shares, both)]
+    notes += [*ratio.notes, *remarks(holds, series, shares, all_complete)]
     notes[:0] = unit_notes(runs, [kb], ["phase_voltage"])
     paths = tuple(str(run.path) for run in runs)
     return Result(
-        "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(parts, poles), plot_of_wave(parts, poles))
+        "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(holds, poles), plot_of_wave(holds, poles))
     )
 
 
-def pole_pairs_of(parts: Sequence[TurningHold], place: str) -> Noted[tuple[Estimate, int]]:
+def pole_pairs_of(holds: Sequence[TurningHold], error_prefix: str) -> Noted[tuple[Estimate, int]]:
     """Estimate the waves a turn and the number of pole pairs; a note says where a run's model has another number.
 
     Raises
     ------
     NotIdentifiable : no whole number, or not the same in all holds.
     """
-    counts = [waves_per_turn(len(part.angle.edges) - 1, part.shaft) for part in parts]
+    counts = [waves_per_turn(len(hold.angle.edges) - 1, hold.shaft) for hold in holds]
     numbers = {
-        whole_pole_pairs(value, std, f"{part.run.path} from {part.start:.2f} s")
-        for part, (value, std) in zip(parts, counts, strict=True)
+        whole_pole_pairs(value, std, f"{hold.run.path} from {hold.start:.2f} s")
+        for hold, (value, std) in zip(holds, counts, strict=True)
     }
     if len(numbers) > 1:
-        raise NotIdentifiable(f"{place}: pole pairs of {' and '.join(map(str, sorted(numbers)))} in different holds")
+        raise NotIdentifiable(
+            f"{error_prefix}: pole pairs of {' and '.join(map(str, sorted(numbers)))} in different holds"
+        )
     poles = numbers.pop()
     values, errors = np.array(counts).T
     value, std = float(values.mean()), math.sqrt(float(np.sum(errors**2))) / len(counts)
     half = 1.96 * std
     notes = []
-    for path, modelled in {str(part.run.path): model_of(part.run).get("pole_pairs") for part in parts}.items():
+    for path, modelled in {str(hold.run.path): model_of(hold.run).get("pole_pairs") for hold in holds}.items():
         if modelled == 2 * poles:
             notes.append(
                 f"{path}: the model has {modelled} pole pairs; {poles} were counted: its figure is that of poles"
@@ -172,9 +176,9 @@ def winding_of(run: Run) -> Noted[str]:
     return Noted(str(winding))
 
 
-def scaled(item: Estimate, factor: float, name: str, units: str) -> Estimate:
+def scaled(estimate: Estimate, factor: float, name: str, units: str) -> Estimate:
     """An estimate times a number that is exact."""
-    value, std, low, high = (factor * number for number in (item.value, item.std, item.low, item.high))
+    value, std, low, high = (factor * number for number in (estimate.value, estimate.std, estimate.low, estimate.high))
     return Estimate(name, value, std, low, high, units)
 
 
@@ -193,17 +197,19 @@ def covering(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estim
 
 def unevenness(series: dict[str, list[np.ndarray]], shares: CommonUncertainties) -> Estimate:
     """Largest less smallest pair over their mean; the scale that they share is in none of it."""
-    own = [constant_of(name, UNITS, found, shares.between_pairs) for name, found in series.items()]
-    values = [item.value for item in own]
+    constants = [
+        constant_of(name, UNITS, wave_constants, shares.between_pairs) for name, wave_constants in series.items()
+    ]
+    values = [estimate.value for estimate in constants]
     mean = sum(values) / len(values)
     value = (max(values) - min(values)) / mean
-    std = math.hypot(own[values.index(max(values))].std, own[values.index(min(values))].std) / mean
+    std = math.hypot(constants[values.index(max(values))].std, constants[values.index(min(values))].std) / mean
     low = value - 1.96 * std if value > 3.5 * std else 0.0
     return Estimate("unevenness", value, std, low, value + 1.96 * std, "1")
 
 
 def torque_constant_ratio(
-    runs: Sequence[Run], kb: Estimate, given: float | None, std: float | None
+    runs: Sequence[Run], kb: Estimate, given_constant: float | None, std: float | None
 ) -> Noted[list[Estimate]]:
     """Estimate Kt over Kb; the list is empty where no Kt is known.
 
@@ -213,18 +219,15 @@ def torque_constant_ratio(
     ------
     InputError : a torque constant or an uncertainty that makes no sense.
     """
-    if given is not None and not (math.isfinite(given) and given > 0.0):
-        raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
-    if std is not None and not (math.isfinite(std) and std >= 0.0):
-        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
-    kt = given if given is not None else model_of(runs[0]).get("torque_constant")
+    refuse_torque_constant(given_constant, std)
+    kt = given_constant if given_constant is not None else model_of(runs[0]).get("torque_constant")
     if not isinstance(kt, int | float) or isinstance(kt, bool) or kt <= 0.0:
         return Noted([], ("no torque constant is known to compare with: give --torque-constant",))
-    source = "as given" if given is not None else "of the model in the run"
+    source = "as given" if given_constant is not None else "of the model in the run"
     ratio = kt / kb.value
     relative = math.hypot(kb.std / kb.value, (std or 0.0) / kt)
     notes = []
-    reason = current_convention.reason_for_ratio(ratio, given is not None)
+    reason = current_convention.reason_for_ratio(ratio, given_constant is not None)
     if reason:
         notes.append(
             f"the torque constant {kt:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {reason}"
@@ -237,7 +240,7 @@ def torque_constant_ratio(
 
 
 def remarks(
-    parts: Sequence[TurningHold], series: dict[str, list[np.ndarray]], shares: CommonUncertainties, complete: bool
+    holds: Sequence[TurningHold], series: dict[str, list[np.ndarray]], shares: CommonUncertainties, complete: bool
 ) -> list[str]:
     """What a reader must know of the channels, the pairs and the speed."""
     notes = [
@@ -246,30 +249,30 @@ def remarks(
     ]
     if not complete:
         notes.append("fewer than two pairs: how uneven the others are is not in the uncertainty of the constant")
-    for part in parts:
-        where = f"{part.run.path} from {part.start:.2f} s"
-        notes += [f"{where}: {text}" for text in part.findings]
-        if part.shaft.ripple > UNEVEN:
+    for hold in holds:
+        where = f"{hold.run.path} from {hold.start:.2f} s"
+        notes += [f"{where}: {text}" for text in hold.findings]
+        if hold.shaft.ripple > UNEVEN:
             notes.append(
-                f"{where}: the speed ripples by {part.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
+                f"{where}: the speed ripples by {hold.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
                 " quarter of that, and their mean by nothing"
             )
-        if part.left_over > SUM_OF_THREE:
+        if hold.left_over > SUM_OF_THREE:
             notes.append(
-                f"{where}: the three voltages leave {part.left_over:.1%} of a pair, and not zero: a channel's scale is"
+                f"{where}: the three voltages leave {hold.left_over:.1%} of a pair, and not zero: a channel's scale is"
                 " off, or a pair is not measured at the motor's leads"
             )
-        for name, offset in part.offsets.items():
-            if abs(offset) > SHIFTED * part.volts[name]:
+        for name, offset in hold.offsets.items():
+            if abs(offset) > SHIFTED * hold.volts[name]:
                 notes.append(f"{where}: pair {name} is offset by {offset:+.3g} V, which does not count")
-        moved = {name: drift_of(size) / float(np.nanmean(size)) for name, size in part.sizes.items()}
+        moved = {name: drift_of(size) / float(np.nanmean(size)) for name, size in hold.sizes.items()}
         drifting = {name: change for name, change in moved.items() if change}
-        told = ", ".join(f"{name} by {change:+.2%}" for name, change in drifting.items())
+        changes = ", ".join(f"{name} by {change:+.2%}" for name, change in drifting.items())
         if len(drifting) == len(moved) and len(moved) > 1:
-            notes.append(f"{where}: all pairs drift ({told}): the magnets' temperature, or the converter's scale")
+            notes.append(f"{where}: all pairs drift ({changes}): the magnets' temperature, or the converter's scale")
         elif drifting:
-            notes.append(f"{where}: pair {told} drifts, others do not: its channel, or the contacts of its leads")
-    spread = [float(np.nanmean(np.concatenate(found))) for found in series.values()]
+            notes.append(f"{where}: pair {changes} drifts, others do not: its channel, or the contacts of its leads")
+    spread = [float(np.nanmean(np.concatenate(wave_constants))) for wave_constants in series.values()]
     if max(spread) - min(spread) > UNEVEN * max(spread):
         notes.append(
             f"the pairs differ by {(max(spread) - min(spread)) / max(spread):.1%}: windings, dividers or contacts"
@@ -277,29 +280,29 @@ def remarks(
     return notes
 
 
-def plot_over_time(parts: Sequence[TurningHold], poles: int) -> Plot:
+def plot_over_time(holds: Sequence[TurningHold], poles: int) -> Plot:
     """Kb line to line of every wave over the time of its middle."""
     points = []
     for name in PAIRS:
-        own = [part for part in parts if name in part.sizes]
-        if own:
-            time = np.concatenate([0.5 * (part.angle.edges[1:] + part.angle.edges[:-1]) for part in own])
-            size = np.concatenate([poles * part.sizes[name] for part in own])
+        with_pair = [hold for hold in holds if name in hold.sizes]
+        if with_pair:
+            time = np.concatenate([0.5 * (hold.angle.edges[1:] + hold.angle.edges[:-1]) for hold in with_pair])
+            size = np.concatenate([poles * hold.sizes[name] for hold in with_pair])
             points.append(Series(name, tuple(time.tolist()), tuple(size.tolist())))
-    mean = float(np.nanmean(np.concatenate([poles * part.mean_of_pairs for part in parts])))
-    every = [moment for item in points for moment in item.x]
-    line = Series("mean", (min(every), max(every)), (mean, mean))
+    mean = float(np.nanmean(np.concatenate([poles * hold.mean_of_pairs for hold in holds])))
+    times = [moment for series in points for moment in series.x]
+    line = Series("mean", (min(times), max(times)), (mean, mean))
     return Plot("time [s]", f"Kb line to line [{UNITS}]", tuple(points), (line,))
 
 
-def plot_of_wave(parts: Sequence[TurningHold], poles: int) -> Plot:
+def plot_of_wave(holds: Sequence[TurningHold], poles: int) -> Plot:
     """The mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     points = []
     for name in PAIRS:
-        own = [part.waves[name].linkage for part in parts if name in part.waves]
-        if own:
-            mean = np.nanmean(own[0], axis=1)
+        linkages = [hold.waves[name].linkage for hold in holds if name in hold.waves]
+        if linkages:
+            mean = np.nanmean(linkages[0], axis=1)
             orders = np.arange(1, len(mean) + 1)[:, np.newaxis]
             shape = poles * np.sum(
                 np.abs(mean)[:, np.newaxis] * np.cos(orders * angle + np.angle(mean)[:, np.newaxis]), axis=0

@@ -58,7 +58,7 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
         kept = comparable_runs.value
         notes += [*(note for answer in answers for note in answer.notes), *comparable_runs.notes]
         means = averaged([answers[index].results for index in kept], [str(members[index].path) for index in kept])
-        results += [replace(item, name=f"{label}{item.name}") for item in means]
+        results += [replace(estimate, name=f"{label}{estimate.name}") for estimate in means]
         plots += [plot for index in kept for plot in answers[index].plots]
         grids += [grid for index in kept for grid in answers[index].grids]
     if not channel and any(len(chosen(run, channel)) > MOST_PLOTTED for run in runs):
@@ -90,7 +90,7 @@ def of_run(run: Run, channel: Sequence[str] | None) -> Result:
     measured = chosen(run, channel)
     holds = held(run)
     too_few: dict[tuple[str, ...], list[str]] = {}  # labels of holds by the channels that they know too little of
-    results = [item for label, step in holds for item in over_hold(label, step, measured, too_few)]
+    results = [estimate for label, step in holds for estimate in over_hold(label, step, measured, too_few)]
     for names, labels in too_few.items():
         reason = f"fewer than {FEWEST_SAMPLES} samples over its settled part"
         notes += tally({reason: list(names)}, f"{run.path}: {listed(labels)}")
@@ -113,11 +113,11 @@ def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
 
     A drive that is off and a shaft that stands read 0.
     """
-    seen = channel.values[np.isfinite(channel.values)]
-    if channel.quantity not in NOISY or len(seen) < FEWEST_SAMPLES or np.any(seen != seen[0]):
+    readings = channel.values[np.isfinite(channel.values)]
+    if channel.quantity not in NOISY or len(readings) < FEWEST_SAMPLES or np.any(readings != readings[0]):
         return
-    if seen[0] or channel.quantity not in AT_REST:
-        yield f"{run.path}: {name} reads exactly {seen[0]:.6g} {channel.units} throughout: is its sensor connected?"
+    if readings[0] or channel.quantity not in AT_REST:
+        yield f"{run.path}: {name} reads exactly {readings[0]:.6g} {channel.units} throughout: is its sensor connected?"
 
 
 def comparable(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int]]:
@@ -126,30 +126,34 @@ def comparable(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int
     A run that ended early is left out if its results differ from those of the first complete run, or, where all ended
     early, of the run with the most results.
     """
-    names = [{item.name for item in answer.results} for answer in answers]
-    whole = [run.status in ("complete", "") for run in runs]
-    first = max(range(len(runs)), key=lambda index: (whole[index], len(names[index]), -index))
-    kept = [index for index in range(len(runs)) if whole[index] or names[index] == names[first]]
+    names = [{estimate.name for estimate in answer.results} for answer in answers]
+    complete = [run.status in ("complete", "") for run in runs]
+    first = max(range(len(runs)), key=lambda index: (complete[index], len(names[index]), -index))
+    kept = [index for index in range(len(runs)) if complete[index] or names[index] == names[first]]
     reason = f"left out: it ended early and has other steps or channels than {runs[first].path}"
     return Noted(kept, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept))
 
 
 def chosen(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
     """Measured channels by name: quantity, after a role other than test and before a location."""
-    known = {}
+    path_of_name = {}
     for stream, specs in run.streams.items():
         for spec in specs:
             role = "" if spec.role == "test" else f"{spec.role}_"
             location = f"_{spec.location}" if spec.location else ""
-            known[f"{role}{spec.quantity or spec.name}{location}".replace(" ", "_")] = f"{stream}/{spec.name}"
-    lacking = [name for name in wanted or () if name not in known and name not in known.values()]
+            path_of_name[f"{role}{spec.quantity or spec.name}{location}".replace(" ", "_")] = f"{stream}/{spec.name}"
+    lacking = [name for name in wanted or () if name not in path_of_name and name not in path_of_name.values()]
     if lacking:
-        raise MissingChannel(f"{run.path}: no channel {', '.join(lacking)}; the run has {', '.join(known)}")
+        raise MissingChannel(f"{run.path}: no channel {', '.join(lacking)}; the run has {', '.join(path_of_name)}")
     if wanted:
-        kept = {name: place for name, place in known.items() if name in wanted or place in wanted}
+        kept = {
+            name: channel_path
+            for name, channel_path in path_of_name.items()
+            if name in wanted or channel_path in wanted
+        }
     else:
-        kept = {name: place for name, place in known.items() if not name.endswith("_reference")}
-    return {name: run.channel_at(place) for name, place in kept.items()}
+        kept = {name: channel_path for name, channel_path in path_of_name.items() if not name.endswith("_reference")}
+    return {name: run.channel_at(channel_path) for name, channel_path in kept.items()}
 
 
 def held(run: Run) -> list[tuple[str, Step]]:
@@ -189,19 +193,19 @@ def over_hold(
     label: str, step: Step, measured: dict[str, Channel], too_few: dict[tuple[str, ...], list[str]]
 ) -> list[Estimate]:
     """Mean, deviation and drift of each channel over one hold; channels with too few samples go into `too_few`."""
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     lacking = []
     start = step.start + step.settle
-    for name, one in measured.items():
-        mean = settled_mean(one, start, step.stop)
+    for name, channel in measured.items():
+        mean = settled_mean(channel, start, step.stop)
         if mean is None:
             lacking.append(name)
             continue
-        part = span(one, start, step.stop)
-        found += statistics(f"{label}_{name}", one.time[part], one.values[part], one.units)
+        part = span(channel, start, step.stop)
+        estimates += statistics(f"{label}_{name}", channel.time[part], channel.values[part], channel.units)
     if lacking:
         too_few.setdefault(tuple(lacking), []).append(label)
-    return found
+    return estimates
 
 
 def statistics(name: str, time: Array, values: Array, units: str) -> list[Estimate]:
@@ -216,14 +220,14 @@ def statistics(name: str, time: Array, values: Array, units: str) -> list[Estima
     low, high = (deviation * math.sqrt(dof / chi2.ppf(0.5 + side * CONFIDENCE / 2, dof)) for side in (1, -1))
     scatter = Estimate(f"{name}_deviation", deviation, deviation / math.sqrt(2.0 * dof), low, high, units)
 
-    since = time - time[good].mean()
-    length = float(np.sum(since[good] ** 2))
-    away = values - (values[good].mean() if varies else values[good][0])  # of a constant exactly zero
-    slope = float(np.sum(since[good] * away[good])) / length
-    rest = away - slope * since
-    rest_deviation, rest_error = float(np.std(rest[good], ddof=1)), standard_error(rest)
-    effective = independent(rest_deviation, rest_error, int(good.sum()))
-    error = rest_deviation * math.sqrt(good.sum() / effective / length)
+    centred_time = time - time[good].mean()
+    length = float(np.sum(centred_time[good] ** 2))
+    deviations = values - (values[good].mean() if varies else values[good][0])  # of a constant exactly zero
+    slope = float(np.sum(centred_time[good] * deviations[good])) / length
+    residual = deviations - slope * centred_time
+    residual_deviation, residual_error = float(np.std(residual[good], ddof=1)), standard_error(residual)
+    effective = independent(residual_deviation, residual_error, int(good.sum()))
+    error = residual_deviation * math.sqrt(good.sum() / effective / length)
     drift = with_interval(f"{name}_drift", slope, error, effective - 2.0, f"{units}/s")
     return [mean, scatter, drift]
 
@@ -239,31 +243,31 @@ def with_interval(name: str, value: float, std: float, dof: float, units: str) -
     return Estimate(name, value, std, value - half, value + half, units)
 
 
-def averaged(every: Sequence[Sequence[Estimate]], paths: Sequence[str]) -> list[Estimate]:
+def averaged(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[str]) -> list[Estimate]:
     """Each result over all runs: the mean, with the scatter between and within runs where there is more than one.
 
     Raises
     ------
     InputError : a run has other results than the first.
     """
-    if len(every) == 1:
-        return list(every[0])
-    named = [{item.name: item for item in found} for found in every]
-    for path, other in zip(paths[1:], named[1:], strict=True):
-        if differing := sorted(other.keys() ^ named[0].keys()):
+    if len(results_by_run) == 1:
+        return list(results_by_run[0])
+    by_name = [{estimate.name: estimate for estimate in estimates} for estimates in results_by_run]
+    for path, other in zip(paths[1:], by_name[1:], strict=True):
+        if differing := sorted(other.keys() ^ by_name[0].keys()):
             raise InputError(f"{path}: other steps or channels than {paths[0]} ({differing[0]}); analyse them apart")
-    return [mean_of([other[name] for other in named]) for name in named[0]]
+    return [mean_of([other[name] for other in by_name]) for name in by_name[0]]
 
 
 def mean_of(repeats: Sequence[Estimate]) -> Estimate:
     """The mean of a result over repeats, no better known than by what the repeats know of themselves."""
     count, first = len(repeats), repeats[0]
-    values = np.array([item.value for item in repeats])
+    values = np.array([estimate.value for estimate in repeats])
     by_scatter = with_interval(
         first.name, float(values.mean()), float(np.std(values, ddof=1)) / math.sqrt(count), count - 1.0, first.units
     )
-    std = math.hypot(*(item.std for item in repeats)) / count
-    half = math.hypot(*(0.5 * (item.high - item.low) for item in repeats)) / count
+    std = math.hypot(*(estimate.std for estimate in repeats)) / count
+    half = math.hypot(*(0.5 * (estimate.high - estimate.low) for estimate in repeats)) / count
     mean = by_scatter.value
     low, high = min(by_scatter.low, mean - half), max(by_scatter.high, mean + half)
     return replace(by_scatter, std=max(by_scatter.std, std), low=low, high=high)
@@ -286,12 +290,12 @@ def pictures(name: str, channel: Channel, holds: Sequence[tuple[str, Step]]) -> 
     """The means of the holds over time, and the histogram."""
     means = [(step.start, settled_mean(channel, step.start + step.settle, step.stop)) for _, step in holds]
     points = [(start, mean.value if mean is not None else NAN) for start, mean in means]
-    found = []
+    plots = []
     if len(points) > 1:
         x, y = zip(*points, strict=True)
-        found.append(Plot("time [s]", f"{name} [{channel.units}]", (Series("mean of a hold", x, y),), ()))
+        plots.append(Plot("time [s]", f"{name} [{channel.units}]", (Series("mean of a hold", x, y),), ()))
     if np.isfinite(channel.values).any():
         middles, counts = counted(channel)
         series = Series("readings", tuple(middles.tolist()), tuple(counts.tolist()))
-        found.append(Plot(f"{name} [{channel.units}]", "readings [1]", (series,), ()))
-    return found
+        plots.append(Plot(f"{name} [{channel.units}]", "readings [1]", (series,), ()))
+    return plots

@@ -93,7 +93,7 @@ def analyze(
     NotIdentifiable : fewer than two run-outs in a direction more than once.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
-    place = f"{paths_of(runs)}: coast-down"
+    error_prefix = f"{paths_of(runs)}: coast-down"
     notes = setup_notes(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
     usable_run_outs = joined(run_outs_of(run, number) for number, run in enumerate(runs))
     run_outs = usable_run_outs.value
@@ -102,7 +102,7 @@ def analyze(
     if len(run_outs) <= len(sides) or not run_outs:
         why = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
-            f"{place}: found {len(run_outs)} run-outs in {len(sides)} directions{why}; "
+            f"{error_prefix}: found {len(run_outs)} run-outs in {len(sides)} directions{why}; "
             "two or more in one direction are needed for their scatter"
         )
     if len(sides) == 1:
@@ -113,7 +113,7 @@ def analyze(
         constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
         notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
         results += scaled(run_outs, trials, constants)
-        refuse_below_zero(results[0], place, "current and velocity")
+        refuse_below_zero(results[0], error_prefix, "current and velocity")
     except NotIdentifiable as fault:
         notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
         units = {"rotor_inertia": "kg*m^2", **DRAG}

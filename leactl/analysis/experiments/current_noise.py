@@ -4,14 +4,10 @@ from collections.abc import Sequence
 
 from leactl.analysis.estimate import Result
 from leactl.analysis.responses.noise_records import NoiseExperiment
-from leactl.analysis.responses.noise_response import noise_response
+from leactl.analysis.responses.noise_response import NOISE_RESULTS, noise_response
 from leactl.runfile.read.reader import Run
 
-RESULTS = {
-    "bandwidth": "Hz",
-    "coherent_band_low": "Hz",
-    "coherent_band_high": "Hz",
-}
+RESULTS = NOISE_RESULTS
 
 # the paper's cut-off [Hz] of the record over that of its noise, so that a loop of any speed is filtered alike
 LOOP = NoiseExperiment(

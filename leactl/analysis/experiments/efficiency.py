@@ -105,7 +105,7 @@ def analyze(
     NotIdentifiable : no hold of a grid, none that was held, or no voltage and no resistance to work it out from.
     InputError : an uncertainty below zero, or readings whose signs contradict each other.
     """
-    place = f"{paths_of(runs)}: efficiency"
+    error_prefix = f"{paths_of(runs)}: efficiency"
     notes = setup_notes(runs, ("coupled",), "another machine has to drive or to be driven")
     given = GivenParameters(phase_resistance, back_emf_constant, winding_temperature)
     relative = {
@@ -115,7 +115,7 @@ def analyze(
     gathered = gather_grid(runs)
     known = calibration_of(runs, gathered.value, given, relative)
     calibration, stds = known.value
-    refuse_swapped(gathered.value, place)
+    refuse_swapped(gathered.value, error_prefix)
     drifting = with_drift(gathered.value, runs, calibration)
     points = drifting.value
     notes += [*gathered.notes, *known.notes, *drifting.notes]
@@ -137,7 +137,7 @@ def analyze(
             maps.append(means)
             notes += means.remarks(f"{role} {word}")
     if not results:
-        raise NotIdentifiable("\n".join([f"{place}: no point of the grid was held", *notes]))
+        raise NotIdentifiable("\n".join([f"{error_prefix}: no point of the grid was held", *notes]))
     drives = drives_loss(runs, points, calibration)
     results += drives.value
     notes += [*drives.notes, sources_of(stds)]

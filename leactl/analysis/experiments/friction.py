@@ -79,11 +79,11 @@ def analyze(
     NotIdentifiable : no torque constant, fewer than two levels at which the rotor turned, or too few points.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
-    place = f"{paths_of(runs)}: friction"
+    error_prefix = f"{paths_of(runs)}: friction"
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "friction of whatever else is on the shaft is counted in")
     gathered = gather_means(runs, (CURRENT, VELOCITY), usable_channel)
-    turning = steady(runs, gathered.value, place)
+    turning = steady(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
     sign = np.sign(levels.value[VELOCITY])
@@ -91,13 +91,13 @@ def analyze(
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
     notes.append(constants.note)
 
-    single_lines = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
+    single_lines = {name: alone(levels, torque, direction, error_prefix) for name, direction in DIRECTIONS.items()}
     if len(np.unique(sign)) == 2:
-        line = together(levels, torque, sign, place)
+        line = together(levels, torque, sign, error_prefix)
         results = line_results(line, "", unit, constants.relative_std)
         for name, single in single_lines.items():
             if isinstance(single, NotIdentifiable):
-                notes.append(f"{name} levels alone give no line: {str(single).removeprefix(place + ': ')}")
+                notes.append(f"{name} levels alone give no line: {str(single).removeprefix(error_prefix + ': ')}")
             else:
                 results += line_results(single, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
     else:
@@ -115,14 +115,27 @@ def analyze(
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
     names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
-    whole = [item for item in results if not item.name.endswith(tuple(DIRECTIONS))]
+    whole = [estimate for estimate in results if not estimate.name.endswith(tuple(DIRECTIONS))]
     notes[:0] = unit_notes(runs, whole, [CURRENT], [VELOCITY], torque_constant)
-    results.sort(key=lambda item: next(k for k, name in enumerate(names) if item.name.startswith(name)))
+    results.sort(key=lambda estimate: next(k for k, name in enumerate(names) if estimate.name.startswith(name)))
     return Result("friction", paths, tuple(results), tuple(notes), (plot,))
 
 
+def refuse_torque_constant(value: float | None, std: float | None) -> None:
+    """Refuse a given torque constant or standard uncertainty [N*m/A] that makes no sense.
+
+    Raises
+    ------
+    InputError : a torque constant that is not above zero, or an uncertainty below zero.
+    """
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"torque constant {value:g}: a positive number in N*m/A was expected")
+    if std is not None and not (math.isfinite(std) and std >= 0.0):
+        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
+
+
 def torque_constants(
-    runs: Sequence[Run], given: float | None, std: float | None, current_gain_std: float | None
+    runs: Sequence[Run], given_constant: float | None, std: float | None, current_gain_std: float | None
 ) -> TorqueConstants:
     """The torque constant to use for each run: the given one, else that of the model it carries.
 
@@ -133,21 +146,22 @@ def torque_constants(
     NotIdentifiable : none is given and a run has none.
     InputError : a value or an uncertainty that makes no sense.
     """
-    if given is not None and not (math.isfinite(given) and given > 0.0):
-        raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
-    if std is not None and not (math.isfinite(std) and std >= 0.0):
-        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
-    values = np.array([given if given is not None else torque_constant_of_model(run) for run in runs])
+    refuse_torque_constant(given_constant, std)
+    values = np.array([given_constant if given_constant is not None else torque_constant_of_model(run) for run in runs])
     shown = ", ".join(f"{value:g}" for value in np.unique(values))
-    source = "as given" if given is not None else "from the model in the run"
+    source = "as given" if given_constant is not None else "from the model in the run"
     relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
     known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
     note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
-    note += "".join(f"; {one}" for one in calibration_notes({"current": gain}, "them")) if gain else ""
+    note += (
+        "".join(f"; {calibration_note}" for calibration_note in calibration_notes({"current": gain}, "them"))
+        if gain
+        else ""
+    )
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 
-def steady(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMeans]:
+def steady(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     """Keep the holds in which the rotor turned steadily with its current; notes name the others and why.
 
     The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
@@ -166,7 +180,8 @@ def steady(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMean
     turned = ~stood
     if turned.any() and (velocity * current < 0.0)[turned].all():
         raise InputError(
-            f"{place}: the rotor turned against its current in all {turned.sum()} holds in which it turned; {SWAPPED}"
+            f"{error_prefix}: the rotor turned against its current in all {turned.sum()} holds in which it turned;"
+            f" {SWAPPED}"
         )
     reasons = {
         "the rotor did not turn": stood,
@@ -188,7 +203,7 @@ def steady(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMean
     if distinct < 2:
         why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
         raise NotIdentifiable(
-            f"{place}: found {distinct} levels of current at which the rotor turned steadily"
+            f"{error_prefix}: found {distinct} levels of current at which the rotor turned steadily"
             f"{f' ({why})' if why else ''}; two or more are needed"
         )
     return Noted(levels.where(kept), tuple(notes))
@@ -200,30 +215,30 @@ def regressors(levels: HoldMeans, sign: Array) -> dict[str, Array]:
     return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
 
 
-def together(levels: HoldMeans, torque: Array, sign: Array, place: str) -> LineFit:
+def together(levels: HoldMeans, torque: Array, sign: Array, error_prefix: str) -> LineFit:
     """Both directions with one b, one f and an offset for each run; the slope needs two levels in one direction."""
     faults = []
     for direction in DIRECTIONS.values():
-        own = levels.where(sign == direction)
+        one_way = levels.where(sign == direction)
         try:
-            require_levels(place, "velocity", own.setpoint, own.value[VELOCITY], own.std[VELOCITY])
+            require_levels(error_prefix, "velocity", one_way.setpoint, one_way.value[VELOCITY], one_way.std[VELOCITY])
         except NotIdentifiable as fault:
             faults.append(fault)
     if len(faults) == len(DIRECTIONS):
         raise faults[0]
-    return fit_lines(regressors(levels, sign), torque, levels, place)
+    return fit_lines(regressors(levels, sign), torque, levels, error_prefix)
 
 
-def alone(levels: HoldMeans, torque: Array, direction: float, place: str) -> LineFit | NotIdentifiable:
+def alone(levels: HoldMeans, torque: Array, direction: float, error_prefix: str) -> LineFit | NotIdentifiable:
     """The line of one direction, or why there is none."""
-    of_it = np.sign(levels.value[VELOCITY]) == direction
-    if not of_it.any():
-        return NotIdentifiable(f"{place}: found no level at which the rotor turned that way")
-    own = levels.where(of_it)
-    velocity = own.value[VELOCITY]
+    in_direction = np.sign(levels.value[VELOCITY]) == direction
+    if not in_direction.any():
+        return NotIdentifiable(f"{error_prefix}: found no level at which the rotor turned that way")
+    one_way = levels.where(in_direction)
+    velocity = one_way.value[VELOCITY]
     try:
-        require_levels(place, "velocity", own.setpoint, velocity, own.std[VELOCITY])
-        return fit_lines({"viscous_damping": velocity}, torque[of_it], own, place)
+        require_levels(error_prefix, "velocity", one_way.setpoint, velocity, one_way.std[VELOCITY])
+        return fit_lines({"viscous_damping": velocity}, torque[in_direction], one_way, error_prefix)
     except NotIdentifiable as fault:
         return fault
 
@@ -234,14 +249,14 @@ def line_results(
     """Estimates of one fit; of a direction alone, its intercept is the friction."""
     per_velocity = "N*s/m" if unit == "N" else "N*m*s/rad"
     fit = line.fit
-    found = [line.estimate("viscous_damping", f"viscous_damping{suffix}", per_velocity, relative_std)]
+    estimates = [line.estimate("viscous_damping", f"viscous_damping{suffix}", per_velocity, relative_std)]
     if direction is not None:
         intercept = direction * line.mean_intercept
-        found.append(fit.estimate(f"coulomb_friction{suffix}", unit, intercept, relative_std))
+        estimates.append(fit.estimate(f"coulomb_friction{suffix}", unit, intercept, relative_std))
     else:
-        found.append(line.estimate("coulomb_friction", "coulomb_friction", unit, relative_std))
-        found.append(fit.estimate("offset", unit, line.mean_intercept, relative_std))
-    return [*found, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
+        estimates.append(line.estimate("coulomb_friction", "coulomb_friction", unit, relative_std))
+        estimates.append(fit.estimate("offset", unit, line.mean_intercept, relative_std))
+    return [*estimates, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
 
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
@@ -251,9 +266,9 @@ def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: 
     coulomb = line.slope("coulomb_friction") if "coulomb_friction" in line.slopes else 0.0
     points, lines = [], []
     for label, direction in DIRECTIONS.items():
-        of_it = sign == direction
-        if of_it.any():
-            speed, along = direction * velocity[of_it], direction * torque[of_it]
+        in_direction = sign == direction
+        if in_direction.any():
+            speed, along = direction * velocity[in_direction], direction * torque[in_direction]
             points.append(Series(label, tuple(speed.tolist()), tuple(along.tolist())))
             ends = np.array([speed.min(), speed.max()])
             fitted = line.slope("viscous_damping") * ends + coulomb + direction * intercept

@@ -14,6 +14,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
 from leactl.analysis.experiments.friction import torque_constants
+from leactl.analysis.experiments.torque_constant import intercepts_by_hold
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
@@ -79,28 +80,28 @@ def analyze(
     NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
     InputError : a given number that makes no sense, or current and velocity of opposite senses.
     """
-    place = f"{paths_of(runs)}: no-load loss"
-    alone = {
+    error_prefix = f"{paths_of(runs)}: no-load loss"
+    without_iron = {
         "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
         "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
     gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, held=HELD), HELD)
-    turning = at_setpoint(runs, gathered.value, place)
+    turning = at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
     torque = constants.values[levels.run] * levels.value[CURRENT]
-    line = fit_drag(levels, torque, place)
+    line = fit_drag(levels, torque, error_prefix)
     notes += [constants.note, *fit_notes(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
     if not both_ways(levels):
         notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
-    full = float(np.max(np.abs(levels.setpoint)))
-    loss = line.fit.estimate("no_load_loss", "W", full * weights_at(line, full), constants.relative_std)
-    refuse_below_zero(loss, place, "current and velocity")
+    full_speed = float(np.max(np.abs(levels.setpoint)))
+    loss = line.fit.estimate("no_load_loss", "W", full_speed * weights_at(line, full_speed), constants.relative_std)
+    refuse_below_zero(loss, error_prefix, "current and velocity")
     results = coefficients(line, constants.relative_std)
-    results += [Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"), loss]
-    iron_losses = iron(results, alone)
+    results += [Estimate("full_speed", full_speed, NAN, NAN, NAN, "rad/s"), loss]
+    iron_losses = iron(results, without_iron)
     results += iron_losses.value
     notes += iron_losses.notes
     notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
@@ -130,18 +131,18 @@ def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> No
 
     Where the friction is not known, the value is NaN and the interval reaches from zero to all of the drag.
     """
-    by_name = {item.name: item for item in drag}
+    by_name = {estimate.name: estimate for estimate in drag}
     losses, unknown, notes = [], [], []
     for name, shared in IRON.items():
-        whole, known = by_name[shared], friction[shared]
+        total, known = by_name[shared], friction[shared]
         if known is None:
             unknown.append(name)
-            losses.append(Estimate(name, NAN, NAN, 0.0, max(whole.high, 0.0), whole.units))
+            losses.append(Estimate(name, NAN, NAN, 0.0, max(total.high, 0.0), total.units))
             continue
-        half = math.hypot(whole.high - whole.value, t_quantile(math.inf) * known.std)
-        value = whole.value - known.value
-        std = math.hypot(whole.std, known.std)
-        losses.append(Estimate(name, value, std, value - half, value + half, whole.units))
+        half = math.hypot(total.high - total.value, t_quantile(math.inf) * known.std)
+        value = total.value - known.value
+        std = math.hypot(total.std, known.std)
+        losses.append(Estimate(name, value, std, value - half, value + half, total.units))
         if value + half < 0.0:
             notes.append(f"{name} is below zero: the friction that is given is more than all of the drag")
     if unknown:
@@ -155,13 +156,14 @@ def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> No
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
     """Loss over speed, each direction, and the fit with its three parts on top of one another."""
     velocity = levels.value[VELOCITY]
-    zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
-    shown = (torque - zeros if both_ways(levels) else torque) * velocity
+    shown = (torque - intercepts_by_hold(line) if both_ways(levels) else torque) * velocity
     points = []
     for label, sign in (("forward", 1.0), ("backward", -1.0)):
-        of_it = np.sign(velocity) == sign
-        if of_it.any():
-            points.append(Series(label, tuple(np.abs(velocity[of_it]).tolist()), tuple(shown[of_it].tolist())))
+        in_direction = np.sign(velocity) == sign
+        if in_direction.any():
+            points.append(
+                Series(label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(shown[in_direction].tolist()))
+            )
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
     friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds
     lines = (

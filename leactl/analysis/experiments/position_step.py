@@ -3,15 +3,10 @@
 from collections.abc import Sequence
 
 from leactl.analysis.estimate import Result
-from leactl.analysis.responses.step_response import step_response
+from leactl.analysis.responses.step_response import STEP_RESULTS, step_response
 from leactl.runfile.read.reader import Run
 
-RESULTS = {
-    "rise_time": "s",
-    "overshoot": "%",
-    "settling_time": "s",
-    "steady_state_error": "%",
-}
+RESULTS = STEP_RESULTS
 
 
 def analyze(runs: Sequence[Run]) -> Result:

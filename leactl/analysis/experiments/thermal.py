@@ -116,7 +116,7 @@ def analyze(
     NotIdentifiable : no current, or no network of two bodies follows what was seen.
     InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
     """
-    place = f"{paths_of(runs)}: thermal"
+    error_prefix = f"{paths_of(runs)}: thermal"
     supply = [
         gain_std(runs, name, given)
         for name, given in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
@@ -128,22 +128,24 @@ def analyze(
     model = model_of(runs[0])
     limit = winding_limit if winding_limit is not None else limit_of(model)
     if limit <= ambient:
-        raise InputError(f"{place}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC")
+        raise InputError(
+            f"{error_prefix}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC"
+        )
     notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
     phase_of_line = phase_share(model)
     records = joined(heating_records(run) for run in runs)
     notes += [*phase_of_line.notes, *records.notes]
-    fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), place)
+    fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
     left_out = sum(frames_of(run) for run in runs) - fitted_frames
     if left_out > LEFT_OUT * fitted_frames:
         notes.append(f"left out {left_out} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
-    line = resistance_line(fit, place)
-    air = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
+    line = resistance_line(fit, error_prefix)
+    ambients = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
     widened = widened_by_offset(instruments, fit)
     instruments = widened.value
-    parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
+    parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE)
 
     constants_seen = slow_constants_seen(fit)
     estimates = joined(
@@ -158,7 +160,10 @@ def analyze(
     results = estimates.value
     notes += [*widened.notes, *estimates.notes]
     notes[:0] = unit_notes(
-        runs, [item for item in results if item.name == "phase_resistance"], ["line_voltage"], ["line_current"]
+        runs,
+        [estimate for estimate in results if estimate.name == "phase_resistance"],
+        ["line_voltage"],
+        ["line_current"],
     )
     currents = current_capability(parameters, phase_of_line.value, limit, ambient)
     if constants_seen < LEAST_SEEN:
@@ -180,10 +185,10 @@ def analyze(
 def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instruments]:
     """Widen the camera's uncertainties to the largest offset fitted against the ambient sensor, if it is clear."""
     offsets = [
-        abs(float(fit.point[at]))
+        abs(float(fit.point[parameter_index]))
         for index in range(len(fit.records))
         for name in ("offset_winding", "offset_housing")
-        if (at := fit.index_of(index, name)) is not None
+        if (parameter_index := fit.index_of(index, name)) is not None
     ]
     worst = max(offsets, default=0.0)
     if worst <= LATE * instruments.camera_offset:
@@ -209,8 +214,8 @@ def refuse_options(options: Mapping[str, float | None]) -> None:
 def limit_of(model: Mapping[str, Any]) -> float:
     """The winding's limit [degC] in a model, else the paper's."""
     limits = model.get("limits")
-    found = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
-    return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else WINDING_LIMIT
+    limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
+    return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else WINDING_LIMIT
 
 
 def phase_share(model: Mapping[str, Any]) -> Noted[float]:

@@ -57,7 +57,7 @@ def analyze(
     NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
     InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
-    place = f"{paths_of(runs)}: torque constant"
+    error_prefix = f"{paths_of(runs)}: torque constant"
     notes = setup_notes(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
@@ -67,15 +67,15 @@ def analyze(
     levels = directed.value
     notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
-    require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
+    require_levels(error_prefix, "current", levels.setpoint, current, levels.std[CURRENT])
 
     columns = {"torque_constant": current}
-    both = len(np.unique(levels.direction)) == 2
-    if both:
+    both_sides = len(np.unique(levels.direction)) == 2
+    if both_sides:
         columns["sticking_torque"] = levels.direction.astype(np.float64)
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is part of the offset")
-    line = fit_lines(columns, torque, levels, place)
+    line = fit_lines(columns, torque, levels, error_prefix)
     expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
     unit = levels.units[TORQUE]
     notes += fit_notes(line, expected, unit)
@@ -83,9 +83,9 @@ def analyze(
     notes += calibration_notes({"torque": torque_std, "current": current_std}, "the torque constants")
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
-    refuse_below_zero(results[0], place, "torque and current")
-    if both:
-        single_sides = slopes_by_side(levels, place, both_stds)
+    refuse_below_zero(results[0], error_prefix, "torque and current")
+    if both_sides:
+        single_sides = slopes_by_side(levels, error_prefix, both_stds)
         results += single_sides.value
         notes += single_sides.notes
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
@@ -123,35 +123,40 @@ def magnitude(signed: Estimate) -> Estimate:
     return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
 
 
-def slopes_by_side(levels: HoldMeans, place: str, relative_std: float) -> Noted[list[Estimate]]:
+def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) -> Noted[list[Estimate]]:
     """Estimate the slopes of the rising and of the falling levels alone; a note says which have too few levels."""
     slopes, notes = [], []
     for name, sign in SIDES.items():
         side = levels.where(levels.direction == sign)
         columns = {"slope": side.value[CURRENT]}
         try:
-            require_levels(place, "current", side.setpoint, side.value[CURRENT], side.std[CURRENT])
-            line = fit_lines(columns, side.value[TORQUE], side, place)
+            require_levels(error_prefix, "current", side.setpoint, side.value[CURRENT], side.std[CURRENT])
+            line = fit_lines(columns, side.value[TORQUE], side, error_prefix)
         except NotIdentifiable as fault:
-            notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
+            notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(error_prefix + ': ')}")
             continue
         units = f"{levels.units[TORQUE]}/A"
         slopes.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
     return Noted(slopes, tuple(notes))
 
 
+def intercepts_by_hold(line: LineFit) -> Array:
+    """Return the fitted intercept of each hold's run, shape (holds,)."""
+    runs = line.levels.run
+    return np.asarray(line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(runs), runs)])
+
+
 def plot_of(levels: HoldMeans, line: LineFit) -> Plot:
     """Level means by direction, each run's offset taken out, and the fitted lines."""
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
-    intercepts = line.fit.coefficients[len(line.slopes) :]
-    mean = float(np.mean(intercepts))
-    shown: Array = torque - intercepts[np.searchsorted(np.unique(levels.run), levels.run)] + mean
+    mean = float(np.mean(line.fit.coefficients[len(line.slopes) :]))
+    shown: Array = torque - intercepts_by_hold(line) + mean
     points, lines = [], []
     for label, sign in {**SIDES, "levels": 0}.items():
-        of_it = levels.direction == sign
-        if of_it.any():
-            points.append(Series(label, tuple(current[of_it].tolist()), tuple(shown[of_it].tolist())))
-            ends = np.array([current[of_it].min(), current[of_it].max()])
+        on_side = levels.direction == sign
+        if on_side.any():
+            points.append(Series(label, tuple(current[on_side].tolist()), tuple(shown[on_side].tolist())))
+            ends = np.array([current[on_side].min(), current[on_side].max()])
             slopes = dict(zip(line.slopes, line.fit.coefficients, strict=False))
             fitted = slopes["torque_constant"] * ends + sign * slopes.get("sticking_torque", 0.0) + mean
             lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))

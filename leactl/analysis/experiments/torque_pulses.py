@@ -16,7 +16,14 @@ from typing import Any
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
-from leactl.analysis.experiments.torque_constant import CURRENT, SIDES, TORQUE, convention_notes, with_direction
+from leactl.analysis.experiments.torque_constant import (
+    CURRENT,
+    SIDES,
+    TORQUE,
+    convention_notes,
+    intercepts_by_hold,
+    with_direction,
+)
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
@@ -60,8 +67,8 @@ class Bent:
         """Share of the torque that is missing at a current, and its gradient by the fit's coefficients."""
         ratio = current / self.peak
         kept = kept_at(ratio, [self.line.slope(name) for name in BENDS])
-        of = {name: 0.5 * kept**3 * ratio**power for name, power in BENDS.items()}
-        return 1.0 - kept, weights(self.line, of)
+        weight_of_bend = {name: 0.5 * kept**3 * ratio**power for name, power in BENDS.items()}
+        return 1.0 - kept, weights(self.line, weight_of_bend)
 
 
 def kept_at(ratio: Array | float, bends: Sequence[float]) -> Any:
@@ -92,7 +99,7 @@ def analyze(
     NotIdentifiable : fewer than five magnitudes of current within the sensor's range, or too few points.
     InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
-    place = f"{paths_of(runs)}: torque pulses"
+    error_prefix = f"{paths_of(runs)}: torque pulses"
     notes = setup_notes(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
@@ -102,12 +109,12 @@ def analyze(
     levels = directed.value
     notes += [*gathered.notes, *directed.notes]
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
-    require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
+    require_levels(error_prefix, "current", levels.setpoint, current, levels.std[CURRENT])
     magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(magnitudes) < FEWEST_LEVELS:
         raise NotIdentifiable(
-            f"{place}: found {len(magnitudes)} magnitudes of current; {FEWEST_LEVELS} or more are needed to tell a bend"
-            " from sticking"
+            f"{error_prefix}: found {len(magnitudes)} magnitudes of current; {FEWEST_LEVELS} or more are needed to tell"
+            " a bend from sticking"
         )
     peak = float(magnitudes[-1])
     columns: dict[str, Array] = {}
@@ -120,7 +127,7 @@ def analyze(
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
     try:
-        line = fitted(current / peak, peak, torque, columns, levels, place)
+        line = fitted(current / peak, peak, torque, columns, levels, error_prefix)
     except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
         raise NotIdentifiable("; ".join([str(fault), *unit_notes(runs, [], [TORQUE], [CURRENT])])) from None
     bent = Bent(line, peak)
@@ -132,7 +139,7 @@ def analyze(
 
     unit = levels.units[TORQUE]
     constant = line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)
-    refuse_below_zero(constant, place, "torque and current")
+    refuse_below_zero(constant, error_prefix, "torque and current")
     straight = straight_up_to(bent)
     notes += straight.notes
     results = [
@@ -153,19 +160,21 @@ def analyze(
 
 
 def fitted(
-    ratio: Array, peak: float, torque: Array, others: dict[str, Array], levels: HoldMeans, place: str
+    ratio: Array, peak: float, torque: Array, other_columns: dict[str, Array], levels: HoldMeans, error_prefix: str
 ) -> LineFit:
     """The curve through the levels, by straight lines along its slopes until they do not move."""
     constant, bends = 0.0, [0.0] * len(BENDS)
     for _ in range(ROUNDS):
         kept = kept_at(ratio, bends)
-        along = {"torque_constant": peak * ratio * kept}
-        pull = constant or float(along["torque_constant"] @ torque) / float(
-            along["torque_constant"] @ along["torque_constant"]
+        columns = {"torque_constant": peak * ratio * kept}
+        current_constant = constant or float(columns["torque_constant"] @ torque) / float(
+            columns["torque_constant"] @ columns["torque_constant"]
         )
-        along |= {name: -0.5 * pull * peak * ratio ** (1 + power) * kept**3 for name, power in BENDS.items()}
-        shift = sum(bend * along[name] for bend, name in zip(bends, BENDS, strict=True))
-        line = fit_lines(along | others, torque + shift, levels, place)
+        columns |= {
+            name: -0.5 * current_constant * peak * ratio ** (1 + power) * kept**3 for name, power in BENDS.items()
+        }
+        shift = sum(bend * columns[name] for bend, name in zip(bends, BENDS, strict=True))
+        line = fit_lines(columns | other_columns, torque + shift, levels, error_prefix)
         before, bends = bends, [line.slope(name) for name in BENDS]
         constant = line.slope("torque_constant")
         if max(abs(new - old) for new, old in zip(bends, before, strict=True)) < SETTLED:
@@ -173,12 +182,12 @@ def fitted(
     return line
 
 
-def weights(line: LineFit, of: dict[str, float]) -> Array:
+def weights(line: LineFit, weight_of_slope: dict[str, float]) -> Array:
     """Weights of the fit's coefficients by the names of its slopes."""
-    found = np.zeros(len(line.fit.coefficients))
-    for name, weight in of.items():
-        found[line.slopes.index(name)] = weight
-    return found
+    weight_of_coefficient = np.zeros(len(line.fit.coefficients))
+    for name, weight in weight_of_slope.items():
+        weight_of_coefficient[line.slopes.index(name)] = weight
+    return weight_of_coefficient
 
 
 def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
@@ -188,16 +197,16 @@ def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
     scatters, so that the interval holds the truth more often than 95 % ones do.
     """
     fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
-    full = bent.constant * bent.peak
-    own = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - full * gradient
+    unsaturated = bent.constant * bent.peak
+    torque_gradient = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - unsaturated * gradient
     remainder = bent.line.slope("remainder") if "remainder" in bent.line.slopes else 0.0
-    value = full * (1.0 - loss) + 0.5 * remainder
+    value = unsaturated * (1.0 - loss) + 0.5 * remainder
     hidden = 0.5 * abs(remainder) + abs(trend_of_sticking(bent))
-    std = math.sqrt(fit.variance * float(own @ fit.unscaled @ own))
+    std = math.sqrt(fit.variance * float(torque_gradient @ fit.unscaled @ torque_gradient))
     scattered = math.hypot(std, relative_std * value)
     half = t_quantile(fit.dof * (scattered / std) ** 4 if std > 1e-9 * scattered else math.inf) * scattered + hidden
-    whole = math.hypot(scattered, hidden / math.sqrt(3.0))
-    return Estimate("torque_at_peak", value, whole, value - half, value + half, unit)
+    total_std = math.hypot(scattered, hidden / math.sqrt(3.0))
+    return Estimate("torque_at_peak", value, total_std, value - half, value + half, unit)
 
 
 def trend_of_sticking(bent: Bent) -> float:
@@ -214,10 +223,10 @@ def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
     """Share of the torque that is missing at the peak; a current that is off by its gain is elsewhere on the bend."""
     fit = bent.line.fit
     value, gradient = bent.loss(bent.peak)
-    fitted = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
-    off = current_std * (bent.loss(1.01 * bent.peak)[0] - bent.loss(0.99 * bent.peak)[0]) / 0.02
-    std = math.hypot(fitted, off)
-    half = math.hypot(t_quantile(fit.dof) * fitted, t_quantile(math.inf) * off)
+    fit_std = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+    gain_effect = current_std * (bent.loss(1.01 * bent.peak)[0] - bent.loss(0.99 * bent.peak)[0]) / 0.02
+    std = math.hypot(fit_std, gain_effect)
+    half = math.hypot(t_quantile(fit.dof) * fit_std, t_quantile(math.inf) * gain_effect)
     return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
 
 
@@ -247,12 +256,11 @@ def plot_of(levels: HoldMeans, bent: Bent) -> Plot:
     """What the torque lacks of the straight line through small currents, both signs on one side."""
     line, sign, current = bent.line, np.sign(levels.setpoint), levels.value[CURRENT]
     points = []
-    intercepts = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
-    lack = sign * (bent.constant * current - (levels.value[TORQUE] - intercepts))
+    lack = sign * (bent.constant * current - (levels.value[TORQUE] - intercepts_by_hold(line)))
     for label, side in {**SIDES, "levels": 0}.items():
-        of_it = levels.direction == side
-        if of_it.any():
-            points.append(Series(label, tuple(np.abs(current[of_it]).tolist()), tuple(lack[of_it].tolist())))
+        on_side = levels.direction == side
+        if on_side.any():
+            points.append(Series(label, tuple(np.abs(current[on_side]).tolist()), tuple(lack[on_side].tolist())))
     drawn = np.linspace(0.0, bent.peak, 60)
     missing = [bent.loss(float(amperes))[0] * bent.constant * float(amperes) for amperes in drawn]
     fitted = Series("fit, without sticking", tuple(drawn.tolist()), tuple(missing))

@@ -103,7 +103,7 @@ def analyze(
     NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
     InputError : a given number that makes no sense.
     """
-    place = f"{paths_of(runs)}: torque sensor calibration"
+    error_prefix = f"{paths_of(runs)}: torque sensor calibration"
     weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
     reference = weighed.value
     gathered = gather_means(runs, (TORQUE,), partial(usable_channel, held=HELD), HELD)
@@ -112,18 +112,18 @@ def analyze(
     weights = np.unique(np.round(levels.setpoint, 9))
     if len(weights) < FEWEST_WEIGHTS:
         raise NotIdentifiable(
-            f"{place}: found {len(weights)} torques of weights; {FEWEST_WEIGHTS} or more are needed to see whether the"
-            " sensor is straight"
+            f"{error_prefix}: found {len(weights)} torques of weights; {FEWEST_WEIGHTS} or more are needed to see"
+            " whether the sensor is straight"
         )
     applied = levels.setpoint * reference.factor
-    line = fitted(applied, levels, place)
+    line = fitted(applied, levels, error_prefix)
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
     notes += fit_notes(line, levels.std[TORQUE], "N*m")
     factor_std = line.estimate("sensitivity", "sensitivity", "1").std
     if abs(factor) < FOLLOWS * factor_std:
         raise NotIdentifiable(
-            f"{place}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
+            f"{error_prefix}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
         )
     notes += judged(line, levels, factor, highest)
     measured = budget(runs, levels, line, factor_std, highest)
@@ -163,13 +163,13 @@ def reference_of(
     if not arms or min(arms) <= 0.0:
         raise NotIdentifiable(f"{paths_of(runs)}: no hold tells the arm of its weights (arm_m)")
     somewhere = gravity is None and gravity_std is None
-    taken = {
+    defaults = {
         "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,
         "mass_relative_std": MASS_STD,
         "arm_std_m": ARM_STD_M,
     }
-    lacking = [f"{name} {taken[name]:.2g}" for name, number in stds.items() if number is None and taken[name]]
-    used = {name: taken[name] if number is None else number for name, number in stds.items()}
+    lacking = [f"{name} {defaults[name]:.2g}" for name, number in stds.items() if number is None and defaults[name]]
+    used = {name: defaults[name] if number is None else number for name, number in stds.items()}
     local_gravity = gravity or WEIGHED_BY
     relative_gravity_std = 0.0 if somewhere else used["gravity_std"] / local_gravity
     relative_std = math.hypot(relative_gravity_std, used["mass_relative_std"], used["arm_std_m"] / min(arms))
@@ -178,7 +178,7 @@ def reference_of(
     return Noted(ReferenceTorque(local_gravity / WEIGHED_BY, relative_std, within), (note,) if lacking else ())
 
 
-def fitted(applied: Array, levels: HoldMeans, place: str) -> LineFit:
+def fitted(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
     """Reading over torque, with what goes with time or side as far as the holds tell it.
 
     Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
@@ -186,15 +186,15 @@ def fitted(applied: Array, levels: HoldMeans, place: str) -> LineFit:
     time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
     columns = {"sensitivity": applied}
     for number in np.unique(levels.run):
-        of_it = levels.run == number
-        middle = 0.5 * (time[of_it].min() + time[of_it].max())
-        columns[f"drift_{number}"] = np.where(of_it, time - middle, 0.0) / max(float(np.ptp(time[of_it])), 1e-9)
+        of_run = levels.run == number
+        middle = 0.5 * (time[of_run].min() + time[of_run].max())
+        columns[f"drift_{number}"] = np.where(of_run, time - middle, 0.0) / max(float(np.ptp(time[of_run])), 1e-9)
     if {1, -1} <= set(levels.direction.tolist()):
         columns[LOOP] = -np.sign(applied) * levels.direction * loop_at(applied)
     try:
-        return fit_lines(columns, levels.value[TORQUE], levels, place)
+        return fit_lines(columns, levels.value[TORQUE], levels, error_prefix)
     except NotIdentifiable:
-        return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, place)
+        return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, error_prefix)
 
 
 def loop_at(applied: Array) -> Array:
@@ -205,10 +205,10 @@ def loop_at(applied: Array) -> Array:
 
 def sensitivity(line: LineFit, reference: ReferenceTorque) -> Estimate:
     """The factor, with what the weights' torque is known to."""
-    own = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
-    half = half_width((own.high - own.value) / t_quantile(math.inf), math.inf, reference.within * own.value)
-    std = math.hypot(own.std, reference.within / math.sqrt(3.0) * own.value)
-    return Estimate(own.name, own.value, std, own.value - half, own.value + half, own.units)
+    factor = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
+    half = half_width((factor.high - factor.value) / t_quantile(math.inf), math.inf, reference.within * factor.value)
+    std = math.hypot(factor.std, reference.within / math.sqrt(3.0) * factor.value)
+    return Estimate(factor.name, factor.value, std, factor.value - half, factor.value + half, factor.units)
 
 
 def judged(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
@@ -253,21 +253,23 @@ def budget(
     if not dof:
         notes.append("no weight was hung twice: repeatability is not known, and not in the combined uncertainty")
     means = {
-        side: {value: float(residuals[of_it & (levels.setpoint == value)].mean()) for value in levels.setpoint[of_it]}
+        side: {
+            value: float(residuals[on_side & (levels.setpoint == value)].mean()) for value in levels.setpoint[on_side]
+        }
         for side in (1, -1)
-        if (of_it := levels.direction == side).any()
+        if (on_side := levels.direction == side).any()
     }
-    both = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
-    if not both:
+    loop_widths = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
+    if not loop_widths:
         notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
-    straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
+    departures = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
     zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
     steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
     parts = [
         BudgetComponent("repeatability", repeat, dof or math.inf),
         BudgetComponent("sensitivity", highest * slope_std / factor, line.fit.dof),
-        BudgetComponent("linearity", max(straight) / math.sqrt(3.0)),
-        BudgetComponent("hysteresis", 0.5 * max(both) / math.sqrt(3.0) if both else NAN),
+        BudgetComponent("linearity", max(departures) / math.sqrt(3.0)),
+        BudgetComponent("hysteresis", 0.5 * max(loop_widths) / math.sqrt(3.0) if loop_widths else NAN),
         BudgetComponent("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
         BudgetComponent("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
     ]
@@ -291,10 +293,10 @@ def plot_of(levels: HoldMeans, line: LineFit, applied: Array) -> Plot:
     """What readings depart from the straight line, over the torque of the weights."""
     points = []
     for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):
-        of_it = levels.direction == side
-        if of_it.any():
-            shown = line.fit.residuals[of_it]
-            points.append(Series(label, tuple(applied[of_it].tolist()), tuple(shown.tolist())))
+        on_side = levels.direction == side
+        if on_side.any():
+            shown = line.fit.residuals[on_side]
+            points.append(Series(label, tuple(applied[on_side].tolist()), tuple(shown.tolist())))
     ends = (float(applied.min()), float(applied.max()))
     return Plot(
         "torque of the weights [N*m]", "reading less the line [N*m]", tuple(points), (Series("line", ends, (0.0, 0.0)),)

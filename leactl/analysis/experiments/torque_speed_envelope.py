@@ -77,18 +77,19 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         its channel shows, or a torque or velocity that hangs.
     InputError : an uncertainty below zero, or a current against its setpoint.
     """
-    place = f"{paths_of(runs)}: torque-speed envelope"
+    error_prefix = f"{paths_of(runs)}: torque-speed envelope"
     notes = setup_notes(runs, ("coupled",), "another machine has to hold the speed")
     gathered = gather_means(runs, (TORQUE, VELOCITY, CURRENT), readings)
-    driven = driving(gathered.value, place)
+    driven = driving(gathered.value, error_prefix)
     levels = driven.value
-    refuse_still(levels, place)
-    asked = np.unique(np.round(np.abs(levels.setpoint), 9))
-    if len(asked) > 1:
+    refuse_still(levels, error_prefix)
+    currents = np.unique(np.round(np.abs(levels.setpoint), 9))
+    if len(currents) > 1:
         raise NotIdentifiable(
-            f"{place}: holds ask for {listed(f'{current:g} A' for current in asked)}; one current was expected"
+            f"{error_prefix}: holds ask for {listed(f'{current:g} A' for current in currents)};"
+            " one current was expected"
         )
-    limit = float(asked[0])
+    limit = float(currents[0])
     speed, flowing = np.abs(levels.value[VELOCITY]), np.abs(levels.value[CURRENT])
     limited = flowing < (1.0 - MISSING) * limit
     held = limit - flowing <= np.maximum(HELD * limit, CLEAR * levels.std[CURRENT])
@@ -102,13 +103,15 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         *best("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
         *best("power", "W", speed, torque, limited, levels, shared),
     ]
-    notes += [f"{item.name} without a repeat: how it scatters is not known" for item in highest if no_interval(item)]
+    notes += [
+        f"{result.name} without a repeat: how it scatters is not known" for result in highest if no_interval(result)
+    ]
     stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.holds_of(run))[1]]
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
         highest = [above(estimate, max(stops)) for estimate in highest]
     holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run)
-    at_corner = corner_speed(runs, holds, place)
+    at_corner = corner_speed(runs, holds, error_prefix)
     bus_voltage = bus(runs)
     results = [
         *highest,
@@ -122,7 +125,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
 
-def driving(levels: HoldMeans, place: str) -> Noted[HoldMeans]:
+def driving(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     """Keep the holds in which the actuator gave mechanical power; a note names the others.
 
     Raises
@@ -132,16 +135,18 @@ def driving(levels: HoldMeans, place: str) -> Noted[HoldMeans]:
     """
     flows = levels.value[CURRENT] * levels.setpoint
     if np.mean(flows < 0.0) > 0.5:
-        raise InputError(f"{place}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}")
+        raise InputError(
+            f"{error_prefix}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}"
+        )
     gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
     braking = [hold for hold, drove in zip(levels.holds, gives, strict=True) if not drove]
     if not gives.any():
-        raise NotIdentifiable(f"{place}: found no hold in which the actuator drove ({len(braking)} holds)")
+        raise NotIdentifiable(f"{error_prefix}: found no hold in which the actuator drove ({len(braking)} holds)")
     note = f"left out {len(braking)}: the actuator gave no power ({listed(braking)})"
     return Noted(levels.where(gives), (note,) if braking else ())
 
 
-def refuse_still(levels: HoldMeans, place: str) -> None:
+def refuse_still(levels: HoldMeans, error_prefix: str) -> None:
     """A torque or a velocity that never changes, whatever the hold, would leave a highest power without scatter.
 
     Raises
@@ -152,8 +157,8 @@ def refuse_still(levels: HoldMeans, place: str) -> None:
         means = levels.value[quantity][levels.run == run]
         if len(means) > 1 and np.ptp(means) <= SAME_READING * abs(means[0]):
             raise NotIdentifiable(
-                f"{place}: {quantity} of test reads {means[0]:.4g} {levels.units[quantity]} in all {len(means)} holds:"
-                " it hangs, or its resolution hides every change"
+                f"{error_prefix}: {quantity} of test reads {means[0]:.4g} {levels.units[quantity]} in all"
+                f" {len(means)} holds: it hangs, or its resolution hides every change"
             )
 
 
@@ -167,8 +172,8 @@ def readings(run: Run, quantity: str) -> Noted[Channel]:
     NotIdentifiable : the current is there in a hold, or the torque in all of them.
     """
     if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.holds_of(run))[1]):
-        at = ", ".join(f"{value:g} A" for value in ends)
-        raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
+        limits = ", ".join(f"{value:g} A" for value in ends)
+        raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {limits}; what flows beyond is not known")
     return usable_channel(run, quantity, least=1)
 
 
@@ -180,9 +185,9 @@ def above(highest: Estimate, stop: float) -> Estimate:
     return replace(highest, value=NAN, std=NAN, low=low, high=math.inf)
 
 
-def no_interval(item: Estimate) -> bool:
+def no_interval(estimate: Estimate) -> bool:
     """Whether it is a highest value that nothing tells the scatter of."""
-    return item.name.startswith("highest") and math.isnan(item.std)
+    return estimate.name.startswith("highest") and math.isnan(estimate.std)
 
 
 def by_inertia(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
@@ -241,33 +246,33 @@ def best(
     speed = np.abs(levels.value[VELOCITY])
     group = groups_of(speed)
     means = np.bincount(group, torque * factor) / np.bincount(group)
-    own = group == int(np.argmax(means))
-    at = Estimate(f"speed_of_highest_{name}", float(speed[own].mean()), NAN, NAN, NAN, "rad/s")
-    alike = kind == kind[np.flatnonzero(own)[0]]
-    speeds = indicator_columns(group[alike])
+    at_best_speed = group == int(np.argmax(means))
+    best_speed = Estimate(f"speed_of_highest_{name}", float(speed[at_best_speed].mean()), NAN, NAN, NAN, "rad/s")
+    same_kind = kind == kind[np.flatnonzero(at_best_speed)[0]]
+    speeds = indicator_columns(group[same_kind])
     try:
-        fit = least_squares(speeds, torque[alike], speeds, name)
+        fit = least_squares(speeds, torque[same_kind], speeds, name)
     except NotIdentifiable:
-        return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), at]
-    fit = widened_by(fit, partial_f_test(speeds, torque[alike], indicator_columns(levels.run[alike])))
-    weights = (np.unique(group[alike]) == group[own][0]) * float(factor[own].mean())
+        return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), best_speed]
+    fit = widened_by(fit, partial_f_test(speeds, torque[same_kind], indicator_columns(levels.run[same_kind])))
+    weights = (np.unique(group[same_kind]) == group[at_best_speed][0]) * float(factor[at_best_speed].mean())
     value, scattered = fit.combined(weights)
-    alike_std = value * math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
-    half = math.hypot(t_quantile(fit.dof) * scattered, t_quantile(math.inf) * alike_std)
-    std = math.hypot(scattered, alike_std)
-    return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), at]
+    shared_std = value * math.hypot(shared.gain, shared.zero / float(torque[at_best_speed].mean()))
+    half = math.hypot(t_quantile(fit.dof) * scattered, t_quantile(math.inf) * shared_std)
+    std = math.hypot(scattered, shared_std)
+    return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), best_speed]
 
 
-def drift_of(holds: SpeedHolds, found: Estimate) -> list[str]:
+def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     """A note where the corner moves from repeat to repeat by more than chance, and than its interval is wide.
 
     What a change of resistance does to the current goes with the current itself; over the fall of the current with the
     speed, and at the current asked for, it is how far the corner moves.
     """
-    if math.isnan(found.value):
+    if math.isnan(corner.value):
         return []
     speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
-    beyond = speed - found.value
+    beyond = speed - corner.value
     fall = float((holds.setpoint - current) @ beyond / (beyond @ beyond))  # A for each rad/s
     speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
@@ -275,7 +280,7 @@ def drift_of(holds: SpeedHolds, found: Estimate) -> list[str]:
     if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
-    if abs(moved) < found.high - found.low:
+    if abs(moved) < corner.high - corner.low:
         return []
     return [
         f"the corner drifts by {moved:+.2g} rad/s from the first repeat to the last: the winding warms, or the supply"
@@ -297,9 +302,9 @@ def bus(runs: Sequence[Run]) -> Noted[list[Estimate]]:
 def plot_of(speed: Array, torque: Array, limited: Mask) -> Plot:
     """Torque over speed by what limited it, and a line through the level means."""
     points = []
-    for label, of_it in (("current limit", ~limited), ("voltage limit", limited)):
-        if of_it.any():
-            points.append(Series(label, tuple(speed[of_it].tolist()), tuple(torque[of_it].tolist())))
+    for label, limited_so in (("current limit", ~limited), ("voltage limit", limited)):
+        if limited_so.any():
+            points.append(Series(label, tuple(speed[limited_so].tolist()), tuple(torque[limited_so].tolist())))
     order = np.argsort(speed)
     line = Series("envelope", tuple(speed[order].tolist()), tuple(torque[order].tolist()))
     return Plot("speed [rad/s]", "torque [N*m]", tuple(points), (line,))

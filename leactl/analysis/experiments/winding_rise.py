@@ -98,9 +98,9 @@ def analyze(
     NotIdentifiable : more than one run, no current, too few readings, or no resistance coefficient in the model.
     InputError : an uncertainty below zero, or leads that are swapped.
     """
-    place = paths_of(runs)
+    error_prefix = paths_of(runs)
     if len(runs) > 1:
-        raise NotIdentifiable(f"{place}: one run at a time; each begins from a temperature of its own")
+        raise NotIdentifiable(f"{error_prefix}: one run at a time; each begins from a temperature of its own")
     run = runs[0]
     notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
     copper, heating = copper_of(run), heating_of(run)
@@ -109,7 +109,7 @@ def analyze(
         "the supply's current": gain_std(runs, "line_current", current_gain_std),
     }
     gain = math.hypot(*gains.values())
-    cold, hot = cold_resistance(heating, place), hot_resistance(heating)
+    cold, hot = cold_resistance(heating, error_prefix), hot_resistance(heating)
     ambient = cold_temperature(run, heating.before)
     temperature, temperature_std = ambient.value
     per_ratio = 1.0 / copper.coefficient + temperature - copper.reference  # K for a resistance twice the cold one
@@ -133,10 +133,10 @@ def analyze(
 def heating_of(run: Run) -> Heating:
     """Readings of the longest stretch with the current on."""
     current, voltage = run.channel("line_current", role="test"), run.channel("line_voltage", role="test")
-    for one in (current, voltage):
-        refuse_clipped(run, one)
-    seen = np.isfinite(voltage.values)
-    time, volts = voltage.time[seen], voltage.values[seen]
+    for channel in (current, voltage):
+        refuse_clipped(run, channel)
+    finite = np.isfinite(voltage.values)
+    time, volts = voltage.time[finite], voltage.values[finite]
     known = np.isfinite(current.values)
     if known.sum() < FEWEST or len(time) < FEWEST:
         raise NotIdentifiable(f"{run.path}: line_current or line_voltage of test has no readings")
@@ -159,44 +159,44 @@ def heating_of(run: Run) -> Heating:
     return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
 
 
-def cold_resistance(heating: Heating, place: str) -> MeasuredResistance:
+def cold_resistance(heating: Heating, error_prefix: str) -> MeasuredResistance:
     """Resistance at the moment of switching on."""
     first = heating.time < COLD_S
     if int(np.sum(first)) < FEWEST:
         raise NotIdentifiable(
-            f"{place}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least {FEWEST} are needed to"
-            " lead back to the cold winding"
+            f"{error_prefix}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least {FEWEST} are"
+            " needed to lead back to the cold winding"
         )
     design = np.vander(heating.time[first], 3, increasing=True)
-    fit = least_squares(design, heating.resistance[first], design, place)
-    value, own = fit.combined(np.array([1.0, 0.0, 0.0]))
+    fit = least_squares(design, heating.resistance[first], design, error_prefix)
+    value, std = fit.combined(np.array([1.0, 0.0, 0.0]))
     limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
     if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
-        own *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
-    return MeasuredResistance(value, own, fit.dof, limit, heating.of_current)
+        std *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
+    return MeasuredResistance(value, std, fit.dof, limit, heating.of_current)
 
 
 def hot_resistance(heating: Heating) -> MeasuredResistance:
     """Mean resistance of the last half minute."""
     last = heating.time >= heating.time[-1] - HOT_S
-    value, own, limit = mean_of_part(heating, last)
-    return MeasuredResistance(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
+    value, std, limit = mean_of_part(heating, last)
+    return MeasuredResistance(value, std, float(np.sum(last)) - 1.0, limit, heating.of_current)
 
 
 def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
     """Mean resistance over some readings, its standard error, and the limit of its rounding error [ohm]."""
     time, values = heating.time[part], heating.resistance[part]
     design = np.column_stack([np.ones_like(time), time - time.mean()])
-    rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    limit = left_of_steps(heating, values - rest, np.full(len(values), 1.0 / len(values)), rest)
-    return float(np.mean(values)), float(np.std(rest)) / math.sqrt(max(len(values) - 2, 1)), limit
+    residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    limit = left_of_steps(heating, values - residual, np.full(len(values), 1.0 / len(values)), residual)
+    return float(np.mean(values)), float(np.std(residual)) / math.sqrt(max(len(values) - 2, 1)), limit
 
 
-def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -> float:
+def left_of_steps(heating: Heating, curve: Array, weights: Array, residual: Array) -> float:
     """Limit of the rounding error in a weighted sum, as far as noise leaves one [ohm]."""
     if heating.step <= 0.0:
         return 0.0
-    noise = math.sqrt(max(0.0, float(np.var(rest)) - heating.step**2 / 12.0))
+    noise = math.sqrt(max(0.0, float(np.var(residual)) - heating.step**2 / 12.0))
     return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
 
 
@@ -206,12 +206,15 @@ def winding_rise(
     """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
-    own = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
-    scattered = math.hypot(own, rise * at_first_std / per_ratio)
+    resistance_std = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
+    scattered = math.hypot(resistance_std, rise * at_first_std / per_ratio)
     steps = [per_ratio * ratio * known.limit / known.value for known in (hot, cold)]
     of_copper = rise / per_ratio * copper.within / copper.coefficient
     to_zero = math.copysign(copper.within, rise)
-    below, above = (half_width(scattered, math.inf, of_copper / (1.0 + off), *steps) for off in (to_zero, -to_zero))
+    below, above = (
+        half_width(scattered, math.inf, of_copper / (1.0 + signed_width), *steps)
+        for signed_width in (to_zero, -to_zero)
+    )
     std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in (of_copper, *steps)))
     return Estimate("winding_rise", rise, std, rise - below, rise + above, "K")
 
@@ -246,9 +249,9 @@ def cold_temperature(run: Run, before: float) -> Noted[tuple[float, float]]:
     """Return the temperature of the air before the moment `before` [s], and its standard uncertainty [degC]."""
     for air in run.channels(AMBIENT, "bench") or run.channels(AMBIENT):
         refuse_not_celsius(run, air)
-        rest = air.values[(air.time < before) & np.isfinite(air.values)]
-        if len(rest):
-            return Noted((float(np.mean(rest)), 1.0))
+        before_heating = air.values[(air.time < before) & np.isfinite(air.values)]
+        if len(before_heating):
+            return Noted((float(np.mean(before_heating)), 1.0))
     note = f"no ambient temperature before heating; taken as {UNKNOWN_COLD[0]:g} degC, within 6 K"
     return Noted(UNKNOWN_COLD, (note,))
 
@@ -263,13 +266,13 @@ def change(heating: Heating, kelvin_per_ohm: float) -> Noted[Estimate]:
         note = f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min"
         return Noted(Estimate(name, NAN, NAN, NAN, NAN, "K"), (note,))
     end = heating.time[-1]
-    then, now = (
+    earlier, now = (
         mean_of_part(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
         for stop in (end - STEADY_S, end)
     )
-    value = (now[0] - then[0]) * kelvin_per_ohm
-    scattered = math.hypot(now[1], then[1]) * kelvin_per_ohm
-    limits = [part[2] * kelvin_per_ohm for part in (then, now)]
+    value = (now[0] - earlier[0]) * kelvin_per_ohm
+    scattered = math.hypot(now[1], earlier[1]) * kelvin_per_ohm
+    limits = [part[2] * kelvin_per_ohm for part in (earlier, now)]
     half = half_width(scattered, math.inf, *limits)
     std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
     estimate = Estimate(name, value, std, value - half, value + half, "K")

@@ -35,13 +35,19 @@ def bandwidth_of(
     known : frequencies at which a level's response is known, shape (frequencies,).
     """
     earliest, latest = sampled_half_power(next(iter(responses.values())).frequency * method.interval)
-    half = np.full(len(earliest), HALF_POWER)
-    passes = [within(responses[level], known[level], at) for level in levels for at in (earliest, half, latest)]
+    half_power = np.full(len(earliest), HALF_POWER)
+    passes = [
+        crossing_bounds(responses[level], known[level], threshold)
+        for level in levels
+        for threshold in (earliest, half_power, latest)
+    ]
     if all(low == high for low, high in passes):
-        values = [_crossing_over(method, levels[level], known[level], (half, earliest, latest)) for level in levels]
+        values = [
+            _crossing_over(method, levels[level], known[level], (half_power, earliest, latest)) for level in levels
+        ]
         return Noted(mean_of_levels("bandwidth", "Hz", values))
-    lows = [within(surely(responses[level], -1), known[level], earliest)[0] for level in levels]
-    highs = [within(surely(responses[level], 1), known[level], latest)[1] for level in levels]
+    lows = [crossing_bounds(gain_bound(responses[level], -1), known[level], earliest)[0] for level in levels]
+    highs = [crossing_bounds(gain_bound(responses[level], 1), known[level], latest)[1] for level in levels]
     low, high = min(lows) if math.inf in highs else float(np.mean(lows)), float(np.mean(highs))
     if math.isinf(high):
         note = (
@@ -56,7 +62,7 @@ def bandwidth_of(
     return Noted(Estimate("bandwidth", NAN, NAN, low, high, "Hz"), (note,))
 
 
-def surely(response: Response, side: int) -> Response:
+def gain_bound(response: Response, side: int) -> Response:
     """The response with the lowest gain that noise leaves at 95 %, or the highest."""
     return response._replace(value=response.value * np.maximum(1.0 + side * ONE_SIDED * response.relative_std, 0.0))
 
@@ -71,20 +77,20 @@ def sampled_half_power(turns: Array) -> tuple[Array, Array]:
     return highest, highest * np.cos(angle)
 
 
-def within(response: Response, known: Mask, level: Array) -> tuple[float, float]:
+def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[float, float]:
     """Between which frequencies the gain first passes a level; equal where it does so between two known ones."""
-    over = response.gain - level
-    at = np.flatnonzero(known)
-    below = np.flatnonzero(over[at] < 0.0)
+    excess = response.gain - level
+    known_indices = np.flatnonzero(known)
+    below = np.flatnonzero(excess[known_indices] < 0.0)
     if not len(below):
-        return float(response.frequency[at[-1]]), math.inf
-    index = int(at[below[0]])
+        return float(response.frequency[known_indices[-1]]), math.inf
+    index = int(known_indices[below[0]])
     if not below[0]:
         return 0.0, float(response.frequency[index])
-    before = int(at[below[0] - 1])
+    before = int(known_indices[below[0] - 1])
     if index - before > 1:
         return float(response.frequency[before]), float(response.frequency[index])
-    share = over[before] / (over[before] - over[index])
+    share = excess[before] / (excess[before] - excess[index])
     value = float(response.frequency[before] + share * (response.frequency[index] - response.frequency[before]))
     return value, value
 
@@ -95,9 +101,9 @@ def _crossing_over(
     whole = together(spectra)
 
     def crossing(kept: Sequence[int]) -> TrialFigure:
-        left = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
-        response = method.response(whole.plus(together(left), -1) if left else whole)
-        (low, high), (first, _), (_, last) = (within(response, known, gain) for gain in gains)
+        left_out = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
+        response = method.response(whole.plus(together(left_out), -1) if left_out else whole)
+        (low, high), (first, _), (_, last) = (crossing_bounds(response, known, gain) for gain in gains)
         return TrialFigure(low, shared=(max(low - first, last - low),)) if low == high else TrialFigure(NAN)
 
     return over_trials(len(spectra), crossing)

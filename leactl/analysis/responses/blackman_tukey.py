@@ -64,18 +64,24 @@ class BlackmanTukey:
         count = round(self.highest / self.resolved * FINER) + FINER + 1
         return np.asarray(self.resolved / FINER * np.arange(count), np.float64)
 
-    def spectra(self, given: Array, answer: Array) -> Spectra:
-        """Of one record, its means taken out."""
-        given, answer = given - given.mean(), answer - answer.mean()
-        size = 1 << (2 * len(given) - 1).bit_length()
-        u, y = np.fft.rfft(given, size), np.fft.rfft(answer, size)
+    @property
+    def window(self) -> Array:
+        """Return Hann's window over the lags from -`lags` to `lags`, shape (2 `lags` + 1,)."""
         lag = np.arange(-self.lags, self.lags + 1)
-        window = 0.5 * (1.0 + np.cos(math.pi * lag / self.lags))
-        turns = np.exp(-2j * math.pi * self.interval * np.outer(self.frequency, lag))
-        found = [
-            turns @ (window * np.fft.irfft(pair, size)[lag]) for pair in (u.conj() * u, y.conj() * y, u.conj() * y)
+        return np.asarray(0.5 * (1.0 + np.cos(math.pi * lag / self.lags)), np.float64)
+
+    def spectra(self, reference: Array, measured: Array) -> Spectra:
+        """Of one record, its means taken out."""
+        reference, measured = reference - reference.mean(), measured - measured.mean()
+        size = 1 << (2 * len(reference) - 1).bit_length()
+        u, y = np.fft.rfft(reference, size), np.fft.rfft(measured, size)
+        lag = np.arange(-self.lags, self.lags + 1)
+        kernel = np.exp(-2j * math.pi * self.interval * np.outer(self.frequency, lag))
+        transforms = [
+            kernel @ (self.window * np.fft.irfft(pair, size)[lag])
+            for pair in (u.conj() * u, y.conj() * y, u.conj() * y)
         ]
-        return Spectra(found[0].real, found[1].real, found[2], len(given))
+        return Spectra(transforms[0].real, transforms[1].real, transforms[2], len(reference))
 
     def response(self, spectra: Spectra) -> "Response":
         """Gain and phase with coherence, as far as the highest frequency."""
@@ -85,13 +91,12 @@ class BlackmanTukey:
         coherence = np.divide(np.abs(spectra.cross) ** 2, power, out=np.zeros_like(power), where=power > 0.0)
         mirrored = np.concatenate([raw[FINER:0:-1].conj(), raw])  # the response at negative frequencies
         count = len(raw) - FINER
-        again = 0.5 * raw[:count] + 0.25 * (mirrored[:count] + mirrored[2 * FINER : 2 * FINER + count])
-        lag = np.arange(-self.lags, self.lags + 1)
-        window = 0.5 * (1.0 + np.cos(math.pi * lag / self.lags))
+        averaged = 0.5 * raw[:count] + 0.25 * (mirrored[:count] + mirrored[2 * FINER : 2 * FINER + count])
+        window = self.window
         share = float(np.sum((window * (2.0 - window)) ** 2)) / (2.0 * spectra.samples)
         coherence = np.clip(coherence[:count], 1e-12, 1.0)
         return Response(
-            self.frequency[:count], 2.0 * raw[:count] - again, coherence, np.sqrt(share * (1.0 / coherence - 1.0))
+            self.frequency[:count], 2.0 * raw[:count] - averaged, coherence, np.sqrt(share * (1.0 / coherence - 1.0))
         )
 
 

@@ -70,35 +70,35 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
         return "not sampled with the setpoint"
     part = span(setpoint, step.start + step.settle, step.stop)
-    time, given, answer = setpoint.time[part], setpoint.values[part], channel.values[part]
+    time, reference, response_values = setpoint.time[part], setpoint.values[part], channel.values[part]
     if len(time) < FEWEST:
         return f"fewer than {FEWEST} samples"
     intervals = np.diff(time)
     interval = float(np.median(intervals))
-    if not np.isfinite(given + answer).all() or np.any(np.abs(intervals / interval - 1.0) > EVEN):
+    if not np.isfinite(reference + response_values).all() or np.any(np.abs(intervals / interval - 1.0) > EVEN):
         return "samples are missing"
-    if not np.ptp(answer) > 0.0:
+    if not np.ptp(response_values) > 0.0:
         return "the channel does not move"
     method = BlackmanTukey(interval, len(time) // PART, 0.5 / interval)
-    spectra = method.spectra(given, answer)
+    spectra = method.spectra(reference, response_values)
     response = method.response(spectra)
     power = spectra.input[: len(response.frequency)]
     around = maximum_filter1d(power, 4 * FINER + 1)  # Hann's main lobe reaches two resolved frequencies to either side
     known = (power > REACHED * power.max()) & (power > SKIRT * around) & (response.coherence >= COHERENT)
-    known &= excited(given, interval, response.frequency, method.resolved)
+    known &= excited(reference, interval, response.frequency, method.resolved)
     known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
     if not known.any():
         return f"no frequency with a coherence of {COHERENT:g} or more"
     return Response(*(column[known] for column in response))
 
 
-def excited(given: Array, interval: float, frequency: Array, resolved: float) -> Mask:
+def excited(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
     """Which frequencies the setpoint itself reaches: a lag window's side lobes spread 3 % of a line far beyond it."""
     from scipy.ndimage import maximum_filter1d
     from scipy.signal.windows import blackmanharris  # side lobes below -90 dB
 
-    power = np.abs(np.fft.rfft((given - given.mean()) * blackmanharris(len(given)))) ** 2
-    bins = np.fft.rfftfreq(len(given), interval)
+    power = np.abs(np.fft.rfft((reference - reference.mean()) * blackmanharris(len(reference)))) ** 2
+    bins = np.fft.rfftfreq(len(reference), interval)
     half = round(0.5 * resolved / bins[1])
     return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > REACHED * power.max())
 
@@ -107,27 +107,27 @@ def rows(title: str, response: Response, units: str) -> list[Estimate]:
     """Gain and phase at a few of the frequencies, evenly over their decades."""
     wanted = np.geomspace(response.frequency[0], response.frequency[-1], LISTED)
     indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - at))) for at in wanted)
-    found = []
+    estimates = []
     for index in indices:
         at = f"at_{response.frequency[index]:.4g}_Hz"
         gain, phase = float(response.gain[index]), float(np.angle(response.value[index]))
         std = float(response.relative_std[index])
         half = std * t_quantile(np.inf)
         low = max(gain * (1.0 - half), 0.0)
-        found.append(Estimate(f"{title}_gain_{at}", gain, gain * std, low, gain * (1.0 + half), units))
-        found.append(Estimate(f"{title}_phase_{at}", phase, std, phase - half, phase + half, "rad"))
-    return found
+        estimates.append(Estimate(f"{title}_gain_{at}", gain, gain * std, low, gain * (1.0 + half), units))
+        estimates.append(Estimate(f"{title}_phase_{at}", phase, std, phase - half, phase + half, "rad"))
+    return estimates
 
 
 def curves(title: str, response: Response, units: str) -> list[Plot]:
     """Gain, phase and coherence over frequency."""
-    every = slice(0, None, max(1, len(response.frequency) // SHOWN))
-    x = tuple(response.frequency[every].tolist())
+    shown = slice(0, None, max(1, len(response.frequency) // SHOWN))
+    x = tuple(response.frequency[shown].tolist())
     columns = {f"gain [{units}]": response.gain, "phase [rad]": np.unwrap(np.angle(response.value))}
     columns["coherence [1]"] = response.coherence
     plot = Plot("frequency [Hz]", "", (), (), x_log=True)
     return [
-        replace(plot, y_label=f"{title} {label}", points=(Series(title, x, tuple(values[every].tolist())),))
+        replace(plot, y_label=f"{title} {label}", points=(Series(title, x, tuple(values[shown].tolist())),))
         for label, values in columns.items()
     ]
 

@@ -54,28 +54,30 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     MissingChannel : the run lacks the reference or the response.
     NotIdentifiable : there is no stretch of noise, or none with data.
     """
-    asked, measured = run.channel(loop.reference, role="test"), run.channel(loop.response, role="test")
+    reference, measured = run.channel(loop.reference, role="test"), run.channel(loop.response, role="test")
     steps = [step for step in run.steps if _is_noise(step, loop.offset)]
-    if len(asked.time) != len(measured.time) or np.any(np.abs(asked.time - measured.time) > 1e-6):
+    if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > 1e-6):
         raise NotIdentifiable(f"{run.path}: {loop.reference} and {loop.response} are not sampled together")
     holds = [Hold(float(step.parameters[loop.offset]), 0, step.start + step.settle, step.stop) for step in steps]
-    value, clipped = saturated(measured, holds)
-    at_end = {hold.start for hold in clipped}
-    found: list[NoiseRecord] = []
+    clipping_value, clipped = saturated(measured, holds)
+    clipped_starts = {hold.start for hold in clipped}
+    records: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
-        record: NoiseRecord | str = f"{loop.response} is clipped at {value:g} {measured.units}"
-        if hold.start not in at_end:
-            record = _record(str(run.path), asked, measured, step, loop)
+        record: NoiseRecord | str = f"{loop.response} is clipped at {clipping_value:g} {measured.units}"
+        if hold.start not in clipped_starts:
+            record = _record(str(run.path), reference, measured, step, loop)
         if isinstance(record, str):
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
-            found.append(record)
-    if not found:
-        why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
-        what = f"{len(steps)} stretches of noise, none of use ({why})" if steps else f"no noise with {loop.offset}"
-        raise NotIdentifiable(f"{run.path}: found {what}; one with {FEWEST} samples in a row is needed")
-    return Noted(found, tuple(tally(left_out, str(run.path))))
+            records.append(record)
+    if not records:
+        reasons = "; ".join(f"{len(holds_left_out)}: {reason}" for reason, holds_left_out in left_out.items())
+        description = (
+            f"{len(steps)} stretches of noise, none of use ({reasons})" if steps else f"no noise with {loop.offset}"
+        )
+        raise NotIdentifiable(f"{run.path}: found {description}; one with {FEWEST} samples in a row is needed")
+    return Noted(records, tuple(tally(left_out, str(run.path))))
 
 
 def _is_noise(step: Step, offset: str) -> bool:
@@ -84,16 +86,18 @@ def _is_noise(step: Step, offset: str) -> bool:
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
 
 
-def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: NoiseExperiment) -> NoiseRecord | str:
+def _record(
+    run_path: str, reference: Channel, measured: Channel, step: Step, loop: NoiseExperiment
+) -> NoiseRecord | str:
     """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
     from scipy.signal import butter, sosfilt
 
-    begin, end = np.searchsorted(asked.time, (step.start + EPS_S, step.stop - EPS_S))
-    time = asked.time[begin:end]
+    begin, end = np.searchsorted(reference.time, (step.start + EPS_S, step.stop - EPS_S))
+    time = reference.time[begin:end]
     if end - begin < FEWEST:
         return "too few samples"
     interval = float(np.median(np.diff(time)))
-    missed = ~np.isfinite(asked.values[begin:end] + measured.values[begin:end])
+    missed = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
     broken = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > EVEN)
     stops = np.unique(np.concatenate([[-1], np.flatnonzero(missed), [end - begin]]))
     parts = [part for low, high in zip(stops[:-1] + 1, stops[1:], strict=True) for part in _cut(low, high, broken)]
@@ -101,23 +105,23 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Noi
     kept = time[first:last] > step.start + step.settle
     if kept.sum() < FEWEST:
         return "too few samples in a row"
-    reach = step.parameters.get("cutoff_Hz")
-    reach = float(reach) if isinstance(reach, int | float) and reach > 0 else math.inf
-    order, cutoff = loop.record_filter[0], loop.record_filter[1] * reach
+    noise_cutoff = step.parameters.get("cutoff_Hz")
+    noise_cutoff = float(noise_cutoff) if isinstance(noise_cutoff, int | float) and noise_cutoff > 0 else math.inf
+    order, cutoff = loop.record_filter[0], loop.record_filter[1] * noise_cutoff
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
-    for channel in (asked, measured):
+    for channel in (reference, measured):
         values = channel.values[begin + first : begin + last]
         filtered = values if sections is None else sosfilt(sections, values - values[:1])
         columns.append(filtered[kept])
     if not columns[0].std() > 0.0:
         return "the reference does not move"
-    seed = step.parameters.get("seed", f"{place} {step.start:g}")
+    seed = step.parameters.get("seed", f"{run_path} {step.start:g}")
     level = float(step.parameters[loop.offset])
-    return NoiseRecord(level, seed, interval, reach, *columns)
+    return NoiseRecord(level, seed, interval, noise_cutoff, *columns)
 
 
 def _cut(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
     """A part without missed samples, cut where its stamps leap."""
-    inside = [int(at) + 1 for at in broken if low <= at < high - 1]
+    inside = [int(index) + 1 for index in broken if low <= index < high - 1]
     return list(zip([low, *inside], [*inside, high], strict=True))

@@ -20,6 +20,11 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
+NOISE_RESULTS = {
+    "bandwidth": "Hz",
+    "coherent_band_low": "Hz",
+    "coherent_band_high": "Hz",
+}
 LAGS = 400
 COHERENT = 0.6
 SAMPLED = 0.1  # of the record's rate, above which holding and sampling show
@@ -38,7 +43,7 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     MissingChannel : a run has no reference or no response of the test actuator.
     NotIdentifiable : no noise with data, no band of enough coherence, or a response against its reference.
     """
-    place = f"{paths_of(runs)}: {loop.experiment}"
+    error_prefix = f"{paths_of(runs)}: {loop.experiment}"
     notes = setup_notes(runs, (loop.setup,), "the response is that of another load")
     every_record = joined(records_of(run, loop) for run in runs)
     records = every_record.value
@@ -58,9 +63,11 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     notes += [note for mask in masks.values() for note in mask.notes]
     band = method.frequency[: len(next(iter(known.values())))][np.all(list(known.values()), axis=0)]
     if not len(band):
-        raise NotIdentifiable(f"{place}: no frequency at which the coherence of every level is {COHERENT:g} or more")
+        raise NotIdentifiable(
+            f"{error_prefix}: no frequency at which the coherence of every level is {COHERENT:g} or more"
+        )
     for level, response in responses.items():
-        refuse_swapped(response, known[level], f"{place}: at {level:.3g}")
+        refuse_swapped(response, known[level], f"{error_prefix}: at {level:.3g}")
     half_power = bandwidth_of(method, levels, responses, known)
     bandwidth = half_power.value
     notes += half_power.notes
@@ -78,11 +85,11 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
 
 def spectra_of(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
     """Spectra by level, one for each noise: records of the same noise are no trials of their own."""
-    found: dict[float, dict[object, Spectra]] = {}
+    by_level: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):
-        spectra, own = method.spectra(record.given, record.answer), found.setdefault(record.level, {})
-        own[record.noise] = own[record.noise].plus(spectra) if record.noise in own else spectra
-    return {level: list(own.values()) for level, own in found.items()}
+        spectra, by_noise = method.spectra(record.given, record.answer), by_level.setdefault(record.level, {})
+        by_noise[record.noise] = by_noise[record.noise].plus(spectra) if record.noise in by_noise else spectra
+    return {level: list(by_noise.values()) for level, by_noise in by_level.items()}
 
 
 def known_of(response: Response, resolved: float, level: float) -> Noted[Mask]:
@@ -99,7 +106,7 @@ def known_of(response: Response, resolved: float, level: float) -> Noted[Mask]:
     return Noted(known, notes)
 
 
-def refuse_swapped(response: Response, known: Mask, place: str) -> None:
+def refuse_swapped(response: Response, known: Mask, error_prefix: str) -> None:
     """Refuse a response that goes against its reference where it should follow it best.
 
     Raises
@@ -109,23 +116,25 @@ def refuse_swapped(response: Response, known: Mask, place: str) -> None:
     lowest = np.flatnonzero(known)[:4]
     if np.mean(response.value[lowest].real) < 0.0:
         at = response.frequency[lowest[0]]
-        raise NotIdentifiable(f"{place} the response goes against the reference at {at:.1f} Hz: a sign is swapped")
+        raise NotIdentifiable(
+            f"{error_prefix} the response goes against the reference at {at:.1f} Hz: a sign is swapped"
+        )
 
 
 def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], units: str) -> tuple[Plot, ...]:
     """Gain, phase and coherence over frequency; what is not known of gain and phase is left out."""
     gains, limits, phases, coherences = [], [], [], []
     for level, response in responses.items():
-        every = slice(0, None, max(1, len(response.frequency) // SHOWN))
-        label, x = f"{level:.3g} {units}", tuple(response.frequency[every].tolist())
+        shown_points = slice(0, None, max(1, len(response.frequency) // SHOWN))
+        label, x = f"{level:.3g} {units}", tuple(response.frequency[shown_points].tolist())
         shown = np.where(known[level], response.gain, NAN)
-        gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[every])))
+        gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[shown_points])))
         for side in (-1.96, 1.96):
             limit = np.maximum(shown * (1.0 + side * response.relative_std), 1e-6)
-            limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[every])))
+            limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[shown_points])))
         phase = np.where(known[level], np.unwrap(np.angle(response.value)), NAN)
-        phases.append(Series(label, x, _tuple(np.degrees(phase)[every])))
-        coherences.append(Series(label, x, _tuple(response.coherence[every])))
+        phases.append(Series(label, x, _tuple(np.degrees(phase)[shown_points])))
+        coherences.append(Series(label, x, _tuple(response.coherence[shown_points])))
     ends = (0.0, max(series.x[-1] for series in gains))
     minus_3_db = Series("-3 dB", ends, (20.0 * math.log10(HALF_POWER),) * 2)
     threshold = Series("known from here", ends, (COHERENT,) * 2)

@@ -38,10 +38,10 @@ def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> Mean
     edges = [0.5 * interval]
     while edges[-1] < time.max():
         edges.append(edges[-1] + max(interval, growth * edges[-1]))
-    place = np.searchsorted(edges, time)
-    counts = np.bincount(place, minlength=len(edges))
+    bins = np.searchsorted(edges, time)
+    counts = np.bincount(bins, minlength=len(edges))
     filled = counts > 0
-    means = [np.bincount(place, column, minlength=len(edges))[filled] / counts[filled] for column in (time, values)]
+    means = [np.bincount(bins, column, minlength=len(edges))[filled] / counts[filled] for column in (time, values)]
     noise = math.sqrt(np.mean([trial.noise**2 for trial in trials]))
     return MeanStepResponse(
         time=np.concatenate([[0.0], means[0]]),
@@ -75,14 +75,14 @@ def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> Le
     side of the straight line between them.
     """
     straight = straight_crossing(curve, index, level)
-    place = slice(index - 1, index + 3)
-    time = np.concatenate([[-curve.interval], curve.time])[place]
-    values = np.concatenate([[0.0], curve.value])[place]
+    around = slice(index - 1, index + 3)
+    time = np.concatenate([[-curve.interval], curve.time])[around]
+    values = np.concatenate([[0.0], curve.value])[around]
     rise, bends = float(values[2] - values[1]), np.diff(values, 2)
     bent = float(np.max(np.abs(bends))) / rise
     if len(bends) == 2 and bent < SMOOTH:
-        through = np.polynomial.Polynomial.fit(time, values - level, 3)
-        roots = [float(root.real) for root in through.roots() if not root.imag and time[1] <= root.real <= time[2]]
+        polynomial = np.polynomial.Polynomial.fit(time, values - level, 3)
+        roots = [float(root.real) for root in polynomial.roots() if not root.imag and time[1] <= root.real <= time[2]]
         nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
         return LevelCrossing(nearest, bent * abs(nearest - straight))
     if (relaxed := _relaxing(curve, index, level)) is not None:

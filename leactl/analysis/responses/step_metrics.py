@@ -20,7 +20,7 @@ from leactl.analysis.responses.step_curve import (
     mean_step_response,
     straight_crossing,
 )
-from leactl.analysis.responses.step_trials import BAND, StepTrial
+from leactl.analysis.responses.step_trials import BAND, StepTrial, rounding_limit_of
 from leactl.analysis.statistics.intervals import rounding_limit
 from leactl.analysis.statistics.jackknife import TrialFigure
 from leactl.analysis.statistics.regression import Array
@@ -49,8 +49,8 @@ def rise_time(trials: Sequence[StepTrial]) -> TrialFigure:
     begins, ends = crossing_with_limit(curve, low, LOW), crossing_with_limit(curve, high, HIGH)
     slow, fast = _rounding_at(curve, low, LOW), _rounding_at(curve, high, HIGH)
     # what is read at each passing, and at rest and in the steady part, of which each level has its share
-    own = (slow, fast, (1 - LOW) * slow - (1 - HIGH) * fast, LOW * slow - HIGH * fast)
-    return TrialFigure(ends.time - begins.time, (begins.limit, ends.limit), own)
+    roundings = (slow, fast, (1 - LOW) * slow - (1 - HIGH) * fast, LOW * slow - HIGH * fast)
+    return TrialFigure(ends.time - begins.time, (begins.limit, ends.limit), roundings)
 
 
 def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
@@ -60,7 +60,7 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
     error = float(np.max(curve.error))
     top = int(np.argmax(above))
     blurred = math.hypot(error, curve.quantum / math.sqrt(12.0))
-    steady = 100.0 * _rounding(curve)
+    steady = 100.0 * rounding_limit_of(curve.noise, curve.quantum)
     if above[top] < CLEAR * blurred:
         return TrialFigure(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
     calm = _calmed(curve, TOP_NOISE * float(above[top])) - 1.0
@@ -69,13 +69,13 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
         begin, end = _about(calm, top, part)
         if end - begin < ENOUGH:
             break
-        highest, rest, weights, through = _top_of(curve.time[begin:end], above[begin:end])
-        rounded = 100.0 * rounding_limit(through, curve.quantum if steady else 0.0, weights)
+        highest, residual_std, weights, fitted = _top_of(curve.time[begin:end], above[begin:end])
+        rounded = 100.0 * rounding_limit(fitted, curve.quantum if steady else 0.0, weights)
         moving = float(np.std(np.diff(above[begin:end]))) / math.sqrt(2.0)  # noise, that may be louder there
-        if rest <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * max(blurred, moving):
+        if residual_std <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * max(blurred, moving):
             return TrialFigure(100.0 * highest, own=(steady, rounded))
     if end - begin >= ENOUGH:  # no curve that they lie on: how far they are off the last one is a limit
-        return TrialFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * rest,), (steady, rounded))
+        return TrialFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * residual_std,), (steady, rounded))
     # too few for a curve: the highest, and what may lie between it and its neighbours
     top = begin + int(np.argmax(above[begin:end]))
     beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
@@ -91,13 +91,13 @@ def _about(calm: Array, top: int, part: float) -> tuple[int, int]:
 
 def _top_of(time: Array, above: Array) -> tuple[float, float, Array, Array]:
     """Highest point of a curve through these bins, what it leaves of them, its weights of them, and the curve."""
-    at = np.log(time)
-    scaled = 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0
+    log_time = np.log(time)
+    scaled = 2.0 * (log_time - log_time[0]) / (log_time[-1] - log_time[0]) - 1.0
     table, finely = (np.vander(x, TOP_ORDER + 1) for x in (scaled, np.linspace(-1.0, 1.0, 500)))
     solution = np.linalg.pinv(table)
-    through, fine = table @ solution @ above, finely @ solution @ above
+    fitted, fine = table @ solution @ above, finely @ solution @ above
     highest = int(np.argmax(fine))
-    return float(fine[highest]), float(np.std(above - through)), finely[highest] @ solution, through
+    return float(fine[highest]), float(np.std(above - fitted)), finely[highest] @ solution, fitted
 
 
 def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
@@ -109,7 +109,7 @@ def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
     last = int(max(np.flatnonzero(np.abs(calm.value - 1.0) > BAND), default=len(calm.time)))
     if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
         return TrialFigure(NAN)
-    if max(error / math.sqrt(2.0 * halves[last] + 1.0), _rounding(curve)) > OPEN * BAND:
+    if max(error / math.sqrt(2.0 * halves[last] + 1.0), rounding_limit_of(curve.noise, curve.quantum)) > OPEN * BAND:
         return TrialFigure(NAN)
     side = math.copysign(1.0, calm.value[last] - 1.0)
     fine = mean_step_response(trials)
@@ -131,9 +131,9 @@ def _halves(curve: MeanStepResponse, wanted: float) -> Array:
 
 def _calmed(curve: MeanStepResponse, wanted: float) -> Array:
     """The response averaged over neighbouring bins until noise is as small as wanted; untouched where it is."""
-    halves, place = _halves(curve, wanted), np.arange(len(curve.value))
+    halves, index = _halves(curve, wanted), np.arange(len(curve.value))
     total = np.concatenate([[0.0], np.cumsum(curve.value)])
-    begin, end = place - halves, np.minimum(place + halves + 1, len(place))
+    begin, end = index - halves, np.minimum(index + halves + 1, len(index))
     return np.asarray((total[end] - total[begin]) / (end - begin), np.float64)
 
 
@@ -150,23 +150,22 @@ def _way_in(fine: MeanStepResponse, calm: MeanStepResponse, last: int, side: flo
         return NAN
     straight = straight_crossing(calm, last + 1, 1.0 + side * BAND)
     time, values = fine.time[part], side * (fine.value[part] - 1.0) / BAND - 1.0
-    through = np.polynomial.Polynomial.fit(time, values, WAY_ORDER)
-    roots = [float(root.real) for root in through.roots() if not root.imag and time[0] <= root.real <= time[-1]]
+    polynomial = np.polynomial.Polynomial.fit(time, values, WAY_ORDER)
+    roots = [float(root.real) for root in polynomial.roots() if not root.imag and time[0] <= root.real <= time[-1]]
     return min(roots, key=lambda root: abs(root - straight), default=straight)
 
 
 def _rounding_at(curve: MeanStepResponse, index: int, level: float) -> float:
     """Limit of what a reading's resolution makes of the time at which a level is passed before this bin [s]."""
-    if not _rounding(curve):
+    if not rounding_limit_of(curve.noise, curve.quantum):
         return 0.0
     near = np.abs(curve.value - level) <= COUNTS * curve.quantum
     near[index - 1 : index + 1] = True
     begin = int(max(np.flatnonzero(~near[:index]), default=-1)) + 1
     end = index + int(np.argmin(near[index:])) if not near[index:].all() else len(near)
     went = abs(float(curve.value[end - 1] - curve.value[begin]))
-    return _rounding(curve) * float(curve.time[end - 1] - curve.time[begin]) / max(went, curve.quantum)
-
-
-def _rounding(curve: MeanStepResponse) -> float:
-    """Limit of a reading's error from its resolution, where noise does not average it out."""
-    return 0.0 if curve.noise > 0.5 * curve.quantum else 0.5 * curve.quantum
+    return (
+        rounding_limit_of(curve.noise, curve.quantum)
+        * float(curve.time[end - 1] - curve.time[begin])
+        / max(went, curve.quantum)
+    )

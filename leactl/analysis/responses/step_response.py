@@ -13,11 +13,25 @@ from leactl.analysis.estimate import Plot, Result, Series, joined
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.responses.step_curve import mean_step_response
 from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time, settling_time
-from leactl.analysis.responses.step_trials import BAND, StepTrial, of_another_size, trials_of, uneven, wandering
+from leactl.analysis.responses.step_trials import (
+    BAND,
+    StepTrial,
+    of_another_size,
+    rounding_limit_of,
+    trials_of,
+    uneven,
+    wandering,
+)
 from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
 from leactl.analysis.statistics.linefit import setup_notes
 from leactl.runfile.read.reader import Run
 
+STEP_RESULTS = {
+    "rise_time": "s",
+    "overshoot": "%",
+    "settling_time": "s",
+    "steady_state_error": "%",
+}
 SHOWN = 60  # points of a level in the plot
 FURTHER = 2.0  # settling times that the plot goes on for
 
@@ -67,12 +81,10 @@ def _over(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], T
 
 
 def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
-    still = [0.0 if trial.noise > 0.5 * trial.quantum else 0.5 * trial.quantum for trial in trials]
+    rounding = 100.0 * max(rounding_limit_of(trial.noise, trial.quantum) for trial in trials)
     return over_trials(
         len(trials),
-        lambda kept: TrialFigure(
-            100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(100.0 * max(still),)
-        ),
+        lambda kept: TrialFigure(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(rounding,)),
     )
 
 

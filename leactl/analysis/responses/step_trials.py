@@ -72,22 +72,24 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
     setpoint, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
     holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
-    value, at_end = clipped(measured, holds, [jump.step.settle for jump in jumps])
+    clipping_value, clipped_starts = clipped(measured, holds, [jump.step.settle for jump in jumps])
     left_out: dict[str, list[str]] = {}
-    found = []
+    trials = []
     for jump, hold in zip(jumps, holds, strict=True):
-        trial: StepTrial | str = f"{response} is clipped at {value:g} {measured.units}"
-        if hold.start not in at_end:
+        trial: StepTrial | str = f"{response} is clipped at {clipping_value:g} {measured.units}"
+        if hold.start not in clipped_starts:
             trial = _trial(setpoint, measured, jump)
         if isinstance(trial, str):
             left_out.setdefault(trial, []).append(str(jump))
         else:
-            found.append(trial)
-    if not found:
-        why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
-        what = f"{len(jumps)} steps of {response}, none of use ({why})" if jumps else f"no step from and to a {key}"
-        raise NotIdentifiable(f"{run.path}: found {what}; one response that settles is needed")
-    return Noted(found, tuple(tally(left_out, str(run.path))))
+            trials.append(trial)
+    if not trials:
+        reasons = "; ".join(f"{len(jumps_left_out)}: {reason}" for reason, jumps_left_out in left_out.items())
+        description = (
+            f"{len(jumps)} steps of {response}, none of use ({reasons})" if jumps else f"no step from and to a {key}"
+        )
+        raise NotIdentifiable(f"{run.path}: found {description}; one response that settles is needed")
+    return Noted(trials, tuple(tally(left_out, str(run.path))))
 
 
 def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
@@ -120,13 +122,13 @@ def tops(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> t
 
 def jumps_of(run: Run, key: str) -> list[Jump]:
     """Steps of the run that jump from one setpoint of the test actuator to another."""
-    found = []
+    jumps = []
     for step in run.steps:
         ends = [step.parameters.get(f"{end}_{key}") for end in ("from", "to")]
         numbers = [float(end) for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
         if step.name == "step" and len(numbers) == 2 and step.parameters.get("role", "test") == "test":
-            found.append(Jump(step, *numbers))
-    return found
+            jumps.append(Jump(step, *numbers))
+    return jumps
 
 
 def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
@@ -138,41 +140,49 @@ def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
     if not nearer.any() or nearer[0] or jump.target == jump.start:
         return "the recorded reference does not jump"
     first = int(np.argmax(nearer))
-    jumped, before_it = float(stamps[first - 1]), references[:first]
-    start, target = (float(np.nanmedian(part)) for part in (before_it, references[first:]))
+    jumped, old_references = float(stamps[first - 1]), references[:first]
+    start, target = (float(np.nanmedian(part)) for part in (old_references, references[first:]))
 
     time = measured.time - (0.5 * float(np.median(np.diff(measured.time))) if measured.sampling == "mean" else 0.0)
     within = (time > step.start + EPS_S) & (time < step.stop - EPS_S)
     time, values = time[within] - jumped, measured.values[within]
-    behind, steady = time > 0.0, time >= step.start + step.settle - jumped
+    after_jump, steady = time > 0.0, time >= step.start + step.settle - jumped
     resting = (time <= 0.0) & (time >= 0.5 * (step.start - jumped))  # the later half of the wait for the jump
     good = np.isfinite(values)
-    if (~good[behind]).mean() > MISSING if behind.any() else True:
+    if (~good[after_jump]).mean() > MISSING if after_jump.any() else True:
         return "too many samples are missing"
     if step.settle <= jumped - step.start or min((good & resting).sum(), (good & steady).sum()) < FEWEST_SAMPLES:
         return f"fewer than {FEWEST_SAMPLES} samples before the jump or in the steady part"
-    zero, one = float(values[good & resting].mean()), float(values[good & steady].mean())
-    made, sent = one - zero, target - start
-    if made * sent < 0.0 and abs(made) > FOLLOWS * abs(sent):
+    before_value, steady_value = float(values[good & resting].mean()), float(values[good & steady].mean())
+    response_step, reference_step = steady_value - before_value, target - start
+    if response_step * reference_step < 0.0 and abs(response_step) > FOLLOWS * abs(reference_step):
         return "the response goes against the reference: a sign is swapped"
-    if abs(made) < FOLLOWS * abs(sent):
+    if abs(response_step) < FOLLOWS * abs(reference_step):
         return f"the response makes less than {FOLLOWS:.0%} of the step"
-    response = (values - zero) / made
-    rest = response[good & steady] - 1.0
-    quarters = np.array([part.mean() for part in np.array_split(rest, 4)])
+    response = (values - before_value) / response_step
+    residual = response[good & steady] - 1.0
+    quarters = np.array([part.mean() for part in np.array_split(residual, 4)])
     if np.max(np.abs(quarters)) > BAND:
         return f"the response never settles within {BAND:.0%}"
     return StepTrial(
         level=jump.target,
-        time=time[good & behind],
-        response=response[good & behind],
-        steady_error=(target - one) / sent,
+        time=time[good & after_jump],
+        response=response[good & after_jump],
+        steady_error=(target - steady_value) / reference_step,
         steady_from=float(step.start + step.settle - jumped),
-        noise=float(np.sqrt(0.5 * np.mean(np.diff(rest) ** 2))),  # what drifts or slips is none
-        quantum=quantum_of(values[good]) / abs(made),
-        rest=(zero - start) / made,
-        times=made / sent,
+        noise=float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))),  # what drifts or slips is none
+        quantum=quantum_of(values[good]) / abs(response_step),
+        rest=(before_value - start) / response_step,
+        times=response_step / reference_step,
     )
+
+
+def rounding_limit_of(noise: float, quantum: float) -> float:
+    """Return the limit of a reading's rounding error; zero where the noise averages it out.
+
+    Noise (standard deviation of a reading), quantum (resolution of the readings) and the limit have one unit.
+    """
+    return 0.0 if noise > 0.5 * quantum else 0.5 * quantum
 
 
 def quantum_of(values: Array) -> float:
