@@ -16,7 +16,7 @@ FIGURES = "PARAMETERS: dict[str, Any] = {}\n"
 
 
 def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path) -> str:
-    """The text of the file.
+    """Return the text of the Python file of callbacks for one joint.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path)
 
 
 def _literal(value: Any, indent: str = "") -> str:
-    """A mapping or list as Python text, an entry a line down to what fits on one."""
+    """Return a mapping or list as Python text, with one entry a line where it does not fit on one line."""
     inner = indent + "    "
     if not isinstance(value, dict | list) or len(indent) + len(repr(value)) < WIDTH - 10:
         return repr(value)
@@ -41,7 +41,7 @@ def _literal(value: Any, indent: str = "") -> str:
 
 
 def parameters(model: Model, patched: Patch) -> dict[str, Any]:
-    """What the callbacks of a joint ask for."""
+    """Return the figures of one joint that its callbacks need."""
     acting = [destination.entry for destination in patched.effects if destination.goes_to == CALLBACKS]
     expected, joint = patched.expected, patched.joint
     return {
@@ -55,7 +55,7 @@ def parameters(model: Model, patched: Patch) -> dict[str, Any]:
 
 
 def _drive(model: Model, patched: Patch, acting: list[str]) -> dict[str, Any] | None:
-    """The law of the actuator, where the callbacks take it over."""
+    """Return the figures of the actuator's law; None where the callbacks leave it to MuJoCo."""
     actuator, loop = patched.joint.actuator, model.bench.current_loop_bandwidth or 0.0
     if actuator is None or patched.law is None:
         return None
@@ -86,7 +86,7 @@ def _drive(model: Model, patched: Patch, acting: list[str]) -> dict[str, Any] | 
 
 
 def _heading(patched: Patch, source: Path, into: Path, out: Path) -> str:
-    """The docstring: how the file is used, and what is in it."""
+    """Return the docstring of the file: how to use it, and where each effect is."""
     lines = [
         f"Callbacks for MuJoCo: what acts on joint '{patched.joint.name}' beside what MJCF can hold.",
         "",

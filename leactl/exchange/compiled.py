@@ -1,4 +1,4 @@
-"""One joint as MuJoCo has it once a file is compiled: inertia, weight, friction, spring, and the actuator on it."""
+"""One joint of a compiled MuJoCo model: inertia, weight, friction, spring, and the actuator on it."""
 
 import math
 from collections.abc import Iterator
@@ -18,13 +18,13 @@ from leactl.exchange.xml_text import XmlText, read_xml
 Array = npt.NDArray[np.float64]
 MISSING = "MuJoCo is not installed: pip install 'leactl[mujoco]'"
 MOST_NAMES = 20  # of joints that a fault lists
-SLOW = 1e-6  # rad/s at which damping is taken: a polynomial's higher terms vanish
-ALIKE = 1e-9  # relative, by which figures of one meaning may differ
+DAMPING_SPEED = 1e-6  # rad/s at which damping is taken: a polynomial's higher terms vanish
+SAME_WITHIN = 1e-9  # relative, by which figures of one meaning may differ
 
 
 @dataclass(frozen=True)
 class JointActuator:
-    """What drives the joint; figures are at the joint, its `gear` taken into account."""
+    """The actuator on a joint; its figures are at the joint, with its `gear` taken into account."""
 
     name: str
     index: int
@@ -63,13 +63,13 @@ class Joint:
 
 
 def is_urdf(text: XmlText) -> bool:
-    """Whether a file is URDF; MJCF otherwise."""
+    """Return whether a file is URDF; otherwise it is MJCF."""
     return text.root == "robot"
 
 
 @dataclass(frozen=True)
 class Compiled:
-    """A file as MuJoCo has it."""
+    """A file, the model that MuJoCo makes of it, and MuJoCo's warnings."""
 
     model: Any  # mujoco.MjModel
     text: XmlText
@@ -77,7 +77,7 @@ class Compiled:
 
 
 def compile_file(path: Path) -> Compiled:
-    """Compile an MJCF or URDF file by MuJoCo; of a URDF, shapes are left out, so that no mesh has to be there.
+    """Compile an MJCF or URDF file with MuJoCo; shapes of a URDF are left out, so that no mesh is needed.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def compile_file(path: Path) -> Compiled:
     text = read_xml(path)
     if text.root not in ("mujoco", "robot"):
         raise InputError(f"{path}:1:1  <{text.root}> is the outermost element; <mujoco> or <robot> was expected")
-    mujoco = loaded()
+    mujoco = import_mujoco()
     try:
         with warnings_of(mujoco) as warnings:
             if is_urdf(text):
@@ -100,7 +100,7 @@ def compile_file(path: Path) -> Compiled:
 
 @contextmanager
 def warnings_of(mujoco: Any) -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of, which it would else write to a log in the user's folder."""
+    """Collect MuJoCo's warnings, which it otherwise writes to a log in the user's folder."""
     before, warnings = mujoco.get_mju_user_warning(), list[str]()
     mujoco.set_mju_user_warning(lambda text: warnings.append(" ".join(str(text).split())))
     try:
@@ -109,8 +109,8 @@ def warnings_of(mujoco: Any) -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-def loaded() -> Any:
-    """The `mujoco` package.
+def import_mujoco() -> Any:
+    """Return the `mujoco` package.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def loaded() -> Any:
 
 
 def _without_shapes(raw: bytes) -> str:
-    """A URDF without what only looks or touches: its links' inertia is told by `<inertial>` alone."""
+    """Return a URDF without `<visual>` and `<collision>`, since the inertia is in `<inertial>` alone."""
     root = ElementTree.fromstring(raw)
     for link in root.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
@@ -144,11 +144,11 @@ def read_joint(path: Path, name: str) -> Joint:
 
 
 def joint_of(compiled: Compiled, name: str) -> Joint:
-    """One joint of a compiled file; raises as `read_joint` does."""
-    mujoco, model, text = loaded(), compiled.model, compiled.text
+    """Return one joint of a compiled file; raises as `read_joint` does."""
+    mujoco, model, text = import_mujoco(), compiled.model, compiled.text
     names = {model.joint(index).name: index for index in range(model.njnt)}
     if not name or name not in names:
-        raise InputError(f"{text.name}: no joint '{name}'; {_instead(name, [known for known in names if known])}")
+        raise InputError(f"{text.name}: no joint '{name}'; {_suggestion(name, [known for known in names if known])}")
     index = names[name]
     kind = int(model.jnt_type[index])
     if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
@@ -156,15 +156,15 @@ def joint_of(compiled: Compiled, name: str) -> Joint:
         raise InputError(f"{text.name}: joint '{name}' is a {called} joint; a hinge or slide was expected")
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)
-    about = _About(mujoco, model, state, text.name, index)
+    about = _CompiledJoint(mujoco, model, state, text.name, index)
     about.notes += [f"MuJoCo warns: {warning}" for warning in compiled.warnings]
     about.refuse_loops(text)
     about.refuse_tendons()
     return about.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-def _instead(name: str, known: list[str]) -> str:
-    """What was probably meant by a joint's name, or which there are."""
+def _suggestion(name: str, known: list[str]) -> str:
+    """Return the known joint name that is closest to an unknown one, or a list of the known names."""
     if not known:
         return "the file names none"
     if close := get_close_matches(name, known, n=1):
@@ -173,8 +173,8 @@ def _instead(name: str, known: list[str]) -> str:
     return f"known: {shown}{f' and {len(known) - MOST_NAMES} more' if len(known) > MOST_NAMES else ''}"
 
 
-class _About:
-    """A joint in its model, at the position in which the file has it."""
+class _CompiledJoint:
+    """A joint of a compiled model in the position that the file gives it."""
 
     def __init__(self, mujoco: Any, model: Any, state: Any, file: str, index: int) -> None:
         self.mujoco, self.model, self.state, self.file, self.index = mujoco, model, state, file, index
@@ -184,7 +184,7 @@ class _About:
         self.notes: list[str] = []
 
     def moves(self, body: int) -> bool:
-        """Whether a body is moved by the joint."""
+        """Return whether the joint moves a body."""
         while body > self.body:
             body = int(self.model.body_parentid[body])
         return body == self.body
@@ -237,7 +237,7 @@ class _About:
         return bool(np.any(driven) or np.any(tied))
 
     def _at(self, position: float, speed: float = 0.0) -> Any:
-        """The whole with the joint elsewhere, or turning."""
+        """Return the state of the whole model with the joint at a position [rad] and a speed [rad/s]."""
         state = self.mujoco.MjData(self.model)
         state.qpos[:] = self.state.qpos
         state.qpos[self.position], state.qvel[self.dof] = position, speed
@@ -245,7 +245,7 @@ class _About:
         return state
 
     def joint(self, slides: bool) -> Joint:
-        """Work out all figures."""
+        """Return all figures of the joint."""
         model, dof = self.model, self.dof
         level, hanging = self._weight(slides)
         stiffness = float(np.ravel(model.jnt_stiffness[self.index])[0])
@@ -289,27 +289,27 @@ class _About:
         return float(torques[self.dof])
 
     def _damping(self) -> float:
-        """Also of what actuators add to the joint's attribute."""
+        """Return the damping at standstill [N*m*s/rad], with what actuators add to the joint's attribute."""
         still = float(self.state.qfrc_passive[self.dof])
-        turning = self._at(float(self.state.qpos[self.position]), SLOW)
-        damping = (still - float(turning.qfrc_passive[self.dof])) / SLOW
+        turning = self._at(float(self.state.qpos[self.position]), DAMPING_SPEED)
+        damping = (still - float(turning.qfrc_passive[self.dof])) / DAMPING_SPEED
         attribute = float(self.model.dof_damping[self.dof])
         return attribute if abs(damping - attribute) <= 1e-6 * max(attribute, 1e-6) else damping
 
     def _weight(self, slides: bool) -> tuple[float, float]:
-        """Torque that holds what is moved out level, and the angle at which it hangs."""
+        """Return the torque [N*m] that holds the moved bodies out level, and the angle [rad] at which they hang."""
         start = float(self.state.qpos[self.position])
         sine = self._bias(start)
         if slides:
             return sine, 0.0
         cosine = self._bias(start + 0.5 * math.pi)
         level = math.hypot(sine, cosine)
-        if level <= ALIKE * float(self.model.body_subtreemass[self.body]):
+        if level <= SAME_WITHIN * float(self.model.body_subtreemass[self.body]):
             return 0.0, 0.0
         return level, math.remainder(start - math.atan2(sine, cosine), 2.0 * math.pi)
 
     def _bias(self, position: float) -> float:
-        """Torque against gravity at a position of the joint, what compensates gravity taken off."""
+        """Return the torque [N*m] against gravity at a position [rad], less what gravity compensation takes."""
         state = self._at(position)
         return float(state.qfrc_bias[self.dof] - state.qfrc_gravcomp[self.dof])
 
@@ -326,7 +326,7 @@ class _About:
         return self._figures(acting[0]) if acting else None
 
     def _acting(self) -> Iterator[int]:
-        """Actuators that push the joint, by the power that their force would have."""
+        """Yield the indices of the actuators on the joint; refuse one that acts on it from elsewhere."""
         model, kinds = self.model, self.mujoco.mjtTrn
         on_joints = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
         state = self._at(float(self.state.qpos[self.position]), 1.0)
@@ -370,7 +370,7 @@ class _About:
         )
 
     def _kind(self, index: int, gain: Array, bias: Array) -> str:
-        """What a fixed gain and an affine bias make of ctrl."""
+        """Return the kind of actuator that a fixed gain and an affine bias make."""
         model, mujoco = self.model, self.mujoco
         if int(model.actuator_gaintype[index]) != mujoco.mjtGain.mjGAIN_FIXED:
             return "other"
@@ -378,13 +378,13 @@ class _About:
             return "torque"
         if int(model.actuator_biastype[index]) != mujoco.mjtBias.mjBIAS_AFFINE or bias[0] or bias[2] > 0.0:
             return "other"
-        near = ALIKE * abs(float(gain[0]))
+        near = SAME_WITHIN * abs(float(gain[0]))
         if gain[0] > 0.0 and abs(gain[0] + bias[1]) <= near:
             return "position"
         return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
 
     def _tell_polynomials(self) -> None:
-        """Note damping and springs that are not linear, which versions of MuJoCo from 3.6 on have."""
+        """Add notes on nonlinear damping and springs, which MuJoCo has from version 3.6 on."""
         for owner, index, name in (
             ("dof_dampingpoly", self.dof, "damping"),
             ("jnt_stiffnesspoly", self.index, "stiffness"),
@@ -395,7 +395,7 @@ class _About:
 
     def _smaller(self, limits: Array, called: str) -> float:
         low, high = _pair(limits)
-        if abs(low + high) > ALIKE * max(abs(low), abs(high)):
+        if abs(low + high) > SAME_WITHIN * max(abs(low), abs(high)):
             self.notes.append(f"{called} {low:g} to {high:g} is not the same both ways; the smaller of the two counts")
         return min(abs(low), abs(high))
 

@@ -38,7 +38,7 @@ ACTS_ON = {
 IN_AMPERES = ("command_slew_limit", "current_sensor_offset", "power_foldback", "saturation", "torque_limit")
 SECOND_BODY = "a second body behind the joint would have to be added"
 TEMPERATURES = "MuJoCo has no temperatures"
-WHY_NOT = {
+REASON_OF_EFFECT = {
     "backlash": SECOND_BODY,
     "bus_sag": "MuJoCo has no supply",
     "friction_temperature": TEMPERATURES,
@@ -48,13 +48,13 @@ WHY_NOT = {
     "shaft_compliance": SECOND_BODY,
     "velocity_filter_lag": "it changes a reading alone; filter qvel where it is read",
 }
-WHY_A_FAMILY = {"sensor": "it changes the reading of a sensor that MuJoCo does not have", "thermal": TEMPERATURES}
-UNKNOWN = "its equation is not among those of the callbacks"
+REASON_OF_FAMILY = {"sensor": "it changes the reading of a sensor that MuJoCo does not have", "thermal": TEMPERATURES}
+UNKNOWN_EQUATION = "its equation is not among those of the callbacks"
 
 
 @dataclass(frozen=True)
 class Destination:
-    """An effect of a model and what becomes of it."""
+    """An effect of a model, and the file that holds it."""
 
     entry: EffectEntry
     goes_to: str  # mjcf, callbacks or nowhere
@@ -62,7 +62,7 @@ class Destination:
 
 
 def destinations(model: Model, law: str | None) -> Iterator[Destination]:
-    """What becomes of each effect.
+    """Yield for each effect of a model the file that holds it, or the reason why none does.
 
     Parameters
     ----------
@@ -78,10 +78,10 @@ def destinations(model: Model, law: str | None) -> Iterator[Destination]:
 
 
 def _why_not(effect: str, model: Model, law: str | None) -> str:
-    """Why the callbacks cannot hold an effect; empty where they can."""
+    """Return why the callbacks cannot hold an effect; empty where they can."""
     where = ACTS_ON.get(effect)
     if where is None:
-        return WHY_NOT.get(effect) or WHY_A_FAMILY.get(effect_definition(effect).family, UNKNOWN)
+        return REASON_OF_EFFECT.get(effect) or REASON_OF_FAMILY.get(effect_definition(effect).family, UNKNOWN_EQUATION)
     if where == "joint":
         return ""
     if law is None or where not in ("drive", law):

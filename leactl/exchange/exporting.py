@@ -10,7 +10,7 @@ from typing import Any
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
 from leactl.exchange.destinations import CALLBACKS, NOWHERE
-from leactl.exchange.table import table
+from leactl.exchange.table import actuator_table
 from leactl.exchange.writing import Patch, patch, write_patch
 from leactl.gap.replay.plants import plant_of
 from leactl.model.nominal import read_model
@@ -19,7 +19,7 @@ from leactl.runfile.publish import new_file, refuse_existing
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """What `leactl model export` is asked for."""
+    """The arguments of `leactl model export`."""
 
     model: Path
     to: str  # mjcf, urdf or json
@@ -52,10 +52,12 @@ class ExportRequest:
             for name, value in given.items()
             if value is not None and name not in (*needed, *allowed)
         ]
-        check_new((self.out, self.callbacks), self.callbacks, faults)
+        refuse_unusable_outputs((self.out, self.callbacks), self.callbacks, faults)
 
 
-def check_new(files: Iterable[Path | None], code_file: Path | None, other_faults: Sequence[str] = ()) -> None:
+def refuse_unusable_outputs(
+    files: Iterable[Path | None], code_file: Path | None, other_faults: Sequence[str] = ()
+) -> None:
     """Refuse names that new files cannot take; nothing is ever overwritten.
 
     Parameters
@@ -81,7 +83,7 @@ def check_new(files: Iterable[Path | None], code_file: Path | None, other_faults
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """The files of an export, and what a reader should know of them."""
 
     written: tuple[Path, ...]
     patched: Patch | None
@@ -89,13 +91,13 @@ class Exported:
     lines: tuple[str, ...]  # what a reader should know
 
     def as_json(self) -> dict[str, Any]:
-        """The same for other programs."""
+        """Return files, changes, effects and notes as JSON takes them."""
         changes = {"changes": [], "effects": [], "notes": []} if self.patched is None else self.patched.as_json()
         return {"written": [str(path) for path in self.written]} | changes
 
 
 def export(request: ExportRequest) -> Exported:
-    """Write a model for another simulator.
+    """Write a model for another simulator, or return it as the text of a table.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def export(request: ExportRequest) -> Exported:
     plant_of(model)  # finds fault with effects that lack a parameter
     joint = request.joint or model.name
     if request.to == "json":
-        text = json.dumps(table(model, joint, request.timestep), indent=2)
+        text = json.dumps(actuator_table(model, joint, request.timestep), indent=2)
         if request.out is None:
             return Exported((), None, text, ())
         with new_file(request.out) as path:
@@ -117,11 +119,11 @@ def export(request: ExportRequest) -> Exported:
     code = callbacks(model, patched, Path(document.name), request.into, request.out) if request.callbacks else ""
     write_all(patched, request.out, {} if request.callbacks is None else {request.callbacks: code})
     written = tuple(path for path in (request.out, request.callbacks) if path is not None)
-    return Exported(written, patched, None, tuple(_lines(patched, request.callbacks)))
+    return Exported(written, patched, None, tuple(_summary_lines(patched, request.callbacks)))
 
 
 def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
-    """Write a patched file, and the texts of others beside it: all or none.
+    """Write a patched file and the texts of other files: all of them or none.
 
     Raises
     ------
@@ -133,8 +135,8 @@ def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
         write_patch(patched, out)
 
 
-def _lines(patched: Patch, code: Path | None) -> list[str]:
-    """What was changed, where each effect went, and notes."""
+def _summary_lines(patched: Patch, code: Path | None) -> list[str]:
+    """Return a line for each change, each effect and each note."""
     lines = []
     for change in patched.changes:
         after = "removed" if change.after is None else f"{change.before or 'not given'} -> {change.after}"

@@ -1,4 +1,4 @@
-"""From a MuJoCo model and runs to one that moves as the runs do, judged in MuJoCo itself on held-out runs."""
+"""From a MuJoCo model and runs to a patched model that moves as the runs do, judged on held-out runs in MuJoCo."""
 
 import importlib.util
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ import yaml
 
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
-from leactl.exchange.exporting import check_new, write_all
+from leactl.exchange.exporting import refuse_unusable_outputs, write_all
 from leactl.exchange.playing import play, playable, rms_of_error
 from leactl.exchange.reading import import_joint
 from leactl.exchange.writing import Patch, patch, write_patch
@@ -25,8 +25,8 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Played:
-    """How far the angle of a held-out run is from the measured one in MuJoCo, root mean square [rad]."""
+class PlayedRun:
+    """The RMS error [rad] of the angle of one held-out run that MuJoCo played."""
 
     run: str
     before: float  # by the file as it was
@@ -36,39 +36,39 @@ class Played:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """What was named, and how far the gap shrank in the user's simulator."""
+    """The diagnosis of a joint, the patched file, and how far it closes the gap in MuJoCo."""
 
     joint: str
     answer: Diagnosis
     patched: Patch
-    runs: tuple[Played, ...]
+    runs: tuple[PlayedRun, ...]
     written: tuple[Path, ...]
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects that the augmented model has, in the order in which they were told."""
+        """Return the effects of the augmented model in the order of the diagnosis."""
         has = {entry.effect for entry in self.answer.extra["augmented"].effects}
         return tuple(cause.effect for cause in self.answer.causes if cause.effect in has)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader should know of the diagnosis and of the patch."""
+        """Return the notes on the diagnosis and on the patch."""
         return (*self.answer.notes, *self.patched.notes)
 
     @property
-    def whole(self) -> Played:
-        """The same over all runs, each counting alike."""
+    def whole(self) -> PlayedRun:
+        """Return the RMS over all runs, each with the same weight."""
         table = np.array([(run.before, run.file, run.after) for run in self.runs])
-        return Played("all", *np.sqrt(np.mean(table**2, axis=0)).tolist())
+        return PlayedRun("all", *np.sqrt(np.mean(table**2, axis=0)).tolist())
 
     @property
     def closed(self) -> float:
-        """Share of the gap that the patched file with its callbacks closes."""
+        """Return the share of the gap that the patched file with its callbacks closes."""
         whole = self.whole
         return 1.0 - whole.after / whole.before if whole.before > 0.0 else 0.0
 
     def as_json(self) -> dict[str, Any]:
-        """The same for other programs."""
+        """Return the closed loop as a JSON document."""
         return {
             "format": FORMAT,
             "format_version": VERSION,
@@ -84,13 +84,13 @@ class ClosedLoop:
         }
 
 
-def _figures(run: Played) -> dict[str, Any]:
+def _figures(run: PlayedRun) -> dict[str, Any]:
     return {"run": run.run, "before_rad": run.before, "file_rad": run.file, "after_rad": run.after}
 
 
 @dataclass(frozen=True)
 class LoopFiles:
-    """What a loop reads and writes."""
+    """The files that a loop reads and writes."""
 
     robot: Path
     runs: Sequence[Path]
@@ -114,7 +114,7 @@ def close_loop(
     InputError : files that cannot be used, a joint that no position servo drives, runs without angle and reference,
         or a patched file that MuJoCo does not read as it was written.
     """
-    check_new((files.out, files.callbacks, files.augmented), files.callbacks)
+    refuse_unusable_outputs((files.out, files.callbacks, files.augmented), files.callbacks)
     imported = import_joint(files.robot, joint, supply)
     if imported.model.drive is None:
         reason = imported.missing.get("drive", "its actuator is no position actuator")
@@ -143,13 +143,13 @@ def close_loop(
     alone = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
     after = rms_of_error(case.held_out, play(files.out, joint, case.held_out, _install_of(files.callbacks)))
     names = [record.path.name for record in case.held_out]
-    runs = tuple(Played(*row) for row in zip(names, before, alone, after, strict=True))
+    runs = tuple(PlayedRun(*row) for row in zip(names, before, alone, after, strict=True))
     written = tuple(path for path in (files.out, files.callbacks, files.augmented) if path is not None)
     return ClosedLoop(joint, answer, patched, runs, written)
 
 
 def _install_of(path: Path) -> Callable[[Any], Any]:
-    """What a written file of callbacks installs: the file itself, as a user has it."""
+    """Return the function `install` of a written file of callbacks."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,4 +1,4 @@
-"""Runs played in the user's MuJoCo model: the goals of a position servo into its actuator, its angle at the stamps."""
+"""Runs played in the user's MuJoCo model: each reference goes into `ctrl`, and the angle is read at each time stamp."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.exchange.compiled import compile_file, joint_of, loaded, warnings_of
+from leactl.exchange.compiled import compile_file, import_mujoco, joint_of, warnings_of
 from leactl.gap.servo.runs import starting_speed
 from leactl.gap.signals.record import Clocked, Record
 
 Array = npt.NDArray[np.float64]
-HELD = 1e6  # times its inertia, with which a joint beside the one that plays is as good as held
-ASKED, READ = ("angle_reference", "test"), ("angle", "test")
+HELD_INERTIA_FACTOR = 1e6  # times its inertia, with which a joint beside the one that plays is as good as held
+ANGLE_REFERENCE, ANGLE = ("angle_reference", "test"), ("angle", "test")
 
 
 def playable(records: Sequence[Record]) -> None:
@@ -28,7 +28,7 @@ def playable(records: Sequence[Record]) -> None:
     faults = [
         f"{record.path}: no {quantity} of test; a run of a position servo was expected"
         for record in records
-        for quantity, _ in (READ, ASKED)
+        for quantity, _ in (ANGLE, ANGLE_REFERENCE)
         if record.fast is None or record.fast.get(quantity) is None
     ]
     if faults:
@@ -38,7 +38,7 @@ def playable(records: Sequence[Record]) -> None:
 def play(
     robot: Path, name: str, records: Sequence[Record], install: Callable[[Any], Any] | None = None
 ) -> tuple[Array, ...]:
-    """Angle [rad] of a joint at the stamps of each run, from the measured state at its first one.
+    """Return the angle [rad] of a joint at the time stamps of each run, from the run's first measured state on.
 
     The reference of a stamp is held in `ctrl` until the next. Other joints of the file are held where it has them.
 
@@ -50,7 +50,7 @@ def play(
     ------
     InputError : the file cannot be compiled, or the motion grew beyond all bounds.
     """
-    mujoco = loaded()
+    mujoco = import_mujoco()
     compiled = compile_file(robot)
     model, joint = compiled.model, joint_of(compiled, name)
     actuator = joint.actuator
@@ -59,7 +59,7 @@ def play(
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     dof, position = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
     others = np.arange(model.nv) != dof
-    model.dof_armature[others] = HELD * np.maximum(joint.inertia, 1.0)
+    model.dof_armature[others] = HELD_INERTIA_FACTOR * np.maximum(joint.inertia, 1.0)
     control = int(getattr(model, "actuator_ctrladr", range(actuator.index + 1))[actuator.index])
     played = []
     effects = None if install is None else install(model)
@@ -68,10 +68,10 @@ def play(
             for record in records:
                 assert record.fast is not None
                 state = mujoco.MjData(model)
-                measured = record.fast.values[READ]
+                measured = record.fast.values[ANGLE]
                 state.qpos[position] = measured[0]
                 state.qvel[dof] = starting_speed(measured, record.fast.interval)
-                asked = actuator.gear * record.fast.values[ASKED]
+                asked = actuator.gear * record.fast.values[ANGLE_REFERENCE]
                 played.append(_angles(mujoco, model, state, (position, control), record.fast, asked))
                 if not np.all(np.isfinite(played[-1])):
                     raise InputError(f"{robot}: joint '{name}' moves beyond all bounds in {record.path.name}")
@@ -82,7 +82,7 @@ def play(
 
 
 def _angles(mujoco: Any, model: Any, state: Any, where: tuple[int, int], clock: Clocked, asked: Array) -> Array:
-    """Step from stamp to stamp; one between two steps gets what a straight line has there, and NaN after a reset."""
+    """Return the angle [rad] at each time stamp, interpolated between steps; NaN where the motion is unstable."""
     position, control = where
     stamps, out = (clock.time - clock.time[0]).tolist(), []
     before, angle = 0.0, float(state.qpos[position])
@@ -106,10 +106,10 @@ def _unstable(mujoco: Any, state: Any) -> list[Any]:
 
 
 def rms_of_error(records: Sequence[Record], played: Sequence[Array]) -> list[float]:
-    """Root mean square of the angle's error [rad] of each run, where its samples count."""
+    """Return the RMS error of the angle [rad] of each run, over its valid samples."""
     errors = []
     for record, angles in zip(records, played, strict=True):
         assert record.fast is not None
-        wrong = (angles - record.fast.values[READ])[record.fast.all_valid(READ, ASKED)]
+        wrong = (angles - record.fast.values[ANGLE])[record.fast.all_valid(ANGLE, ANGLE_REFERENCE)]
         errors.append(math.sqrt(float(np.mean(wrong**2))))
     return errors

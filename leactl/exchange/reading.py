@@ -13,7 +13,7 @@ from leactl.exchange.compiled import Joint, JointActuator, read_joint
 from leactl.model.nominal import Model
 
 DIGITS = 9  # of figures in the file: those of a compiled model have rounding errors behind them
-HANGS = 1e-6  # rad off straight down, up to which a load counts as a pendulum
+MOST_HANGING_OFFSET = 1e-6  # rad off straight down, up to which a load counts as a pendulum
 ALONG_A_SLIDE = {"N*m": "N", "rad": "m", "rad/s": "m/s", "kg*m^2": "kg", "N*m*s/rad": "N*s/m"}
 NOT_OF_A_SIMULATOR = {
     "bench.velocity_filter_bandwidth": "how the drive filters its velocity",
@@ -25,7 +25,7 @@ NOT_OF_A_SIMULATOR = {
 
 @dataclass(frozen=True)
 class ImportedJoint:
-    """A model file and what its source does not say."""
+    """A model file that was read from a joint, and what its source does not say."""
 
     model: Model
     text: str  # of the file
@@ -34,7 +34,7 @@ class ImportedJoint:
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The same for other programs."""
+        """Return model, joint, actuator, missing keys and notes as JSON takes them."""
         joint, drive = self.joint, self.joint.actuator
         figures = {
             "name": joint.name,
@@ -102,7 +102,7 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
 
 
 def rounded(value: Any) -> Any:
-    """A mapping with its numbers cut to what they are worth."""
+    """Return a value with all its numbers rounded to `DIGITS` digits."""
     if isinstance(value, dict):
         return {key: rounded(part) for key, part in value.items()}
     if isinstance(value, list):
@@ -111,7 +111,7 @@ def rounded(value: Any) -> Any:
 
 
 class _ModelKeys:
-    """The keys of a model file as they come together."""
+    """A builder of the keys of a model file, one part after the other."""
 
     def __init__(self, joint: Joint, path: Path) -> None:
         self.joint, self.file = joint, path.name
@@ -120,7 +120,7 @@ class _ModelKeys:
         self.notes: list[str] = []
 
     def mechanics(self) -> None:
-        """Damping, friction, the spring; a zero is MuJoCo's default and says nothing."""
+        """Add damping, friction and spring; a zero is MuJoCo's default and counts as missing."""
         joint = self.joint
         for key, value, attribute in (
             ("viscous_damping", joint.damping, "damping"),
@@ -149,7 +149,7 @@ class _ModelKeys:
         if joint.level_torque == 0.0:
             return
         load: dict[str, Any] = {"type": "pendulum", "mass": joint.mass, "length": joint.lever}
-        if abs(joint.hanging_angle) > HANGS:
+        if abs(joint.hanging_angle) > MOST_HANGING_OFFSET:
             load["type"] = "arm"
             load["zero_angle"] = math.remainder(-0.5 * math.pi - joint.hanging_angle, 2.0 * math.pi)
         load["gravity"] = joint.level_torque / (joint.mass * joint.lever)
@@ -157,7 +157,7 @@ class _ModelKeys:
         self.keys["rotor_inertia"] = joint.inertia - joint.mass * joint.lever**2
 
     def drive(self, supply: float | None, ctrl_is_current: bool) -> None:
-        """What the actuator says of the motor."""
+        """Add what the actuator says of the motor."""
         actuator = self.joint.actuator
         self.missing["gear_ratio"] = "turns of the motor for one of the joint"
         if actuator is None:
@@ -200,7 +200,7 @@ class _ModelKeys:
             )
 
     def _servo(self, actuator: JointActuator, supply: float | None) -> None:
-        """A motor on a voltage that answers as kp, kv and the limit of the force do.
+        """Add a motor on a voltage that answers as kp, kv and the limit of the force do.
 
         Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is what brakes, K/R V the limit, K/R gain the stiffness.
         """

@@ -10,8 +10,8 @@ from leactl.vocabulary.effect import effect_definition
 FORMAT, VERSION = "leactl-actuator", 1
 
 
-def table(model: Model, joint: str, timestep: float | None = None) -> dict[str, Any]:
-    """The table; what the model does not know is None.
+def actuator_table(model: Model, joint: str, timestep: float | None = None) -> dict[str, Any]:
+    """Return the table of a model; what the model does not know is None.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def _inertia(model: Model) -> dict[str, Any]:
 
 
 def _friction(model: Model) -> dict[str, Any]:
-    """Friction by its usual three figures: at rest, while sliding, with speed."""
+    """Return friction at rest, while sliding and with speed."""
     sliding = at_rest = model.coulomb_friction
     for entry in model.effects:
         if entry.effect == "stribeck" and at_rest is not None:
@@ -59,7 +59,7 @@ def _friction(model: Model) -> dict[str, Any]:
 
 
 def _actuator(model: Model) -> dict[str, Any]:
-    """What the actuator does to an error of the angle, and what it can at most."""
+    """Return stiffness, limits and torque constant of the actuator."""
     servo, constant = servo_figures(model), model.torque_constant
     limits = [entry.parameters["current"] for entry in model.effects if entry.effect == "torque_limit"]
     effort = servo.limit if servo else min(limits) * constant if limits and constant is not None else None

@@ -1,4 +1,4 @@
-"""An augmented model as a patch of the user's MJCF or URDF file, and the figures of its callbacks."""
+"""An augmented model as a patch of the user's MJCF or URDF file."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,15 +13,15 @@ from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file
 
-AS_WRITTEN = 1e-6  # relative, by which MuJoCo may read back another figure than was written
+SAME_WITHIN = 1e-6  # relative, by which MuJoCo may read back another figure than was written
 # steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
-STUCK_STEPS = 4.0
-STUCK = "0.999 0.9999 0.001"  # solimpfriction for the same
+STICKING_STEPS = 4.0
+STICKING_IMPEDANCE = "0.999 0.9999 0.001"  # solimpfriction for the same
 
 
 @dataclass(frozen=True)
 class Change:
-    """One attribute of the user's file."""
+    """A change of one attribute of the user's file."""
 
     element: str  # as `joint 'knee'`
     line: int
@@ -32,7 +32,7 @@ class Change:
 
 @dataclass
 class Patch:
-    """The user's file with a model's figures, and what did not fit into it."""
+    """The user's file with a model's figures, and where each effect goes."""
 
     text: bytes
     joint: Joint  # as the user's file had it
@@ -43,7 +43,7 @@ class Patch:
     notes: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
-        """What was changed, for other programs."""
+        """Return changes, effects and notes as JSON takes them."""
         return {
             "changes": [vars(change) for change in self.changes],
             "effects": [
@@ -55,7 +55,7 @@ class Patch:
 
 
 def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: bool = False) -> Patch:
-    """The user's file with what of a model its format can hold; comments and the rest stay as they are.
+    """Return the user's file with those figures of a model that its format can hold; all else stays as it is.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
 
 
 def law_of(model: Model, actuator: JointActuator | None) -> str | None:
-    """The law by which callbacks can stand in for the joint's actuator."""
+    """Return the law by which callbacks can replace the joint's actuator; None where they cannot."""
     if actuator is None:
         return None
     if model.drive is not None:
@@ -93,7 +93,7 @@ def law_of(model: Model, actuator: JointActuator | None) -> str | None:
 
 @dataclass(frozen=True)
 class ServoFigures:
-    """A position servo on a voltage as a spring, a brake and a limit."""
+    """The stiffness, the braking and the limits of a position servo that sets a voltage."""
 
     stiffness: float  # N*m/rad
     braking: float  # N*m*s/rad, by the back-EMF
@@ -102,7 +102,7 @@ class ServoFigures:
 
 
 def servo_figures(model: Model) -> ServoFigures | None:
-    """Figures of the model's position servo; None where it has none or does not know its motor."""
+    """Return the figures of the model's position servo; None where it has none or does not know its motor."""
     constant, resistance, drive = model.torque_constant, model.phase_resistance, model.drive
     if drive is None or constant is None or resistance is None:
         return None
@@ -114,7 +114,7 @@ def servo_figures(model: Model) -> ServoFigures | None:
 
 
 class _JointPatch:
-    """A file's changes as they come together."""
+    """A builder of the changes to one joint of a file."""
 
     def __init__(self, model: Model, text: XmlText, joint: Joint) -> None:
         self.model, self.text, self.of = model, text, joint
@@ -127,7 +127,7 @@ class _JointPatch:
         self.effects = list(destinations(model, self.law))
 
     def patch(self) -> Patch:
-        """The whole."""
+        """Return the patch with all changes so far."""
         text = self.text.changed(self.set, self.below)
         return Patch(text, self.of, self.law, self.wanted, self.changes, self.effects, self.notes)
 
@@ -153,17 +153,17 @@ class _JointPatch:
             )
 
     def mechanics(self) -> None:
-        """Work out the joint's figures from the model's."""
+        """Compute the joint's figures from the model's."""
         model, joint = self.model, self.of
         if model.rotor_inertia is not None:
             bodies = joint.inertia - joint.armature
             armature = model.rotor_inertia + model.load.inertia - bodies
-            if armature < -AS_WRITTEN * bodies:
+            if armature < -SAME_WITHIN * bodies:
                 self.notes.append(
                     f"the bodies alone have an inertia of {bodies:.6g} kg*m^2 about the joint, the model has"
                     f" {bodies + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
                 )
-            self.wanted["armature"] = max(armature, 0.0) if abs(armature) > AS_WRITTEN * bodies else 0.0
+            self.wanted["armature"] = max(armature, 0.0) if abs(armature) > SAME_WITHIN * bodies else 0.0
         if model.viscous_damping is not None or self.servo is not None:
             added = joint.damping - joint.attribute_damping  # by the actuator's own attribute
             braking = self.servo.braking if self.servo is not None else 0.0
@@ -180,55 +180,63 @@ class _JointPatch:
             )
 
     def mjcf(self, ctrl_is_current: bool) -> None:
-        """Set attributes of the joint and of its actuator where the file's figures are others."""
+        """Change the attributes of the joint and its actuator whose figures differ from the file's."""
         has = figures_of(self.of)
         values: dict[str, str | None] = {
-            name: number(math.degrees(value) if name == "springref" and self._in_degrees() else value)
+            name: attribute_text(math.degrees(value) if name == "springref" and self._in_degrees() else value)
             for name, value in self.wanted.items()
-            if not alike(value, has[name])
+            if not same_figure(value, has[name])
         }
         if "stiffness" in values or "damping" in values:
             values["springdamper"] = None
         if self.wanted.get("frictionloss"):
-            values |= {"solreffriction": f"{number(STUCK_STEPS * self.of.timestep)} 1", "solimpfriction": STUCK}
+            values |= {
+                "solreffriction": f"{attribute_text(STICKING_STEPS * self.of.timestep)} 1",
+                "solimpfriction": STICKING_IMPEDANCE,
+            }
         servo, actuator, constant = self.servo, self.of.actuator, self.model.torque_constant
         if servo is not None and self.of.torque_limit is not None and self.of.torque_limit < servo.limit:
-            values["actuatorfrcrange"] = both_ways(servo.limit)
+            values["actuatorfrcrange"] = symmetric_range(servo.limit)
         self._change(self._element("worldbody", "joint", "name"), values)
         if actuator is None:
             return
         if servo is not None and self.law == SERVO:
             self._change(self._element("actuator", None, "joint"), self._servo_attributes(actuator, servo))
             self.wanted |= {"kp": servo.stiffness, "kv": 0.0, "forcerange": servo.limit}
-        if ctrl_is_current and constant is not None and not alike(constant, abs(actuator.gain)):
+        if ctrl_is_current and constant is not None and not same_figure(constant, abs(actuator.gain)):
             element = self._element("actuator", None, "joint")
             gears = (element.attributes.get("gear") or "1").split()
-            gears[0] = number(actuator.gear * constant / abs(actuator.gain))
+            gears[0] = attribute_text(actuator.gear * constant / abs(actuator.gain))
             self._change(element, {"gear": " ".join(gears)})
             self.wanted["gain"] = math.copysign(constant, actuator.gain)
 
     def _servo_attributes(self, actuator: JointActuator, servo: ServoFigures) -> dict[str, str | None]:
-        """Of a <position> or <general> actuator; the back-EMF brakes by the joint's damping, beyond the limit too."""
-        element, stiffness = self._element("actuator", None, "joint"), number(servo.stiffness / actuator.gear**2)
+        """Return the attributes of a <position> or <general> actuator; its back-EMF is in the joint's damping."""
+        element, stiffness = (
+            self._element("actuator", None, "joint"),
+            attribute_text(servo.stiffness / actuator.gear**2),
+        )
         values: dict[str, str | None] = {}
         if element.name == "position":
-            if not alike(servo.stiffness, actuator.kp):
+            if not same_figure(servo.stiffness, actuator.kp):
                 values["kp"] = stiffness
             if actuator.kv:
                 values |= {"kv": "0", "dampratio": None}
-        elif not alike(servo.stiffness, actuator.kp) or actuator.kv:
+        elif not same_figure(servo.stiffness, actuator.kp) or actuator.kv:
             values |= {"gainprm": stiffness, "biasprm": f"0 -{stiffness} 0"}
-        if actuator.force_limit is None or not alike(servo.limit, actuator.force_limit):
-            values["forcerange"] = both_ways(servo.limit / abs(actuator.gear))
+        if actuator.force_limit is None or not same_figure(servo.limit, actuator.force_limit):
+            values["forcerange"] = symmetric_range(servo.limit / abs(actuator.gear))
         if actuator.force_limit is None:
             values["forcelimited"] = "true"
         return values
 
     def urdf(self) -> None:
-        """Set damping and friction of the joint's <dynamics>, and the effort of its <limit>."""
+        """Change damping and friction in the joint's <dynamics>, and the effort in its <limit>."""
         joint = self._element("robot", "joint", "name")
         dynamics = {"damping": self.wanted.get("damping"), "friction": self.wanted.get("frictionloss")}
-        values: dict[str, str | None] = {name: number(value) for name, value in dynamics.items() if value is not None}
+        values: dict[str, str | None] = {
+            name: attribute_text(value) for name, value in dynamics.items() if value is not None
+        }
         children = {child.name: child for child in self.text.children(joint)}
         if "dynamics" in children:
             self._change(children["dynamics"], values)
@@ -238,7 +246,7 @@ class _JointPatch:
             line = self.text.line(joint)
             self.changes += [Change("dynamics", line, name, None, value) for name, value in values.items()]
         if self.servo is not None and "limit" in children:
-            self._change(children["limit"], {"effort": number(self.servo.limit)})
+            self._change(children["limit"], {"effort": attribute_text(self.servo.limit)})
         if armature := self.wanted.pop("armature", 0.0):
             self.notes.append(f"URDF has no armature; {armature:.6g} kg*m^2 are left out")
         for name in ("stiffness", "springref"):
@@ -248,7 +256,7 @@ class _JointPatch:
         ]
 
     def _element(self, within: str, tag: str | None, attribute: str) -> Element:
-        """The element of the joint, or of what refers to it."""
+        """Return the element of the joint, or of the actuator that refers to it."""
         for element in self.text.elements:
             named = element.attributes.get(attribute) == self.of.name
             if attribute == "joint":
@@ -277,7 +285,7 @@ class _JointPatch:
 
 
 def write_patch(patched: Patch, out: Path) -> None:
-    """Write a patched file where MuJoCo compiles it and reads what was written; else nothing is.
+    """Write a patched file if MuJoCo compiles it and reads the written figures; otherwise write nothing.
 
     Raises
     ------
@@ -290,7 +298,7 @@ def write_patch(patched: Patch, out: Path) -> None:
         except InputError as fault:
             raise InputError([line.replace(str(path), str(out)) for line in fault.faults]) from None
         for name, value in patched.expected.items():
-            if not alike(value, read[name]):
+            if not same_figure(value, read[name]):
                 raise InputError(
                     f"{out}: MuJoCo reads {name} {read[name]:.9g} of joint '{patched.joint.name}', {value:.9g} was"
                     " written; a default or a compiler setting of the file stands against it"
@@ -298,7 +306,7 @@ def write_patch(patched: Patch, out: Path) -> None:
 
 
 def figures_of(joint: Joint) -> dict[str, float]:
-    """What a patch may set, as MuJoCo reads it, by attribute."""
+    """Return the figures that a patch may set, as MuJoCo reads them, by attribute."""
     actuator = joint.actuator
     return {
         "armature": joint.armature,
@@ -313,16 +321,16 @@ def figures_of(joint: Joint) -> dict[str, float]:
     }
 
 
-def alike(first: float, second: float) -> bool:
-    """Whether two figures are one but for the digits of a file."""
-    return math.isclose(first, second, rel_tol=AS_WRITTEN, abs_tol=1e-12)
+def same_figure(first: float, second: float) -> bool:
+    """Return whether two figures are equal but for rounding in a file."""
+    return math.isclose(first, second, rel_tol=SAME_WITHIN, abs_tol=1e-12)
 
 
-def number(value: float) -> str:
-    """A figure as an attribute."""
+def attribute_text(value: float) -> str:
+    """Return a figure as the text of an attribute."""
     return f"{value:.{DIGITS}g}"
 
 
-def both_ways(value: float) -> str:
-    """A limit of both senses as an attribute."""
-    return f"{number(-value)} {number(value)}"
+def symmetric_range(value: float) -> str:
+    """Return a limit that holds both ways as the text of an attribute."""
+    return f"{attribute_text(-value)} {attribute_text(value)}"

@@ -1,4 +1,4 @@
-"""XML that a person wrote, changed attribute by attribute: comments, order and white space stay as they are."""
+"""XML files changed attribute by attribute: comments, order and white space stay as their author wrote them."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -16,7 +16,7 @@ _ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
 @dataclass(frozen=True)
 class Element:
-    """One start tag of a file."""
+    """The start tag of one element."""
 
     path: tuple[str, ...]  # names from the root to the element
     attributes: Mapping[str, str]
@@ -26,13 +26,13 @@ class Element:
 
     @property
     def name(self) -> str:
-        """Name of the element."""
+        """Return the name of the element."""
         return self.path[-1]
 
 
 @dataclass(frozen=True)
 class XmlText:
-    """A file as bytes, and where its elements begin."""
+    """An XML file as bytes, with the position of each element."""
 
     name: str
     raw: bytes
@@ -40,20 +40,20 @@ class XmlText:
 
     @property
     def root(self) -> str:
-        """Name of the outermost element."""
+        """Return the name of the outermost element."""
         return self.elements[0].name
 
     def line(self, element: Element) -> int:
-        """Line at which an element begins, from 1."""
+        """Return the line on which an element begins, from 1."""
         return self.raw.count(b"\n", 0, element.begin) + 1
 
     def children(self, element: Element) -> Iterator[Element]:
-        """The elements right below one."""
+        """Return the children of an element."""
         index = self.elements.index(element)
         return (child for child in self.elements if child.parent == index)
 
     def changed(self, changes: Mapping[int, Mapping[str, str | None]], below: Mapping[int, str]) -> bytes:
-        """The file with attributes of some elements set, or removed where they are None.
+        """Return the file with attributes of some elements set, or removed where they are None.
 
         Parameters
         ----------
@@ -81,11 +81,11 @@ def read_xml(path: Path) -> XmlText:
     ------
     InputError : it is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document type.
     """
-    return parsed(file_bytes(path, MOST_BYTES), str(path))
+    return parse_xml(file_bytes(path, MOST_BYTES), str(path))
 
 
-def parsed(raw: bytes, name: str) -> XmlText:
-    """The elements of XML bytes; `name` stands in messages.
+def parse_xml(raw: bytes, name: str) -> XmlText:
+    """Return the elements of XML bytes; `name` stands in error messages.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def parsed(raw: bytes, name: str) -> XmlText:
 
 
 def _end_of_tag(raw: bytes, at: int) -> int:
-    """Where a start tag ends, behind its `>`; one in a quoted value does not count."""
+    """Return the index behind the `>` that ends a start tag; a `>` in a quoted value does not count."""
     quote = b""
     for index in range(at, len(raw)):
         char = raw[index : index + 1]
@@ -134,7 +134,7 @@ def _end_of_tag(raw: bytes, at: int) -> int:
 
 
 def _with_attribute(tag: str, name: str, value: str | None) -> str:
-    """A start tag with an attribute set, or without it where the value is None."""
+    """Return a start tag with an attribute set, or without it where the value is None."""
     for match in _ATTRIBUTE.finditer(tag):
         if match[1] == name:
             before, after = tag[: match.start()], tag[match.end() :]
@@ -149,6 +149,6 @@ def _with_attribute(tag: str, name: str, value: str | None) -> str:
 
 
 def _break_before(raw: bytes, element: Element) -> str:
-    """Line break and indentation of an element's first child: two blanks more than its own."""
+    """Return the line break and indentation before an element's first child: two spaces more than its own."""
     line = raw[raw.rfind(b"\n", 0, element.begin) + 1 : element.begin].decode("utf-8")
     return "\n" + (line if not line.strip() else "") + "  "

@@ -10,7 +10,7 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.vocabulary.setup_fault import setup_faults
 
 if TYPE_CHECKING:
-    from leactl.exchange.loop import ClosedLoop, Played
+    from leactl.exchange.loop import ClosedLoop, PlayedRun
     from leactl.gap.planning.advice import Advice, Experiment
     from leactl.gap.planning.reveal import Sight
 
@@ -143,7 +143,7 @@ def closed_loop_lines(loop: "ClosedLoop") -> list[str]:
     return [named, "", aligned(LOOP_HEADINGS, rows), "", *left_out, *written, *([""] if notes else []), *notes]
 
 
-def played_cells(run: "Played") -> list[str]:
+def played_cells(run: "PlayedRun") -> list[str]:
     """Return one run's cells under `LOOP_HEADINGS`."""
     closed = "" if run.before <= 0.0 else f"{100.0 * (1.0 - run.after / run.before):.0f} %"
     return [run.run, f"{run.before:.4g}", f"{run.file:.4g}", f"{run.after:.4g}", closed]

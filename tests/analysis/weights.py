@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leactl.analysis.experiments.torque_sensor_calibration import WEIGHED_BY
+from leactl.analysis.experiments.torque_sensor_calibration import GRAVITY_OF_HOLDS
 
 MASSES, ARM = (0.7, 1.4, 2.1, 2.8), 0.5
 GRAVITY = 9.81
@@ -30,7 +30,7 @@ def weighed(bench, *, gain=1.0, zero=0.02, bend=0.0, hysteresis=0.0, drift=0.0, 
     columns = {"torque": column + bench.rng.normal(0.0, noise, len(column))}
     steps = [
         ("hold", k * hold_s, (k + 1) * hold_s, 0.25 * hold_s,
-         {"weight_Nm": kg * WEIGHED_BY * ARM, "arm_m": arm_m, "role": "bench", "direction": way})
+         {"weight_Nm": kg * GRAVITY_OF_HOLDS * ARM, "arm_m": arm_m, "role": "bench", "direction": way})
         for k, (kg, way) in enumerate(holds)
     ]  # fmt: skip
     if edit is not None:

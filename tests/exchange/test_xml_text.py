@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.exchange.xml_text import parsed
+from leactl.exchange.xml_text import parse_xml
 
 NAMES = st.sampled_from(["joint", "body", "geom", "a.b", "ns:tag", "_x-1"])
 VALUES = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")), max_size=12)
@@ -40,7 +40,7 @@ def tags(draw, depth=2):
 @given(tags(), st.integers(0, 9), KEYS, st.one_of(st.none(), VALUES))
 def test_an_attribute_that_is_set_is_read_and_the_rest_stays(text, pick, key, value):
     raw = text.encode()
-    before = parsed(raw, "robot.xml")
+    before = parse_xml(raw, "robot.xml")
     index = pick % len(before.elements)
     after = before.changed({index: {key: value}}, {})
     expected = [dict(element.attributes) for element in before.elements]
@@ -48,7 +48,7 @@ def test_an_attribute_that_is_set_is_read_and_the_rest_stays(text, pick, key, va
         expected[index].pop(key, None)
     else:
         expected[index][key] = value
-    again = parsed(after, "robot.xml")
+    again = parse_xml(after, "robot.xml")
     assert [element.attributes for element in again.elements] == expected
     assert ElementTree.fromstring(after).tag == again.root
     element = before.elements[index]
@@ -58,7 +58,7 @@ def test_an_attribute_that_is_set_is_read_and_the_rest_stays(text, pick, key, va
 
 
 def test_a_new_first_child_is_indented_below_its_element():
-    before = parsed(b"<robot>\n  <joint name='a'>\n    <limit/>\n  </joint>\n</robot>", "a.urdf")
+    before = parse_xml(b"<robot>\n  <joint name='a'>\n    <limit/>\n  </joint>\n</robot>", "a.urdf")
     after = before.changed({}, {1: "<dynamics/>"})
     assert after == b"<robot>\n  <joint name='a'>\n    <dynamics/>\n    <limit/>\n  </joint>\n</robot>"
 
@@ -66,7 +66,7 @@ def test_a_new_first_child_is_indented_below_its_element():
 @given(st.binary(max_size=60))
 def test_bytes_are_elements_or_one_clear_line(raw):
     try:
-        assert parsed(raw, "robot.xml").elements
+        assert parse_xml(raw, "robot.xml").elements
     except InputError as fault:
         assert re.match(r"robot\.xml:( not UTF-8 at byte \d+|\d+:\d+  )", str(fault))
         assert "\n" not in str(fault)
@@ -74,4 +74,4 @@ def test_bytes_are_elements_or_one_clear_line(raw):
 
 def test_entities_are_not_expanded():
     with pytest.raises(InputError, match="DOCTYPE"):
-        parsed(b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><a>&c;</a>', "robot.xml")
+        parse_xml(b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><a>&c;</a>', "robot.xml")

@@ -36,11 +36,11 @@ RESULTS = {
 
 HELD = HoldSelector("velocity_rad_s", "rad/s", "load")
 ENABLED = "drive_enabled"
-DRAWN = 40  # speeds of a line in the figure
+LINE_POINTS = 40  # speeds of a line in the figure
 
 
 def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Result:
-    """Breakaway torque, drag by speed and cogging of an unpowered actuator.
+    """Estimate breakaway torque, drag over speed and cogging of an unpowered actuator.
 
     `breakaway_torque` [N*m], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
     [N*m*s^2/rad^2], `cogging_order` (periods a turn), `cogging_amplitude` [N*m] of that order, `cogging_peak_to_peak`
@@ -139,7 +139,7 @@ def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimat
 
 
 def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
-    """Torque against the motion over speed, each direction, and the fit."""
+    """Plot the torque against the motion over speed, by direction, with the fit."""
     velocity = levels.value[VELOCITY]
     sensor_zeros = intercepts_by_hold(line)
     torque_against = (-levels.value[TORQUE] - (sensor_zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
@@ -152,6 +152,6 @@ def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
                     label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(torque_against[in_direction].tolist())
                 )
             )
-    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
+    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     fitted = Series("fit", tuple(speeds.tolist()), tuple(drag_at(line.fit, line, speeds).tolist()))
     return Plot("speed [rad/s]", "torque against the motion [N*m]", tuple(points), (fitted,))

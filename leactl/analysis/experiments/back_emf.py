@@ -51,18 +51,21 @@ RESULTS = {
     "harmonic_13_phase": "rad",
 }
 
-TO_Q = {"wye": 1.0 / math.sqrt(2.0), "delta": math.sqrt(1.5)}  # q axis of the winding's own frame over line to line
-TIME_BASE = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
-UNEVEN = 0.005  # between pairs, above which a note says so
-SUM_OF_THREE = 0.01  # of a pair, that may be left of the three voltages' sum
-SHIFTED = 0.01  # of the amplitude: an offset of a channel of which a note says so
+Q_AXIS_OVER_LINE = {
+    "wye": 1.0 / math.sqrt(2.0),
+    "delta": math.sqrt(1.5),
+}  # q axis of the winding's own frame over line to line
+TIME_BASE_STD = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
+MOST_UNEVEN = 0.005  # between pairs, above which a note says so
+MOST_SUM_OF_THREE = 0.01  # of a pair, that may be left of the three voltages' sum
+MOST_OFFSET = 0.01  # of the amplitude: an offset of a channel of which a note says so
 UNITS = "V*s/rad"
 
 
 def analyze(
     runs: Sequence[Run], *, torque_constant: float | None = None, torque_constant_std: float | None = None
 ) -> Result:
-    """Kb of the q axis, line to line and of each pair, pole pairs, harmonics, and Kt over Kb.
+    """Estimate back-EMF constants, pole pairs, harmonics, and the torque constant over the back-EMF constant.
 
     `back_emf_constant` [V*s/rad] (q axis, power-invariant), `line_to_line_constant` (amplitude over shaft speed, mean
     of the pairs) and `line_to_line_constant_ab`, `_bc`, `_ca`; `unevenness` of the pairs, `pole_pairs` as counted,
@@ -96,18 +99,18 @@ def analyze(
     series = {name: constants for name, constants in series.items() if constants}
     shares = CommonUncertainties(
         scale=max(hold.scale_std for hold in holds),
-        time_base=TIME_BASE,
+        time_base=TIME_BASE_STD,
         resolution=max(hold.resolution for hold in holds),
         ripple=max(hold.shaft.ripple for hold in holds),
     )
     whole_machine = [poles * hold.mean_of_pairs for hold in holds]
     all_complete = all(hold.complete for hold in holds)
     line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if all_complete else shares.of_one_pair)
-    if any(hold.left_over > SUM_OF_THREE for hold in holds):
-        widened = covering(line, series)
+    if any(hold.left_over > MOST_SUM_OF_THREE for hold in holds):
+        widened = widened_by_scatter(line, series)
         line = widened.value
         notes += widened.notes
-    kb = scaled(line, TO_Q[winding.value], "back_emf_constant", UNITS)
+    kb = scaled(line, Q_AXIS_OVER_LINE[winding.value], "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
         constant_of(f"line_to_line_constant_{name}", UNITS, constants, shares.of_one_pair)
@@ -122,7 +125,7 @@ def analyze(
     ratio = torque_constant_ratio(runs, kb, torque_constant, torque_constant_std)
     results += [*ratio.value, *harmonics_of(holds)]
 
-    notes += [*ratio.notes, *remarks(holds, series, shares, all_complete)]
+    notes += [*ratio.notes, *measurement_notes(holds, series, shares, all_complete)]
     notes[:0] = unit_notes(runs, [kb], ["phase_voltage"])
     paths = tuple(str(run.path) for run in runs)
     return Result(
@@ -168,7 +171,7 @@ def pole_pairs_of(holds: Sequence[TurningHold], error_prefix: str) -> Noted[tupl
 def winding_of(run: Run) -> Noted[str]:
     """Return `wye` or `delta` as the run's model states it; `wye` where it states neither."""
     winding = model_of(run).get("winding")
-    if winding not in TO_Q:
+    if winding not in Q_AXIS_OVER_LINE:
         return Noted("wye", (f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)",))
     if winding == "delta":
         note = "the winding is a delta: Kb_q = sqrt(3/2) Kb_ll in its own frame, Kb_ll / sqrt(2) as a wye's"
@@ -177,13 +180,13 @@ def winding_of(run: Run) -> Noted[str]:
 
 
 def scaled(estimate: Estimate, factor: float, name: str, units: str) -> Estimate:
-    """An estimate times a number that is exact."""
+    """Return an estimate multiplied by an exact number."""
     value, std, low, high = (factor * number for number in (estimate.value, estimate.std, estimate.low, estimate.high))
     return Estimate(name, value, std, low, high, units)
 
 
-def covering(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estimate]:
-    """Widen the interval of the pairs' mean by their scatter: one of them is wrong, and it is not known which."""
+def widened_by_scatter(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estimate]:
+    """Widen the interval of the pairs' mean by their scatter, since it is not known which of them is wrong."""
     means = [float(np.mean([np.nanmean(hold_sizes) for hold_sizes in sizes])) for sizes in series.values()]
     error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
     half = math.hypot(0.5 * (line.high - line.low), t_quantile(len(means) - 1) * error)
@@ -196,7 +199,7 @@ def covering(line: Estimate, series: dict[str, list[np.ndarray]]) -> Noted[Estim
 
 
 def unevenness(series: dict[str, list[np.ndarray]], shares: CommonUncertainties) -> Estimate:
-    """Largest less smallest pair over their mean; the scale that they share is in none of it."""
+    """Estimate the largest less the smallest pair over their mean; the scale that the pairs share cancels."""
     constants = [
         constant_of(name, UNITS, wave_constants, shares.between_pairs) for name, wave_constants in series.items()
     ]
@@ -239,10 +242,10 @@ def torque_constant_ratio(
     return Noted([estimate], tuple(notes))
 
 
-def remarks(
+def measurement_notes(
     holds: Sequence[TurningHold], series: dict[str, list[np.ndarray]], shares: CommonUncertainties, complete: bool
 ) -> list[str]:
-    """What a reader must know of the channels, the pairs and the speed."""
+    """Return notes on uncertainties, uneven and drifting pairs, offsets, and ripple of the speed."""
     notes = [
         "uncertainties hold the scatter of the waves, the converter's steps and time base"
         + (f" and {shares.scale:.2g} of its scale" if shares.scale else "; the run tells none of its scale")
@@ -252,18 +255,18 @@ def remarks(
     for hold in holds:
         where = f"{hold.run.path} from {hold.start:.2f} s"
         notes += [f"{where}: {text}" for text in hold.findings]
-        if hold.shaft.ripple > UNEVEN:
+        if hold.shaft.ripple > MOST_UNEVEN:
             notes.append(
                 f"{where}: the speed ripples by {hold.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
                 " quarter of that, and their mean by nothing"
             )
-        if hold.left_over > SUM_OF_THREE:
+        if hold.left_over > MOST_SUM_OF_THREE:
             notes.append(
                 f"{where}: the three voltages leave {hold.left_over:.1%} of a pair, and not zero: a channel's scale is"
                 " off, or a pair is not measured at the motor's leads"
             )
         for name, offset in hold.offsets.items():
-            if abs(offset) > SHIFTED * hold.volts[name]:
+            if abs(offset) > MOST_OFFSET * hold.volts[name]:
                 notes.append(f"{where}: pair {name} is offset by {offset:+.3g} V, which does not count")
         moved = {name: drift_of(size) / float(np.nanmean(size)) for name, size in hold.sizes.items()}
         drifting = {name: change for name, change in moved.items() if change}
@@ -273,7 +276,7 @@ def remarks(
         elif drifting:
             notes.append(f"{where}: pair {changes} drifts, others do not: its channel, or the contacts of its leads")
     spread = [float(np.nanmean(np.concatenate(wave_constants))) for wave_constants in series.values()]
-    if max(spread) - min(spread) > UNEVEN * max(spread):
+    if max(spread) - min(spread) > MOST_UNEVEN * max(spread):
         notes.append(
             f"the pairs differ by {(max(spread) - min(spread)) / max(spread):.1%}: windings, dividers or contacts"
         )
@@ -281,7 +284,7 @@ def remarks(
 
 
 def plot_over_time(holds: Sequence[TurningHold], poles: int) -> Plot:
-    """Kb line to line of every wave over the time of its middle."""
+    """Plot the line-to-line constant of every wave over the time of its middle."""
     points = []
     for name in PAIRS:
         with_pair = [hold for hold in holds if name in hold.sizes]
@@ -296,7 +299,7 @@ def plot_over_time(holds: Sequence[TurningHold], poles: int) -> Plot:
 
 
 def plot_of_wave(holds: Sequence[TurningHold], poles: int) -> Plot:
-    """The mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
+    """Plot the mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     points = []
     for name in PAIRS:

@@ -25,12 +25,12 @@ RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
 BINS = 40  # of a histogram
 NOISY = ("torque", "q_axis_current", "velocity")  # whose readings differ by noise even where nothing moves
 MOST_PLOTTED = 3  # channels that are plotted where none is chosen
-SETPOINTS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint of its own
-UNMOVED = ({"repeat"}, {"repeat", "until"})  # and what alone is told of a hold that keeps the one before
+SETPOINT_KEYS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint of its own
+KEPT_SETPOINT_KEYS = ({"repeat"}, {"repeat", "until"})  # and what alone is told of a hold that keeps the one before
 
 
 def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Result:
-    """Mean, deviation and drift of each channel over the settled part of each hold, and the response to excitations.
+    """Estimate mean, deviation and drift of each channel over each hold, and its response to each excitation.
 
     `hold_1_torque` is the mean over the first hold, `hold_1_torque_deviation` the deviation of single readings,
     `hold_1_torque_drift` the slope over time, `steady_1_torque` the mean over the first hold with the name `steady`.
@@ -53,22 +53,22 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
     plots: list[Plot] = []
     grids: list[Grid] = []
     for label, members in by_protocol(runs).items():
-        answers = [of_run(run, channel) for run in members]
-        comparable_runs = comparable(members, answers)
+        answers = [result_of_run(run, channel) for run in members]
+        comparable_runs = comparable_indices(members, answers)
         kept = comparable_runs.value
         notes += [*(note for answer in answers for note in answer.notes), *comparable_runs.notes]
-        means = averaged([answers[index].results for index in kept], [str(members[index].path) for index in kept])
+        means = mean_results([answers[index].results for index in kept], [str(members[index].path) for index in kept])
         results += [replace(estimate, name=f"{label}{estimate.name}") for estimate in means]
         plots += [plot for index in kept for plot in answers[index].plots]
         grids += [grid for index in kept for grid in answers[index].grids]
-    if not channel and any(len(chosen(run, channel)) > MOST_PLOTTED for run in runs):
+    if not channel and any(len(chosen_channels(run, channel)) > MOST_PLOTTED for run in runs):
         notes.append("plots and histograms are those of chosen channels: --channel NAME")
     paths = tuple(str(run.path) for run in runs)
     return Result("channels", paths, tuple(results), tuple(notes), tuple(plots), (), tuple(grids))
 
 
 def by_protocol(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs of the same protocol with the same parameters together, by what opens the names of their results.
+    """Group runs of the same protocol and parameters; each key opens the names of its group's results.
 
     That is nothing where all are alike, else the protocol and the parameters, of each what is not the same in all.
     """
@@ -84,32 +84,32 @@ def by_protocol(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return groups
 
 
-def of_run(run: Run, channel: Sequence[str] | None) -> Result:
+def result_of_run(run: Run, channel: Sequence[str] | None) -> Result:
     """Analyse one run by itself; its notes name what is left out."""
     notes: list[str] = []
-    measured = chosen(run, channel)
-    holds = held(run)
+    measured = chosen_channels(run, channel)
+    holds = labelled_holds(run)
     too_few: dict[tuple[str, ...], list[str]] = {}  # labels of holds by the channels that they know too little of
-    results = [estimate for label, step in holds for estimate in over_hold(label, step, measured, too_few)]
+    results = [estimate for label, step in holds for estimate in hold_estimates(label, step, measured, too_few)]
     for names, labels in too_few.items():
         reason = f"fewer than {FEWEST_SAMPLES} samples over its settled part"
         notes += tally({reason: list(names)}, f"{run.path}: {listed(labels)}")
-    notes += [note for name, values in measured.items() for note in unmoved(run, name, values)]
+    notes += [note for name, values in measured.items() for note in stuck_notes(run, name, values)]
     plots: list[Plot] = []
     grids: list[Grid] = []
-    for label, step in excited(run):
+    for label, step in labelled_excitations(run):
         response = gain_and_phase(run, label, step, measured)
         step_results, step_plots, step_grids = response.value
         results, plots, grids = results + step_results, plots + step_plots, grids + step_grids
         notes += response.notes
     if channel or len(measured) <= MOST_PLOTTED:
-        plots += [plot for name, values in measured.items() for plot in pictures(name, values, holds)]
+        plots += [plot for name, values in measured.items() for plot in channel_plots(name, values, holds)]
     grids += [histogram(name, values) for name, values in measured.items() if np.isfinite(values.values).any()]
     return Result("channels", (str(run.path),), tuple(results), tuple(notes), tuple(plots), (), tuple(grids))
 
 
-def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
-    """A note on a sensor with noise that gives one and the same reading throughout: its deviation of 0 is none.
+def stuck_notes(run: Run, name: str, channel: Channel) -> Iterator[str]:
+    """Yield a note on a noisy sensor that gives the same reading throughout the run.
 
     A drive that is off and a shaft that stands read 0.
     """
@@ -120,7 +120,7 @@ def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
         yield f"{run.path}: {name} reads exactly {readings[0]:.6g} {channel.units} throughout: is its sensor connected?"
 
 
-def comparable(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int]]:
+def comparable_indices(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int]]:
     """Return the indices of the runs to average; notes name the others.
 
     A run that ended early is left out if its results differ from those of the first complete run, or, where all ended
@@ -134,8 +134,8 @@ def comparable(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[list[int
     return Noted(kept, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept))
 
 
-def chosen(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
-    """Measured channels by name: quantity, after a role other than test and before a location."""
+def chosen_channels(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
+    """Return the wanted channels, or all measured ones, by name: role unless test, quantity, location."""
     path_of_name = {}
     for stream, specs in run.streams.items():
         for spec in specs:
@@ -156,8 +156,8 @@ def chosen(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
     return {name: run.channel_at(channel_path) for name, channel_path in kept.items()}
 
 
-def held(run: Run) -> list[tuple[str, Step]]:
-    """Holds of a run with their labels, also those of another name; the whole of a run that has no steps."""
+def labelled_holds(run: Run) -> list[tuple[str, Step]]:
+    """Return the holds of a run with their labels; the whole run as one hold where it has no steps."""
     steps = run.steps
     if not steps:
         times = [time for stream in run.streams if len(time := run.time(stream))]
@@ -165,22 +165,22 @@ def held(run: Run) -> list[tuple[str, Step]]:
             return []
         stop = float(np.nextafter(max(time[-1] for time in times), math.inf))
         return [("whole", Step("whole", float(min(time[0] for time in times)), stop, 0.0, {}))]
-    return numbered(step for step in steps if is_hold(step))
+    return with_labels(step for step in steps if is_hold(step))
 
 
 def is_hold(step: Step) -> bool:
-    """Whether a setpoint stands still over a step: its name says so, or what is told of it."""
-    stands = any(key in step.parameters for key in SETPOINTS) or step.parameters.keys() in UNMOVED
+    """Return whether the setpoint stands still over a step, by the step's name or its parameters."""
+    stands = any(key in step.parameters for key in SETPOINT_KEYS) or step.parameters.keys() in KEPT_SETPOINT_KEYS
     return step.name == "hold" or ("kind" not in step.parameters and stands and step.stop > step.start)
 
 
-def excited(run: Run) -> list[tuple[str, Step]]:
-    """Steps of a run that excite it with many frequencies, with their labels."""
-    return numbered(step for step in run.steps if step.name in EXCITATIONS)
+def labelled_excitations(run: Run) -> list[tuple[str, Step]]:
+    """Return the steps that excite many frequencies, with their labels."""
+    return with_labels(step for step in run.steps if step.name in EXCITATIONS)
 
 
-def numbered(steps: Iterable[Step]) -> list[tuple[str, Step]]:
-    """Steps with their labels: the name, and the how manieth of its name it is."""
+def with_labels(steps: Iterable[Step]) -> list[tuple[str, Step]]:
+    """Return steps with their labels: the name, and the number among the steps of that name."""
     counts: Counter[str] = Counter()
     labelled = []
     for step in steps:
@@ -189,10 +189,10 @@ def numbered(steps: Iterable[Step]) -> list[tuple[str, Step]]:
     return labelled
 
 
-def over_hold(
+def hold_estimates(
     label: str, step: Step, measured: dict[str, Channel], too_few: dict[tuple[str, ...], list[str]]
 ) -> list[Estimate]:
-    """Mean, deviation and drift of each channel over one hold; channels with too few samples go into `too_few`."""
+    """Estimate mean, deviation and drift of each channel over one hold; channels with few samples go into `too_few`."""
     estimates: list[Estimate] = []
     lacking = []
     start = step.start + step.settle
@@ -202,20 +202,20 @@ def over_hold(
             lacking.append(name)
             continue
         part = span(channel, start, step.stop)
-        estimates += statistics(f"{label}_{name}", channel.time[part], channel.values[part], channel.units)
+        estimates += record_estimates(f"{label}_{name}", channel.time[part], channel.values[part], channel.units)
     if lacking:
         too_few.setdefault(tuple(lacking), []).append(label)
     return estimates
 
 
-def statistics(name: str, time: Array, values: Array, units: str) -> list[Estimate]:
-    """Mean, deviation of single readings and drift of an evenly sampled record, with 95 % intervals."""
+def record_estimates(name: str, time: Array, values: Array, units: str) -> list[Estimate]:
+    """Estimate mean, deviation of single readings and drift of an evenly sampled record."""
     from scipy.stats import chi2
 
     good = np.isfinite(values)
     varies = float(np.ptp(values[good])) > 0.0
     deviation, error = float(np.std(values[good], ddof=1)) if varies else 0.0, standard_error(values)
-    dof = independent(deviation, error, int(good.sum())) - 1.0
+    dof = independent_readings(deviation, error, int(good.sum())) - 1.0
     mean = with_interval(name, float(values[good].mean()), error, dof, units)
     low, high = (deviation * math.sqrt(dof / chi2.ppf(0.5 + side * CONFIDENCE / 2, dof)) for side in (1, -1))
     scatter = Estimate(f"{name}_deviation", deviation, deviation / math.sqrt(2.0 * dof), low, high, units)
@@ -226,25 +226,25 @@ def statistics(name: str, time: Array, values: Array, units: str) -> list[Estima
     slope = float(np.sum(centred_time[good] * deviations[good])) / length
     residual = deviations - slope * centred_time
     residual_deviation, residual_error = float(np.std(residual[good], ddof=1)), standard_error(residual)
-    effective = independent(residual_deviation, residual_error, int(good.sum()))
+    effective = independent_readings(residual_deviation, residual_error, int(good.sum()))
     error = residual_deviation * math.sqrt(good.sum() / effective / length)
     drift = with_interval(f"{name}_drift", slope, error, effective - 2.0, f"{units}/s")
     return [mean, scatter, drift]
 
 
-def independent(deviation: float, error: float, samples: int) -> float:
-    """How many independent readings know a mean as well: at least the five that the autocorrelation is summed by."""
+def independent_readings(deviation: float, error: float, samples: int) -> float:
+    """Return how many independent readings would know the mean as well, given its standard error."""
     return (deviation / error) ** 2 if error > 0.0 else float(samples)
 
 
 def with_interval(name: str, value: float, std: float, dof: float, units: str) -> Estimate:
-    """An estimate with the interval of Student's t."""
+    """Return an estimate with the 95 % interval of Student's t."""
     half = std * t_quantile(dof)
     return Estimate(name, value, std, value - half, value + half, units)
 
 
-def averaged(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[str]) -> list[Estimate]:
-    """Each result over all runs: the mean, with the scatter between and within runs where there is more than one.
+def mean_results(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[str]) -> list[Estimate]:
+    """Return each result averaged over repeats; a single run's results stay as they are.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def averaged(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[str])
 
 
 def mean_of(repeats: Sequence[Estimate]) -> Estimate:
-    """The mean of a result over repeats, no better known than by what the repeats know of themselves."""
+    """Average one result over repeats; the uncertainty is at least what the repeats know of themselves."""
     count, first = len(repeats), repeats[0]
     values = np.array([estimate.value for estimate in repeats])
     by_scatter = with_interval(
@@ -273,21 +273,21 @@ def mean_of(repeats: Sequence[Estimate]) -> Estimate:
     return replace(by_scatter, std=max(by_scatter.std, std), low=low, high=high)
 
 
-def counted(channel: Channel) -> tuple[Array, Array]:
-    """Middles of the bins of a histogram, and how many readings fall into each."""
+def histogram_counts(channel: Channel) -> tuple[Array, Array]:
+    """Return the middles of a histogram's bins and the number of readings in each, shape (`BINS`,) both."""
     counts, edges = np.histogram(channel.values[np.isfinite(channel.values)], bins=BINS)
     return 0.5 * (edges[1:] + edges[:-1]), counts.astype(np.float64)
 
 
 def histogram(name: str, channel: Channel) -> Grid:
-    """How often a channel read what, over the whole run."""
-    middles, counts = counted(channel)
+    """Return the histogram of a channel's readings over the whole run."""
+    middles, counts = histogram_counts(channel)
     axes = {"run": (1.0,), f"{name} [{channel.units}]": tuple(middles.tolist())}
     return Grid(f"{name}_histogram", axes, {"readings [1]": (tuple(counts.tolist()),)})
 
 
-def pictures(name: str, channel: Channel, holds: Sequence[tuple[str, Step]]) -> list[Plot]:
-    """The means of the holds over time, and the histogram."""
+def channel_plots(name: str, channel: Channel, holds: Sequence[tuple[str, Step]]) -> list[Plot]:
+    """Plot the means of the holds over time, and the histogram."""
     means = [(step.start, settled_mean(channel, step.start + step.settle, step.stop)) for _, step in holds]
     points = [(start, mean.value if mean is not None else NAN) for start, mean in means]
     plots = []
@@ -295,7 +295,7 @@ def pictures(name: str, channel: Channel, holds: Sequence[tuple[str, Step]]) -> 
         x, y = zip(*points, strict=True)
         plots.append(Plot("time [s]", f"{name} [{channel.units}]", (Series("mean of a hold", x, y),), ()))
     if np.isfinite(channel.values).any():
-        middles, counts = counted(channel)
+        middles, counts = histogram_counts(channel)
         series = Series("readings", tuple(middles.tolist()), tuple(counts.tolist()))
         plots.append(Plot(f"{name} [{channel.units}]", "readings [1]", (series,), ()))
     return plots

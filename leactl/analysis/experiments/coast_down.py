@@ -38,17 +38,17 @@ RESULTS = {
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
 HELD = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
-SLOWEST = 0.1  # of the speed before: below, the filter's lag and sticking show
+SLOWEST_PART = 0.1  # of the speed before: below, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
-MISSED = 0.05  # of the setpoint: a velocity further from it was not reached
-LIKE = 0.05  # of the speed before, that a run-out may lie above it
+MOST_MISSED = 0.05  # of the setpoint: a velocity further from it was not reached
+MOST_ABOVE_HELD = 0.05  # of the speed before, that a run-out may lie above it
 OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
 DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
 @dataclass(frozen=True, eq=False)
 class RunOut:
-    """One run-out: d + a w + q w^2 is its deceleration [rad/s^2] at speed w."""
+    """One run-out, whose deceleration at speed w is d + a w + q w^2 [rad/s^2]."""
 
     trial: TrialLabel
     before: float  # rad/s, magnitude of the speed that was held
@@ -61,7 +61,7 @@ class RunOut:
 
     @property
     def deceleration(self) -> float:
-        """At the speed that was held [rad/s^2]."""
+        """Return the deceleration at the speed that was held before [rad/s^2]."""
         d, a, q = self.fit
         return d + a * self.before + q * self.before**2
 
@@ -73,7 +73,7 @@ def analyze(
     torque_constant_std: float | None = None,
     current_gain_std: float | None = None,
 ) -> Result:
-    """Inertia and drag from run-outs and the current before each; without a torque constant their ratios alone.
+    """Estimate inertia and drag from run-outs and the current before each; without a torque constant, only ratios.
 
     `rotor_inertia` [kg*m^2], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
     [N*m*s^2/rad^2], in proportion to the torque constant; from the run-outs alone `coulomb_over_inertia` [rad/s^2],
@@ -112,7 +112,7 @@ def analyze(
     try:
         constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
         notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
-        results += scaled(run_outs, trials, constants)
+        results += inertia_and_drag(run_outs, trials, constants)
         refuse_below_zero(results[0], error_prefix, "current and velocity")
     except NotIdentifiable as fault:
         notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
@@ -126,7 +126,9 @@ def analyze(
     return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(run_outs),))
 
 
-def scaled(run_outs: Sequence[RunOut], trials: Sequence[TrialLabel], constants: TorqueConstants) -> list[Estimate]:
+def inertia_and_drag(
+    run_outs: Sequence[RunOut], trials: Sequence[TrialLabel], constants: TorqueConstants
+) -> list[Estimate]:
     """Estimate the inertia, drag torque over deceleration at the held speed, and the coefficients of the drag."""
     inertias = [
         float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in run_outs
@@ -171,7 +173,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
         raise NotIdentifiable("too little velocity or current in the hold before it")
     if drive.value == 0.0:
         raise NotIdentifiable("no current held the speed before it")
-    if abs(speed.value - before[-1].setpoint) > MISSED * abs(before[-1].setpoint):
+    if abs(speed.value - before[-1].setpoint) > MOST_MISSED * abs(before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
     side = 1 if speed.value > 0.0 else -1
     part = span(velocity, step.start + step.settle, step.stop)
@@ -183,13 +185,13 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
         if (on > 0.0).mean() > 0.5:
             raise NotIdentifiable("the drive was on")
         seen &= on == 0.0
-    slow = np.flatnonzero(along < SLOWEST * abs(speed.value))
+    slow = np.flatnonzero(along < SLOWEST_PART * abs(speed.value))
     if len(slow):
         seen[slow[0] :] = False
     time, along = time[seen], along[seen]
     if len(time) < FEWEST_SAMPLES:
         raise NotIdentifiable(f"fewer than {FEWEST_SAMPLES} readings before the rotor stood: record faster")
-    if along.max() > (1.0 + LIKE) * abs(speed.value):
+    if along.max() > (1.0 + MOST_ABOVE_HELD) * abs(speed.value):
         raise NotIdentifiable("the rotor was faster than in the hold before it")
     fitted, fit = fit_of(time - time[0], along)
     held_current = current.values[span(current, before[-1].start, before[-1].stop)]
@@ -204,7 +206,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
 
 
 def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]]:
-    """The fitted speed, and the three coefficients of the deceleration."""
+    """Return the fitted speed, shape (samples,), and the three coefficients of the deceleration."""
     design = np.column_stack([np.ones_like(time), -time, -integral(speed, time), -integral(speed**2, time)])
     fit = least_squares(design, speed, design, COAST)
     _, d, a, q = fit.coefficients.tolist()
@@ -212,7 +214,7 @@ def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]
 
 
 def integral(values: Array, time: Array) -> Array:
-    """By trapezoids and their first correction: without it J is 0.02 % off where the rotor stops within 20 readings."""
+    """Integrate by trapezoids with their first correction; without it, J is 0.02 % off in a run-out of 20 readings."""
     steps, slope = np.diff(time), np.gradient(values, time)
     parts = 0.5 * steps * (values[1:] + values[:-1]) - steps**2 / 12.0 * np.diff(slope)
     return np.concatenate([[0.0], np.cumsum(parts)])

@@ -16,5 +16,5 @@ LOOP = NoiseExperiment(
 
 
 def analyze(runs: Sequence[Run]) -> Result:
-    """Bandwidth and coherent band; see `noise_response`."""
+    """Estimate bandwidth and coherent band; see `noise_response`."""
     return noise_response(runs, LOOP)

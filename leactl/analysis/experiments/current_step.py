@@ -10,5 +10,5 @@ RESULTS = STEP_RESULTS
 
 
 def analyze(runs: Sequence[Run]) -> Result:
-    """Rise time, overshoot, settling time and steady-state error of the current; see `step_response`."""
+    """Estimate rise time, overshoot, settling time and steady-state error of the current; see `step_response`."""
     return step_response("current-step", runs, "q_axis_current_reference", "q_axis_current", "current_A", "locked")

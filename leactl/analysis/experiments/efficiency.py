@@ -81,7 +81,7 @@ def analyze(
     current_gain_std: float | None = None,
     voltage_gain_std: float | None = None,
 ) -> Result:
-    """Efficiency and losses over the grid, of the actuator that drives and of the one that is driven.
+    """Estimate efficiency and losses over the grid, of the driving actuator and of the driven one.
 
     `driving_efficiency` and `driven_efficiency` (means over the grid), `_spread` (standard deviation over the grid),
     `_highest`, and, in W as means over the grid, `driving_loss`, `_loss_copper`, `_loss_friction`, `_power_electrical`,

@@ -39,14 +39,14 @@ RESULTS = {
 
 CURRENT, VELOCITY = "q_axis_current", "velocity"
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
-CLEAR = 4.0  # standard errors of a mean velocity, below which it may be none
-CREEPING = 0.02  # of the fastest level: slower does not count as turning
-STEADY = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
+TURNING_STANDARD_ERRORS = 4.0  # standard errors of a mean velocity, below which it may be none
+SLOWEST_TURNING = 0.02  # of the fastest level: slower does not count as turning
+MOST_QUARTER_SPREAD = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueConstants:
-    """The torque constant of each run [N*m/A], what is known of its uncertainty, and where it is from."""
+    """The torque constant of each run [N*m/A], shape (runs,), its uncertainty and its source."""
 
     values: Array
     relative_std: float  # with that of the current's calibration
@@ -83,7 +83,7 @@ def analyze(
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "friction of whatever else is on the shaft is counted in")
     gathered = gather_means(runs, (CURRENT, VELOCITY), usable_channel)
-    turning = steady(runs, gathered.value, error_prefix)
+    turning = steady_holds(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
     sign = np.sign(levels.value[VELOCITY])
@@ -91,9 +91,11 @@ def analyze(
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
     notes.append(constants.note)
 
-    single_lines = {name: alone(levels, torque, direction, error_prefix) for name, direction in DIRECTIONS.items()}
+    single_lines = {
+        name: line_of_direction(levels, torque, direction, error_prefix) for name, direction in DIRECTIONS.items()
+    }
     if len(np.unique(sign)) == 2:
-        line = together(levels, torque, sign, error_prefix)
+        line = line_of_both_directions(levels, torque, sign, error_prefix)
         results = line_results(line, "", unit, constants.relative_std)
         for name, single in single_lines.items():
             if isinstance(single, NotIdentifiable):
@@ -137,7 +139,7 @@ def refuse_torque_constant(value: float | None, std: float | None) -> None:
 def torque_constants(
     runs: Sequence[Run], given_constant: float | None, std: float | None, current_gain_std: float | None
 ) -> TorqueConstants:
-    """The torque constant to use for each run: the given one, else that of the model it carries.
+    """Return the torque constant of each run: the given one, or that of the model it carries.
 
     The error of the current's calibration is another factor on the same torque.
 
@@ -161,7 +163,7 @@ def torque_constants(
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 
-def steady(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
+def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     """Keep the holds in which the rotor turned steadily with its current; notes name the others and why.
 
     The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
@@ -173,10 +175,12 @@ def steady(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[H
     InputError : the rotor turned against its current throughout.
     """
     velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
-    stood = np.abs(velocity) < np.maximum(CLEAR * levels.std[VELOCITY], CREEPING * float(np.max(np.abs(velocity))))
+    stood = np.abs(velocity) < np.maximum(
+        TURNING_STANDARD_ERRORS * levels.std[VELOCITY], SLOWEST_TURNING * float(np.max(np.abs(velocity)))
+    )
     stood |= velocity == 0.0
     quarters = levels.quarters[VELOCITY]
-    uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > STEADY * np.abs(velocity)
+    uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > MOST_QUARTER_SPREAD * np.abs(velocity)
     turned = ~stood
     if turned.any() and (velocity * current < 0.0)[turned].all():
         raise InputError(
@@ -210,13 +214,13 @@ def steady(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[H
 
 
 def regressors(levels: HoldMeans, sign: Array) -> dict[str, Array]:
-    """Velocity, and its sign where both are there."""
+    """Return the fit's columns: the velocity, and its sign where the levels have both signs."""
     columns = {"viscous_damping": levels.value[VELOCITY]}
     return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
 
 
-def together(levels: HoldMeans, torque: Array, sign: Array, error_prefix: str) -> LineFit:
-    """Both directions with one b, one f and an offset for each run; the slope needs two levels in one direction."""
+def line_of_both_directions(levels: HoldMeans, torque: Array, sign: Array, error_prefix: str) -> LineFit:
+    """Fit both directions with one slope, one friction and an offset for each run."""
     faults = []
     for direction in DIRECTIONS.values():
         one_way = levels.where(sign == direction)
@@ -229,8 +233,10 @@ def together(levels: HoldMeans, torque: Array, sign: Array, error_prefix: str) -
     return fit_lines(regressors(levels, sign), torque, levels, error_prefix)
 
 
-def alone(levels: HoldMeans, torque: Array, direction: float, error_prefix: str) -> LineFit | NotIdentifiable:
-    """The line of one direction, or why there is none."""
+def line_of_direction(
+    levels: HoldMeans, torque: Array, direction: float, error_prefix: str
+) -> LineFit | NotIdentifiable:
+    """Fit one direction alone, or return the reason why that is not possible."""
     in_direction = np.sign(levels.value[VELOCITY]) == direction
     if not in_direction.any():
         return NotIdentifiable(f"{error_prefix}: found no level at which the rotor turned that way")
@@ -246,7 +252,7 @@ def alone(levels: HoldMeans, torque: Array, direction: float, error_prefix: str)
 def line_results(
     line: LineFit, suffix: str, unit: str, relative_std: float, direction: float | None = None
 ) -> list[Estimate]:
-    """Estimates of one fit; of a direction alone, its intercept is the friction."""
+    """Return the estimates of one fit; with a direction, the intercept is the Coulomb friction."""
     per_velocity = "N*s/m" if unit == "N" else "N*m*s/rad"
     fit = line.fit
     estimates = [line.estimate("viscous_damping", f"viscous_damping{suffix}", per_velocity, relative_std)]
@@ -260,7 +266,7 @@ def line_results(
 
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
-    """Torque of the current over speed, both along the motion, so that the directions lie beside each other."""
+    """Plot the torque of the current over speed, both along the motion, by direction."""
     velocity = levels.value[VELOCITY]
     intercept = float(line.fit.coefficients @ line.mean_intercept)
     coulomb = line.slope("coulomb_friction") if "coulomb_friction" in line.slopes else 0.0

@@ -37,13 +37,13 @@ RESULTS = {
 
 CURRENT = "q_axis_current"
 HELD = HoldSelector("velocity_rad_s", "rad/s")
-IRON = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
-DRAWN = 40  # speeds of a line in the figure
+DRAG_OF_IRON_LOSS = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
+LINE_POINTS = 40  # speeds of a line in the figure
 
 
 @dataclass(frozen=True)
-class Mechanical:
-    """What friction alone takes, of the coefficient that iron shares with it."""
+class FrictionAlone:
+    """A drag coefficient of the rotor without iron loss, and its standard uncertainty."""
 
     value: float
     std: float
@@ -60,7 +60,7 @@ def analyze(
     mechanical_damping: float | None = None,
     mechanical_damping_std: float | None = None,
 ) -> Result:
-    """Drag by speed and the loss at full speed, iron told apart from friction where friction alone is known.
+    """Estimate drag over speed and the loss at full speed; iron is told from friction where friction alone is given.
 
     `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m] and `quadratic_drag` [N*m*s^2/rad^2], iron included;
     `full_speed` [rad/s] and `no_load_loss` [W] there; `hysteresis_torque` [N*m] and `eddy_damping` [N*m*s/rad], which
@@ -82,8 +82,8 @@ def analyze(
     """
     error_prefix = f"{paths_of(runs)}: no-load loss"
     without_iron = {
-        "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
-        "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
+        "coulomb_friction": known_friction("mechanical_friction", mechanical_friction, mechanical_friction_std),
+        "viscous_damping": known_friction("mechanical_damping", mechanical_damping, mechanical_damping_std),
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
@@ -101,7 +101,7 @@ def analyze(
     refuse_below_zero(loss, error_prefix, "current and velocity")
     results = coefficients(line, constants.relative_std)
     results += [Estimate("full_speed", full_speed, NAN, NAN, NAN, "rad/s"), loss]
-    iron_losses = iron(results, without_iron)
+    iron_losses = estimate_iron_losses(results, without_iron)
     results += iron_losses.value
     notes += iron_losses.notes
     notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
@@ -109,8 +109,8 @@ def analyze(
     return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))
 
 
-def mechanical(name: str, value: float | None, std: float | None) -> Mechanical | None:
-    """What is known of friction alone; None where nothing is given.
+def known_friction(name: str, value: float | None, std: float | None) -> FrictionAlone | None:
+    """Return the given drag coefficient of friction alone; None where none is given.
 
     Raises
     ------
@@ -123,17 +123,17 @@ def mechanical(name: str, value: float | None, std: float | None) -> Mechanical 
     for key, number in ((name, value), (f"{name}_std", std or 0.0)):
         if not (math.isfinite(number) and number >= 0.0):
             raise InputError(f"{key} {number:g}: zero or more was expected")
-    return Mechanical(value, std or 0.0)
+    return FrictionAlone(value, std or 0.0)
 
 
-def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> Noted[list[Estimate]]:
+def estimate_iron_losses(drag: Sequence[Estimate], friction: dict[str, FrictionAlone | None]) -> Noted[list[Estimate]]:
     """Estimate hysteresis torque and eddy damping: coefficients of the drag less those of friction alone.
 
     Where the friction is not known, the value is NaN and the interval reaches from zero to all of the drag.
     """
     by_name = {estimate.name: estimate for estimate in drag}
     losses, unknown, notes = [], [], []
-    for name, shared in IRON.items():
+    for name, shared in DRAG_OF_IRON_LOSS.items():
         total, known = by_name[shared], friction[shared]
         if known is None:
             unknown.append(name)
@@ -154,7 +154,7 @@ def iron(drag: Sequence[Estimate], friction: dict[str, Mechanical | None]) -> No
 
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
-    """Loss over speed, each direction, and the fit with its three parts on top of one another."""
+    """Plot the loss over speed, by direction, and the fit with its three parts on top of each other."""
     velocity = levels.value[VELOCITY]
     shown = (torque - intercepts_by_hold(line) if both_ways(levels) else torque) * velocity
     points = []
@@ -164,7 +164,7 @@ def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
             points.append(
                 Series(label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(shown[in_direction].tolist()))
             )
-    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
+    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds
     lines = (
         Series("all", tuple(speeds.tolist()), tuple((drag_at(line.fit, line, speeds) * speeds).tolist())),

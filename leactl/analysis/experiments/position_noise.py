@@ -14,5 +14,5 @@ LOOP = NoiseExperiment("position-noise", "angle_reference", "angle", "offset_rad
 
 
 def analyze(runs: Sequence[Run]) -> Result:
-    """Bandwidth and coherent band; see `noise_response`."""
+    """Estimate bandwidth and coherent band; see `noise_response`."""
     return noise_response(runs, LOOP)

@@ -10,5 +10,5 @@ RESULTS = STEP_RESULTS
 
 
 def analyze(runs: Sequence[Run]) -> Result:
-    """Rise time, overshoot, settling time and steady-state error of the angle; see `step_response`."""
+    """Estimate rise time, overshoot, settling time and steady-state error of the angle; see `step_response`."""
     return step_response("position-step", runs, "angle_reference", "angle", "angle_rad", "free")

@@ -78,7 +78,7 @@ RESULTS = {
 }
 
 PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
-LEFT_OUT = 0.01  # of the frames, above which it is told
+MOST_LEFT_OUT = 0.01  # of the frames, above which it is told
 WINDING_LIMIT = 130.0  # degC, the paper's
 
 
@@ -138,7 +138,7 @@ def analyze(
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
     left_out = sum(frames_of(run) for run in runs) - fitted_frames
-    if left_out > LEFT_OUT * fitted_frames:
+    if left_out > MOST_LEFT_OUT * fitted_frames:
         notes.append(f"left out {left_out} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, error_prefix)
@@ -212,7 +212,7 @@ def refuse_options(options: Mapping[str, float | None]) -> None:
 
 
 def limit_of(model: Mapping[str, Any]) -> float:
-    """The winding's limit [degC] in a model, else the paper's."""
+    """Return the winding's limit [degC] of a model, or the paper's where it has none."""
     limits = model.get("limits")
     limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
     return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else WINDING_LIMIT

@@ -117,7 +117,7 @@ def with_direction(levels: HoldMeans) -> Noted[HoldMeans]:
 
 
 def magnitude(signed: Estimate) -> Estimate:
-    """Size of a torque whose sign is a convention of the bench; an interval around zero starts at zero."""
+    """Return the size of a torque whose sign is a convention; an interval around zero begins at zero."""
     ends = sorted((abs(signed.low), abs(signed.high)))
     low = 0.0 if signed.low <= 0.0 <= signed.high else ends[0]
     return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
@@ -147,7 +147,7 @@ def intercepts_by_hold(line: LineFit) -> Array:
 
 
 def plot_of(levels: HoldMeans, line: LineFit) -> Plot:
-    """Level means by direction, each run's offset taken out, and the fitted lines."""
+    """Plot the mean torque of each hold by direction, without the offset of its run, and the fitted lines."""
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     mean = float(np.mean(line.fit.coefficients[len(line.slopes) :]))
     shown: Array = torque - intercepts_by_hold(line) + mean

@@ -44,37 +44,37 @@ RESULTS = {
 }
 
 FEWEST_LEVELS = 5  # magnitudes of current: one more than K, p, q and e need
-BENDS = {"second_power": 2, "fourth_power": 4}
-LEAST_UNDER = 0.1  # of the root's argument, on the way to the fit
-SETTLED = 1e-9
-ROUNDS = 20  # Gauss-Newton; it converges in four
-STRAIGHT = 0.02  # of the torque: a loss up to which a current counts as within the straight part
+POWER_OF_BEND = {"second_power": 2, "fourth_power": 4}
+LEAST_RADICAND = 0.1  # of the root's argument, on the way to the fit
+CONVERGED_BELOW = 1e-9
+MOST_ITERATIONS = 20  # Gauss-Newton; it converges in four
+STRAIGHT_LOSS = 0.02  # of the torque: a loss up to which a current counts as within the straight part
 
 
 @dataclass(frozen=True, eq=False)
-class Bent:
-    """The fitted curve and its highest current."""
+class SaturationCurve:
+    """The fitted curve of torque over current, and the highest current."""
 
     line: LineFit
     peak: float  # A
 
     @property
     def constant(self) -> float:
-        """Torque constant at small currents [N*m/A]."""
+        """Return the torque constant at small currents [N*m/A]."""
         return self.line.slope("torque_constant")
 
     def loss(self, current: float) -> tuple[float, Array]:
-        """Share of the torque that is missing at a current, and its gradient by the fit's coefficients."""
+        """Return the share of the torque that is missing at a current [A], and its gradient by the coefficients."""
         ratio = current / self.peak
-        kept = kept_at(ratio, [self.line.slope(name) for name in BENDS])
-        weight_of_bend = {name: 0.5 * kept**3 * ratio**power for name, power in BENDS.items()}
-        return 1.0 - kept, weights(self.line, weight_of_bend)
+        kept = remaining_share(ratio, [self.line.slope(name) for name in POWER_OF_BEND])
+        weight_of_bend = {name: 0.5 * kept**3 * ratio**power for name, power in POWER_OF_BEND.items()}
+        return 1.0 - kept, coefficient_weights(self.line, weight_of_bend)
 
 
-def kept_at(ratio: Array | float, bends: Sequence[float]) -> Any:
-    """Share of the torque that is left at a current over the peak."""
-    under = 1.0 + sum(bend * ratio**power for bend, power in zip(bends, BENDS.values(), strict=True))
-    return 1.0 / np.sqrt(np.maximum(under, LEAST_UNDER))
+def remaining_share(ratio: Array | float, bends: Sequence[float]) -> Any:
+    """Return the share of the torque that saturation leaves; `ratio` is the current over the peak."""
+    under = 1.0 + sum(bend * ratio**power for bend, power in zip(bends, POWER_OF_BEND.values(), strict=True))
+    return 1.0 / np.sqrt(np.maximum(under, LEAST_RADICAND))
 
 
 def analyze(
@@ -127,10 +127,10 @@ def analyze(
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
     try:
-        line = fitted(current / peak, peak, torque, columns, levels, error_prefix)
+        line = fit_curve(current / peak, peak, torque, columns, levels, error_prefix)
     except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
         raise NotIdentifiable("; ".join([str(fault), *unit_notes(runs, [], [TORQUE], [CURRENT])])) from None
-    bent = Bent(line, peak)
+    bent = SaturationCurve(line, peak)
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += fit_notes(line, expected, levels.units[TORQUE])
     notes += [f"{run.path}: {what}" for run in runs for what in convention_notes(run, bent.constant)]
@@ -145,12 +145,12 @@ def analyze(
     results = [
         constant,
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
-        at_peak(bent, unit, both_stds),
+        torque_at_peak(bent, unit, both_stds),
         loss_at_peak(bent, current_std),
         straight.value,
     ]
     if "sticking_torque" in line.slopes:
-        sticking = -weights(line, {"sticking_torque": 1.0})
+        sticking = -coefficient_weights(line, {"sticking_torque": 1.0})
         results.append(line.fit.estimate("sticking_torque", unit, sticking, torque_std))
         notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
     notes[:0] = unit_notes(runs, results[:1], [TORQUE], [CURRENT])
@@ -159,46 +159,49 @@ def analyze(
     return Result("torque-pulses", paths, tuple(results), tuple(notes), (plot,))
 
 
-def fitted(
+def fit_curve(
     ratio: Array, peak: float, torque: Array, other_columns: dict[str, Array], levels: HoldMeans, error_prefix: str
 ) -> LineFit:
-    """The curve through the levels, by straight lines along its slopes until they do not move."""
-    constant, bends = 0.0, [0.0] * len(BENDS)
-    for _ in range(ROUNDS):
-        kept = kept_at(ratio, bends)
+    """Fit the curve to the levels by Gauss-Newton steps until the bends no longer change."""
+    constant, bends = 0.0, [0.0] * len(POWER_OF_BEND)
+    for _ in range(MOST_ITERATIONS):
+        kept = remaining_share(ratio, bends)
         columns = {"torque_constant": peak * ratio * kept}
         current_constant = constant or float(columns["torque_constant"] @ torque) / float(
             columns["torque_constant"] @ columns["torque_constant"]
         )
         columns |= {
-            name: -0.5 * current_constant * peak * ratio ** (1 + power) * kept**3 for name, power in BENDS.items()
+            name: -0.5 * current_constant * peak * ratio ** (1 + power) * kept**3
+            for name, power in POWER_OF_BEND.items()
         }
-        shift = sum(bend * columns[name] for bend, name in zip(bends, BENDS, strict=True))
+        shift = sum(bend * columns[name] for bend, name in zip(bends, POWER_OF_BEND, strict=True))
         line = fit_lines(columns | other_columns, torque + shift, levels, error_prefix)
-        before, bends = bends, [line.slope(name) for name in BENDS]
+        before, bends = bends, [line.slope(name) for name in POWER_OF_BEND]
         constant = line.slope("torque_constant")
-        if max(abs(new - old) for new, old in zip(bends, before, strict=True)) < SETTLED:
+        if max(abs(new - old) for new, old in zip(bends, before, strict=True)) < CONVERGED_BELOW:
             break
     return line
 
 
-def weights(line: LineFit, weight_of_slope: dict[str, float]) -> Array:
-    """Weights of the fit's coefficients by the names of its slopes."""
+def coefficient_weights(line: LineFit, weight_of_slope: dict[str, float]) -> Array:
+    """Return weights of all coefficients of the fit, shape (coefficients,), from weights by the names of slopes."""
     weight_of_coefficient = np.zeros(len(line.fit.coefficients))
     for name, weight in weight_of_slope.items():
         weight_of_coefficient[line.slopes.index(name)] = weight
     return weight_of_coefficient
 
 
-def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
-    """Torque of the peak current; the interval is as wide as what sticking may hide there, whole.
+def torque_at_peak(bent: SaturationCurve, unit: str, relative_std: float) -> Estimate:
+    """Estimate the torque at the peak current; the interval covers all the torque that sticking may hide there.
 
     e is a torque of the current or none of it, and how s goes with the level e may do as well: neither is an error that
     scatters, so that the interval holds the truth more often than 95 % ones do.
     """
     fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
     unsaturated = bent.constant * bent.peak
-    torque_gradient = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - unsaturated * gradient
+    torque_gradient = (
+        coefficient_weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - unsaturated * gradient
+    )
     remainder = bent.line.slope("remainder") if "remainder" in bent.line.slopes else 0.0
     value = unsaturated * (1.0 - loss) + 0.5 * remainder
     hidden = 0.5 * abs(remainder) + abs(trend_of_sticking(bent))
@@ -209,8 +212,8 @@ def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
     return Estimate("torque_at_peak", value, total_std, value - half, value + half, unit)
 
 
-def trend_of_sticking(bent: Bent) -> float:
-    """By how much half the way between both sides changes from no current to the peak."""
+def trend_of_sticking(bent: SaturationCurve) -> float:
+    """Return the change of the sticking torque [N*m] from no current to the peak; zero where it was not fitted."""
     levels = bent.line.levels
     if "sticking_torque" not in bent.line.slopes:
         return 0.0
@@ -219,8 +222,8 @@ def trend_of_sticking(bent: Bent) -> float:
     return float(ratio @ bent.line.fit.residuals) / float(ratio @ ratio)
 
 
-def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
-    """Share of the torque that is missing at the peak; a current that is off by its gain is elsewhere on the bend."""
+def loss_at_peak(bent: SaturationCurve, current_std: float) -> Estimate:
+    """Estimate the share of the torque that is missing at the peak; a gain error of the current changes it too."""
     fit = bent.line.fit
     value, gradient = bent.loss(bent.peak)
     fit_std = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
@@ -230,7 +233,7 @@ def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
     return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
 
 
-def straight_up_to(bent: Bent) -> Noted[Estimate]:
+def straight_up_to(bent: SaturationCurve) -> Noted[Estimate]:
     """Estimate the lowest current at which a share `STRAIGHT` of the torque is missing; NaN where none is."""
     fit = bent.line.fit
     currents = np.linspace(0.0, bent.peak, 1001)[1:]
@@ -240,20 +243,20 @@ def straight_up_to(bent: Bent) -> Noted[Estimate]:
         halves[index] = t_quantile(fit.dof) * math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
 
     def first(values: Array) -> float:
-        past = np.flatnonzero(values >= STRAIGHT)
+        past = np.flatnonzero(values >= STRAIGHT_LOSS)
         return float(currents[past[0]]) if len(past) else math.inf
 
     value, low, high = first(losses), first(losses + halves), first(losses - halves)
     if math.isinf(value):
-        note = f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above"
+        note = f"up to {bent.peak:g} A less than {STRAIGHT_LOSS:.0%} of the torque are missing: the bend lies above"
         return Noted(Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A"), (note,))
     slope = (bent.loss(value * 1.01)[0] - bent.loss(value * 0.99)[0]) / (0.02 * value)
     std = float(halves[np.searchsorted(currents, value)]) / t_quantile(fit.dof) / abs(slope) if slope else NAN
     return Noted(Estimate("straight_up_to", value, std, low, high, "A"))
 
 
-def plot_of(levels: HoldMeans, bent: Bent) -> Plot:
-    """What the torque lacks of the straight line through small currents, both signs on one side."""
+def plot_of(levels: HoldMeans, bent: SaturationCurve) -> Plot:
+    """Plot the torque that is missing from the straight line of small currents, both signs on one side."""
     line, sign, current = bent.line, np.sign(levels.setpoint), levels.value[CURRENT]
     points = []
     lack = sign * (bent.constant * current - (levels.value[TORQUE] - intercepts_by_hold(line)))
@@ -263,5 +266,5 @@ def plot_of(levels: HoldMeans, bent: Bent) -> Plot:
             points.append(Series(label, tuple(np.abs(current[on_side]).tolist()), tuple(lack[on_side].tolist())))
     drawn = np.linspace(0.0, bent.peak, 60)
     missing = [bent.loss(float(amperes))[0] * bent.constant * float(amperes) for amperes in drawn]
-    fitted = Series("fit, without sticking", tuple(drawn.tolist()), tuple(missing))
-    return Plot("q-axis current [A]", f"torque missing from K i [{levels.units[TORQUE]}]", tuple(points), (fitted,))
+    fit_curve = Series("fit, without sticking", tuple(drawn.tolist()), tuple(missing))
+    return Plot("q-axis current [A]", f"torque missing from K i [{levels.units[TORQUE]}]", tuple(points), (fit_curve,))

@@ -41,20 +41,20 @@ RESULTS = {
 }
 
 HELD = HoldSelector("weight_Nm", "N*m", "bench")
-WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
+GRAVITY_OF_HOLDS = 9.80665  # m/s^2, in the torque that the holds tell
 GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
 ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
 FEWEST_WEIGHTS = 3
-LOOP = "hysteresis"
-FOLLOWS = 10.0  # standard errors that the sensitivity must differ from zero by
-OFF = 0.005  # from one: a factor of which a note says what to do
-SWINGS = 0.002  # of the highest torque, between the quarters of a hold
+HYSTERESIS_COLUMN = "hysteresis"
+FOLLOWING_STANDARD_ERRORS = 10.0  # standard errors that the sensitivity must differ from zero by
+MOST_FACTOR_ERROR = 0.005  # from one: a factor of which a note says what to do
+MOST_SWING = 0.002  # of the highest torque, between the quarters of a hold
 
 
 @dataclass(frozen=True)
 class ReferenceTorque:
-    """What the torque of the weights is known to."""
+    """The true torque of the weights over the one that the holds state, and its uncertainty."""
 
     factor: float  # gravity at the place over the one that the holds tell
     relative_std: float  # of mass, arm and gravity, as far as what is told of them goes
@@ -62,13 +62,13 @@ class ReferenceTorque:
 
     @property
     def whole_std(self) -> float:
-        """Relative standard uncertainty."""
+        """Return the relative standard uncertainty of the weights' torque."""
         return math.hypot(self.relative_std, self.within / math.sqrt(3.0))
 
 
 @dataclass(frozen=True)
 class BudgetComponent:
-    """One part of the budget: its standard uncertainty [N*m] at the highest torque, and what that rests on."""
+    """One part of the budget: its standard uncertainty [N*m] at the highest torque, and its degrees of freedom."""
 
     name: str
     std: float
@@ -83,7 +83,7 @@ def analyze(
     mass_relative_std: float | None = None,
     arm_std_m: float | None = None,
 ) -> Result:
-    """The factor that the bench's torque is off by, its zero, and the budget of a torque that is measured with it.
+    """Estimate the factor and the zero by which the bench's torque is off, and the budget of a torque measured with it.
 
     `sensitivity` (reading over torque), `zero` [N*m] halfway through the run, `highest_torque` [N*m] that weights made;
     standard uncertainties there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`,
@@ -116,16 +116,16 @@ def analyze(
             " whether the sensor is straight"
         )
     applied = levels.setpoint * reference.factor
-    line = fitted(applied, levels, error_prefix)
+    line = fit_readings(applied, levels, error_prefix)
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
     notes += fit_notes(line, levels.std[TORQUE], "N*m")
     factor_std = line.estimate("sensitivity", "sensitivity", "1").std
-    if abs(factor) < FOLLOWS * factor_std:
+    if abs(factor) < FOLLOWING_STANDARD_ERRORS * factor_std:
         raise NotIdentifiable(
             f"{error_prefix}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
         )
-    notes += judged(line, levels, factor, highest)
+    notes += owner_notes(line, levels, factor, highest)
     measured = budget(runs, levels, line, factor_std, highest)
     parts = [*measured.value, BudgetComponent("reference", highest * reference.whole_std)]
     notes += measured.notes
@@ -134,7 +134,7 @@ def analyze(
         line.fit.estimate("zero", "N*m", line.mean_intercept),
         Estimate("highest_torque", highest, NAN, NAN, NAN, "N*m"),
         *(Estimate(f"uncertainty_{part.name}", part.std, NAN, NAN, NAN, "N*m") for part in parts),
-        *combined(parts),
+        *combined_estimates(parts),
     ]
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-sensor-calibration", paths, tuple(results), tuple(notes), (plot_of(levels, line, applied),))
@@ -170,16 +170,16 @@ def reference_of(
     }
     lacking = [f"{name} {defaults[name]:.2g}" for name, number in stds.items() if number is None and defaults[name]]
     used = {name: defaults[name] if number is None else number for name, number in stds.items()}
-    local_gravity = gravity or WEIGHED_BY
+    local_gravity = gravity or GRAVITY_OF_HOLDS
     relative_gravity_std = 0.0 if somewhere else used["gravity_std"] / local_gravity
     relative_std = math.hypot(relative_gravity_std, used["mass_relative_std"], used["arm_std_m"] / min(arms))
     within = GRAVITY_WITHIN / local_gravity if somewhere else 0.0
     note = f"not given and taken: {listed(lacking)}; gravity {local_gravity:g} m/s^2"
-    return Noted(ReferenceTorque(local_gravity / WEIGHED_BY, relative_std, within), (note,) if lacking else ())
+    return Noted(ReferenceTorque(local_gravity / GRAVITY_OF_HOLDS, relative_std, within), (note,) if lacking else ())
 
 
-def fitted(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
-    """Reading over torque, with what goes with time or side as far as the holds tell it.
+def fit_readings(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
+    """Fit the readings over the applied torque, with drift of the zero and hysteresis where the holds allow it.
 
     Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
     """
@@ -190,37 +190,37 @@ def fitted(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
         middle = 0.5 * (time[of_run].min() + time[of_run].max())
         columns[f"drift_{number}"] = np.where(of_run, time - middle, 0.0) / max(float(np.ptp(time[of_run])), 1e-9)
     if {1, -1} <= set(levels.direction.tolist()):
-        columns[LOOP] = -np.sign(applied) * levels.direction * loop_at(applied)
+        columns[HYSTERESIS_COLUMN] = -np.sign(applied) * levels.direction * loop_shape(applied)
     try:
         return fit_lines(columns, levels.value[TORQUE], levels, error_prefix)
     except NotIdentifiable:
         return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, error_prefix)
 
 
-def loop_at(applied: Array) -> Array:
-    """Half the width of a loop over its greatest."""
+def loop_shape(applied: Array) -> Array:
+    """Return the width of a hysteresis loop over its greatest, shape (holds,)."""
     share = np.abs(applied) / float(np.max(np.abs(applied)))
     return np.asarray(4.0 * share * (1.0 - share))
 
 
 def sensitivity(line: LineFit, reference: ReferenceTorque) -> Estimate:
-    """The factor, with what the weights' torque is known to."""
+    """Estimate reading over torque, with the uncertainty of the weights' torque."""
     factor = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
     half = half_width((factor.high - factor.value) / t_quantile(math.inf), math.inf, reference.within * factor.value)
     std = math.hypot(factor.std, reference.within / math.sqrt(3.0) * factor.value)
     return Estimate(factor.name, factor.value, std, factor.value - half, factor.value + half, factor.units)
 
 
-def judged(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
-    """What the sensor's owner should do or look at."""
+def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
+    """Return notes on what the sensor's owner should change or look at."""
     notes = []
     if factor < 0.0:
         notes.append("the reading falls as the torque rises: the sensor's sign is the other one; change `sign`")
-    elif abs(factor - 1.0) > OFF:
+    elif abs(factor - 1.0) > MOST_FACTOR_ERROR:
         notes.append(f"the reading is {factor:.4f} times the torque: multiply scale_per_V by {1.0 / factor:.5g}")
     quarters = levels.quarters[TORQUE]
     swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
-    swinging = swing > SWINGS * highest
+    swinging = swing > MOST_SWING * highest
     if swinging.any():
         where = [str(hold) for hold, applies in zip(levels.holds, swinging, strict=True) if applies]
         notes.append(
@@ -241,8 +241,11 @@ def budget(
     notes = []
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
-    if LOOP in line.slopes:  # the loop is a part of the budget
-        residuals = residuals + line.slope(LOOP) / factor * line.fit.projected[:, line.slopes.index(LOOP)]
+    if HYSTERESIS_COLUMN in line.slopes:  # the loop is a part of the budget
+        residuals = (
+            residuals
+            + line.slope(HYSTERESIS_COLUMN) / factor * line.fit.projected[:, line.slopes.index(HYSTERESIS_COLUMN)]
+        )
     cells = np.unique(np.column_stack([setpoint_groups(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(
         -1
     )
@@ -276,8 +279,8 @@ def budget(
     return Noted(parts, tuple(notes))
 
 
-def combined(parts: Sequence[BudgetComponent]) -> list[Estimate]:
-    """Root of the sum of squares, its coverage factor and the expanded uncertainty; unknown parts are left out."""
+def combined_estimates(parts: Sequence[BudgetComponent]) -> list[Estimate]:
+    """Return combined uncertainty, coverage factor and expanded uncertainty, without components that are unknown."""
     known = [part for part in parts if math.isfinite(part.std)]
     std = math.sqrt(sum(part.std**2 for part in known))
     spread = sum(part.std**4 / part.dof for part in known)
@@ -290,7 +293,7 @@ def combined(parts: Sequence[BudgetComponent]) -> list[Estimate]:
 
 
 def plot_of(levels: HoldMeans, line: LineFit, applied: Array) -> Plot:
-    """What readings depart from the straight line, over the torque of the weights."""
+    """Plot the residuals of the readings over the torque of the weights."""
     points = []
     for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):
         on_side = levels.direction == side

@@ -46,19 +46,19 @@ RESULTS = {
 }
 
 BUS = "bus_voltage"
-MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
-HELD = 0.002  # of it: less, and the drive had all of it
-CLEAR = 4.0  # standard errors of a mean current, within which it is as asked for
-SAG = 0.01  # of the bus voltage at its highest
-STEADY = 0.005  # of the highest speed, between the quarters of a hold
+VOLTAGE_LIMITED_ABOVE = 0.02  # of the current asked for: more, and the voltage is the limit
+CURRENT_HELD_WITHIN = 0.002  # of it: less, and the drive had all of it
+HELD_STANDARD_ERRORS = 4.0  # standard errors of a mean current, within which it is as asked for
+MOST_SAG = 0.01  # of the bus voltage at its highest
+MOST_SPEED_CHANGE = 0.005  # of the highest speed, between the quarters of a hold
 INERTIA_STD = 0.1  # relative standard uncertainty of the inertia: it may be one of a drawing
 FEWEST_AT_REST = 20  # readings of torque before the first step, that tell how well its zero is known
-SAME_READING = 1e-12  # of it: a mean of equal readings is off by no more
-QUARTILE = 0.6745  # of a normal distribution, in standard deviations
+SAME_READING_WITHIN = 1e-12  # of it: a mean of equal readings is off by no more
+NORMAL_QUARTILE = 0.6745  # of a normal distribution, in standard deviations
 
 
 def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Result:
-    """Highest torque and power that were driven, and the speed at which the voltage begins to fail.
+    """Estimate the highest torque and power that were driven, and the speed at which the voltage begins to limit them.
 
     `highest_torque` [N*m] and `highest_power` [W] with `speed_of_highest_torque` and `speed_of_highest_power` [rad/s];
     `corner_speed` [rad/s] of the winding as warm as its holds left it, without a value where all levels are on one side
@@ -79,8 +79,8 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     """
     error_prefix = f"{paths_of(runs)}: torque-speed envelope"
     notes = setup_notes(runs, ("coupled",), "another machine has to hold the speed")
-    gathered = gather_means(runs, (TORQUE, VELOCITY, CURRENT), readings)
-    driven = driving(gathered.value, error_prefix)
+    gathered = gather_means(runs, (TORQUE, VELOCITY, CURRENT), usable_readings)
+    driven = driving_holds(gathered.value, error_prefix)
     levels = driven.value
     refuse_still(levels, error_prefix)
     currents = np.unique(np.round(np.abs(levels.setpoint), 9))
@@ -91,17 +91,17 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         )
     limit = float(currents[0])
     speed, flowing = np.abs(levels.value[VELOCITY]), np.abs(levels.value[CURRENT])
-    limited = flowing < (1.0 - MISSING) * limit
-    held = limit - flowing <= np.maximum(HELD * limit, CLEAR * levels.std[CURRENT])
-    inertia_torque = by_inertia(runs, levels)
+    limited = flowing < (1.0 - VOLTAGE_LIMITED_ABOVE) * limit
+    held = limit - flowing <= np.maximum(CURRENT_HELD_WITHIN * limit, HELD_STANDARD_ERRORS * levels.std[CURRENT])
+    inertia_torque = acceleration_torque(runs, levels)
     torque = np.abs(levels.value[TORQUE]) + inertia_torque.value
     sensor_zero = zero_std(runs)
     zero = math.hypot(sensor_zero.value, INERTIA_STD * float(np.max(np.abs(inertia_torque.value))))
-    shared = Shared(zero, gain_std(runs, TORQUE, torque_gain_std))
+    shared = SharedUncertainty(zero, gain_std(runs, TORQUE, torque_gain_std))
     notes += [*gathered.notes, *driven.notes, *inertia_torque.notes, *sensor_zero.notes]
     highest = [
-        *best("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
-        *best("power", "W", speed, torque, limited, levels, shared),
+        *highest_estimates("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
+        *highest_estimates("power", "W", speed, torque, limited, levels, shared),
     ]
     notes += [
         f"{result.name} without a repeat: how it scatters is not known" for result in highest if no_interval(result)
@@ -109,10 +109,10 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HOLDS.holds_of(run))[1]]
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
-        highest = [above(estimate, max(stops)) for estimate in highest]
+        highest = [as_lower_bound(estimate, max(stops)) for estimate in highest]
     holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run)
     at_corner = corner_speed(runs, holds, error_prefix)
-    bus_voltage = bus(runs)
+    bus_voltage = lowest_bus_voltage(runs)
     results = [
         *highest,
         at_corner.value,
@@ -125,7 +125,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
 
-def driving(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
+def driving_holds(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     """Keep the holds in which the actuator gave mechanical power; a note names the others.
 
     Raises
@@ -147,7 +147,7 @@ def driving(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
 
 
 def refuse_still(levels: HoldMeans, error_prefix: str) -> None:
-    """A torque or a velocity that never changes, whatever the hold, would leave a highest power without scatter.
+    """Refuse a torque or a velocity that is the same in all holds: a highest power of it would have no scatter.
 
     Raises
     ------
@@ -155,14 +155,14 @@ def refuse_still(levels: HoldMeans, error_prefix: str) -> None:
     """
     for quantity, run in product((TORQUE, VELOCITY), np.unique(levels.run)):
         means = levels.value[quantity][levels.run == run]
-        if len(means) > 1 and np.ptp(means) <= SAME_READING * abs(means[0]):
+        if len(means) > 1 and np.ptp(means) <= SAME_READING_WITHIN * abs(means[0]):
             raise NotIdentifiable(
                 f"{error_prefix}: {quantity} of test reads {means[0]:.4g} {levels.units[quantity]} in all"
                 f" {len(means)} holds: it hangs, or its resolution hides every change"
             )
 
 
-def readings(run: Run, quantity: str) -> Noted[Channel]:
+def usable_readings(run: Run, quantity: str) -> Noted[Channel]:
     """Return a channel with NaN for saturated and repeated readings; refuse a saturated current.
 
     A current at the end of its range would be taken for a limit of the drive.
@@ -177,7 +177,7 @@ def readings(run: Run, quantity: str) -> Noted[Channel]:
     return usable_channel(run, quantity, least=1)
 
 
-def above(highest: Estimate, stop: float) -> Estimate:
+def as_lower_bound(highest: Estimate, stop: float) -> Estimate:
     """Turn a highest torque or power into a lower bound, and its speed into NaN, since the sensor ends at `stop`."""
     if highest.name.startswith("speed"):
         return replace(highest, value=NAN)
@@ -186,11 +186,11 @@ def above(highest: Estimate, stop: float) -> Estimate:
 
 
 def no_interval(estimate: Estimate) -> bool:
-    """Whether it is a highest value that nothing tells the scatter of."""
+    """Return whether an estimate is a highest value without a known scatter."""
     return estimate.name.startswith("highest") and math.isnan(estimate.std)
 
 
-def by_inertia(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
+def acceleration_torque(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
     """Return the torque that accelerated the rotor in each hold, along the motion [N*m]; negative where it slowed."""
     quarters = levels.quarters[VELOCITY] * np.sign(levels.value[VELOCITY])[:, np.newaxis]
     middles = (np.arange(4) - 1.5) / 4.0  # of the quarters, from the middle of the hold, over its length
@@ -199,7 +199,7 @@ def by_inertia(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
     drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
     inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run]
     notes = []
-    if drifted > STEADY * float(np.max(np.abs(levels.value[VELOCITY]))):
+    if drifted > MOST_SPEED_CHANGE * float(np.max(np.abs(levels.value[VELOCITY]))):
         lacking = np.isnan(inertias).any()
         what = "in its torque, and in no interval: give the model a rotor_inertia, or settle longer"
         notes.append(
@@ -222,23 +222,23 @@ def zero_std(runs: Sequence[Run]) -> Noted[float]:
         if len(rest) < FEWEST_AT_REST:
             notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
             continue
-        noise = float(np.median(np.abs(np.diff(rest)))) / (QUARTILE * math.sqrt(2.0))
+        noise = float(np.median(np.abs(np.diff(rest)))) / (NORMAL_QUARTILE * math.sqrt(2.0))
         stds.append(max(noise, step_of(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
     return Noted(max(stds, default=0.0), tuple(notes))
 
 
 @dataclass(frozen=True)
-class Shared:
-    """Standard uncertainties that every torque has alike: of a zero [N*m], and of a factor."""
+class SharedUncertainty:
+    """Standard uncertainties that all torques share: of their zero [N*m], and of their gain (relative)."""
 
     zero: float
     gain: float
 
 
-def best(
-    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: HoldMeans, shared: Shared
+def highest_estimates(
+    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: HoldMeans, shared: SharedUncertainty
 ) -> list[Estimate]:
-    """The highest mean of torque times a factor over the repeats of one speed, and that speed.
+    """Estimate the highest mean of torque times `factor` over the repeats of one speed, and that speed.
 
     Repeats of all speeds of one `kind`, on one side of the corner, tell how torques scatter; there is no interval where
     no speed has a repeat.
@@ -264,7 +264,7 @@ def best(
 
 
 def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
-    """A note where the corner moves from repeat to repeat by more than chance, and than its interval is wide.
+    """Return a note where the corner speed drifts from repeat to repeat by more than chance and its interval.
 
     What a change of resistance does to the current goes with the current itself; over the fall of the current with the
     speed, and at the current asked for, it is how far the corner moves.
@@ -288,7 +288,7 @@ def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     ]
 
 
-def bus(runs: Sequence[Run]) -> Noted[list[Estimate]]:
+def lowest_bus_voltage(runs: Sequence[Run]) -> Noted[list[Estimate]]:
     """Return the lowest bus voltage of the runs; the list is empty where none is recorded."""
     recorded = [channel.values[np.isfinite(channel.values)] for run in runs for channel in run.channels(BUS)]
     recorded = [values for values in recorded if len(values)]
@@ -296,11 +296,11 @@ def bus(runs: Sequence[Run]) -> Noted[list[Estimate]]:
         return Noted([], ("no bus_voltage is recorded: the envelope is of an unknown supply",))
     low, high = min(float(values.min()) for values in recorded), max(float(values.max()) for values in recorded)
     note = f"the supply sagged from {high:.4g} to {low:.4g} V: the envelope is the supply's too"
-    return Noted([Estimate(BUS, low, NAN, NAN, NAN, "V")], (note,) if low < (1.0 - SAG) * high else ())
+    return Noted([Estimate(BUS, low, NAN, NAN, NAN, "V")], (note,) if low < (1.0 - MOST_SAG) * high else ())
 
 
 def plot_of(speed: Array, torque: Array, limited: Mask) -> Plot:
-    """Torque over speed by what limited it, and a line through the level means."""
+    """Plot the torque over speed by what limited it, and a line through all holds."""
     points = []
     for label, limited_so in (("current limit", ~limited), ("voltage limit", limited)):
         if limited_so.any():

@@ -30,20 +30,20 @@ RESULTS = {
 }
 
 Array = npt.NDArray[np.float64]
-ON = 0.2  # of the largest current, above which it counts as switched on
+ON_ABOVE = 0.2  # of the largest current, above which it counts as switched on
 COLD_S = 3.0  # after switching on, over which a parabola leads back to the cold winding; it takes 7 s to warm
-SKIPPED = 2  # readings after switching on, which the supply may have begun before
+SKIPPED_READINGS = 2  # readings after switching on, which the supply may have begun before
 HOT_S = 30.0
 STEADY_S, STEADY_K = 1800.0, 1.0
 BLOCK_S = 60.0  # whose mean counts
-FEWEST = 10
+FEWEST_READINGS = 10
 UNKNOWN_COLD = (25.0, 3.0)  # degC and its standard uncertainty, where no ambient was measured
-SHOWN = 300  # points of the plot
+MOST_POINTS = 300  # points of the plot
 
 
 @dataclass(frozen=True, eq=False)
-class Heating:
-    """The longest stretch with the current on: resistance between the leads, and what its readings resolve."""
+class HeatedResistance:
+    """The resistance between the leads over the longest stretch with the current on, and its resolution."""
 
     time: Array  # s since switching on
     resistance: Array  # ohm
@@ -53,8 +53,8 @@ class Heating:
 
 
 @dataclass(frozen=True)
-class Copper:
-    """How the resistance goes with the temperature, by the model of a run."""
+class CopperCoefficient:
+    """The temperature coefficient of the resistance, by the model of a run."""
 
     coefficient: float  # 1/K
     within: float  # relative: it lies anywhere between as much less and as much more
@@ -63,7 +63,7 @@ class Copper:
 
 @dataclass(frozen=True)
 class MeasuredResistance:
-    """A resistance [ohm] and what it is known to."""
+    """A resistance [ohm] with its uncertainties."""
 
     value: float
     std: float  # of what scatters
@@ -72,7 +72,7 @@ class MeasuredResistance:
     of_current: float  # relative standard uncertainty by the steps of the current, which both resistances share
 
     def estimate(self, name: str, gain: float) -> Estimate:
-        """With the steps of the current, and a relative standard uncertainty of the readings' calibration."""
+        """Return the estimate of the resistance; `gain` is the relative standard uncertainty of the calibration."""
         shared = math.hypot(self.of_current, gain) * self.value
         std = math.hypot(self.std, shared)
         dof = self.dof * (std / self.std) ** 4 if self.std > 1e-9 * std else math.inf
@@ -84,7 +84,7 @@ class MeasuredResistance:
 def analyze(
     runs: Sequence[Run], *, voltage_gain_std: float | None = None, current_gain_std: float | None = None
 ) -> Result:
-    """Cold and hot resistance [ohm], rise [K], and its change over the last 30 minutes of heating [K].
+    """Estimate cold and hot resistance [ohm], the rise [K], and its change over the last 30 minutes of heating [K].
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def analyze(
         raise NotIdentifiable(f"{error_prefix}: one run at a time; each begins from a temperature of its own")
     run = runs[0]
     notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
-    copper, heating = copper_of(run), heating_of(run)
+    copper, heating = coefficient_of(run), heating_of(run)
     gains = {
         "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
         "the supply's current": gain_std(runs, "line_current", current_gain_std),
@@ -122,7 +122,7 @@ def analyze(
     )
     notes += [*ambient.notes, *late_change.notes, *calibration_notes(gains, "the resistances and not on the rise")]
     notes[:0] = unit_notes(runs, results[:1], ["line_voltage"], ["line_current"])
-    every = max(1, len(heating.time) // SHOWN)
+    every = max(1, len(heating.time) // MOST_POINTS)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
     return Result(
@@ -130,22 +130,26 @@ def analyze(
     )
 
 
-def heating_of(run: Run) -> Heating:
-    """Readings of the longest stretch with the current on."""
+def heating_of(run: Run) -> HeatedResistance:
+    """Return the resistance over the longest stretch with the current on."""
     current, voltage = run.channel("line_current", role="test"), run.channel("line_voltage", role="test")
     for channel in (current, voltage):
         refuse_clipped(run, channel)
     finite = np.isfinite(voltage.values)
     time, volts = voltage.time[finite], voltage.values[finite]
     known = np.isfinite(current.values)
-    if known.sum() < FEWEST or len(time) < FEWEST:
+    if known.sum() < FEWEST_READINGS or len(time) < FEWEST_READINGS:
         raise NotIdentifiable(f"{run.path}: line_current or line_voltage of test has no readings")
     amperes = np.interp(time, current.time[known], current.values[known])
-    on = np.abs(amperes) > max(ON * float(np.max(np.abs(amperes))), 1e-3)
+    on = np.abs(amperes) > max(ON_ABOVE * float(np.max(np.abs(amperes))), 1e-3)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-    parts = [slice(int(a) + SKIPPED, int(b)) for a, b in edges.reshape(-1, 2) if b - a > FEWEST + SKIPPED]
+    parts = [
+        slice(int(a) + SKIPPED_READINGS, int(b))
+        for a, b in edges.reshape(-1, 2)
+        if b - a > FEWEST_READINGS + SKIPPED_READINGS
+    ]
     if not parts:
-        raise NotIdentifiable(f"{run.path}: no current flows for {FEWEST} readings: nothing was heated")
+        raise NotIdentifiable(f"{run.path}: no current flows for {FEWEST_READINGS} readings: nothing was heated")
     longest = max(parts, key=lambda part: time[part.stop - 1] - time[part.start])
     resistance = volts[longest] / amperes[longest]
     if float(np.median(resistance)) <= 0.0:
@@ -153,47 +157,49 @@ def heating_of(run: Run) -> Heating:
             f"{run.path}: line_voltage over line_current is {np.median(resistance):.3g} ohm; above zero was expected:"
             " one of the two has its leads swapped"
         )
-    begun = float(time[longest.start - SKIPPED])
+    begun = float(time[longest.start - SKIPPED_READINGS])
     mean = abs(float(np.mean(amperes[longest])))
     of_current = rounding_of(amperes[longest], step_of(amperes[longest])) / mean
-    return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
+    return HeatedResistance(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
 
 
-def cold_resistance(heating: Heating, error_prefix: str) -> MeasuredResistance:
-    """Resistance at the moment of switching on."""
+def cold_resistance(heating: HeatedResistance, error_prefix: str) -> MeasuredResistance:
+    """Extrapolate the resistance to the moment of switching on."""
     first = heating.time < COLD_S
-    if int(np.sum(first)) < FEWEST:
+    if int(np.sum(first)) < FEWEST_READINGS:
         raise NotIdentifiable(
-            f"{error_prefix}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least {FEWEST} are"
-            " needed to lead back to the cold winding"
+            f"{error_prefix}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least"
+            f" {FEWEST_READINGS} are needed to lead back to the cold winding"
         )
     design = np.vander(heating.time[first], 3, increasing=True)
     fit = least_squares(design, heating.resistance[first], design, error_prefix)
     value, std = fit.combined(np.array([1.0, 0.0, 0.0]))
-    limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
+    limit = remaining_rounding(
+        heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals
+    )
     if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
         std *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
     return MeasuredResistance(value, std, fit.dof, limit, heating.of_current)
 
 
-def hot_resistance(heating: Heating) -> MeasuredResistance:
-    """Mean resistance of the last half minute."""
+def hot_resistance(heating: HeatedResistance) -> MeasuredResistance:
+    """Return the mean resistance of the last half minute of heating."""
     last = heating.time >= heating.time[-1] - HOT_S
     value, std, limit = mean_of_part(heating, last)
     return MeasuredResistance(value, std, float(np.sum(last)) - 1.0, limit, heating.of_current)
 
 
-def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Mean resistance over some readings, its standard error, and the limit of its rounding error [ohm]."""
+def mean_of_part(heating: HeatedResistance, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return mean, standard error and limit of the rounding error of some of the resistances [ohm]."""
     time, values = heating.time[part], heating.resistance[part]
     design = np.column_stack([np.ones_like(time), time - time.mean()])
     residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    limit = left_of_steps(heating, values - residual, np.full(len(values), 1.0 / len(values)), residual)
+    limit = remaining_rounding(heating, values - residual, np.full(len(values), 1.0 / len(values)), residual)
     return float(np.mean(values)), float(np.std(residual)) / math.sqrt(max(len(values) - 2, 1)), limit
 
 
-def left_of_steps(heating: Heating, curve: Array, weights: Array, residual: Array) -> float:
-    """Limit of the rounding error in a weighted sum, as far as noise leaves one [ohm]."""
+def remaining_rounding(heating: HeatedResistance, curve: Array, weights: Array, residual: Array) -> float:
+    """Return the limit of the rounding error [ohm] of a weighted sum, as far as noise does not average it out."""
     if heating.step <= 0.0:
         return 0.0
     noise = math.sqrt(max(0.0, float(np.var(residual)) - heating.step**2 / 12.0))
@@ -201,9 +207,9 @@ def left_of_steps(heating: Heating, curve: Array, weights: Array, residual: Arra
 
 
 def winding_rise(
-    cold: MeasuredResistance, hot: MeasuredResistance, per_ratio: float, at_first_std: float, copper: Copper
+    cold: MeasuredResistance, hot: MeasuredResistance, per_ratio: float, at_first_std: float, copper: CopperCoefficient
 ) -> Estimate:
-    """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
+    """Estimate the rise [K] from both resistances; the interval is wider away from zero: the coefficient divides."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
     resistance_std = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
@@ -219,8 +225,8 @@ def winding_rise(
     return Estimate("winding_rise", rise, std, rise - below, rise + above, "K")
 
 
-def copper_of(run: Run) -> Copper:
-    """The resistance coefficient in the model that a run carries.
+def coefficient_of(run: Run) -> CopperCoefficient:
+    """Return the resistance coefficient in the model that a run carries.
 
     Raises
     ------
@@ -242,7 +248,7 @@ def copper_of(run: Run) -> Copper:
             raise InputError(
                 f"{run.path}: {name} of its model is {value}; a number from {least:g} to {most:g}{unit} was expected"
             )
-    return Copper(coefficient, float(width), float(reference))
+    return CopperCoefficient(coefficient, float(width), float(reference))
 
 
 def cold_temperature(run: Run, before: float) -> Noted[tuple[float, float]]:
@@ -256,7 +262,7 @@ def cold_temperature(run: Run, before: float) -> Noted[tuple[float, float]]:
     return Noted(UNKNOWN_COLD, (note,))
 
 
-def change(heating: Heating, kelvin_per_ohm: float) -> Noted[Estimate]:
+def change(heating: HeatedResistance, kelvin_per_ohm: float) -> Noted[Estimate]:
     """Estimate the change of the rise over the last half hour of heating [K]; at most 1 K counts as steady.
 
     The mean of the last minute is compared with that of the minute half an hour before.

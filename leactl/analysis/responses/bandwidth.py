@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
-from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
+from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, sum_of_spectra
 from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
 from leactl.analysis.statistics.regression import Array
 
@@ -26,7 +26,7 @@ def bandwidth_of(
     responses: Mapping[float, Response],
     known: Mapping[float, Mask],
 ) -> Noted[Estimate]:
-    """Average the levels' -3 dB frequencies; the value is NaN, within bounds, where that of one level is not known.
+    """Estimate the mean of the levels' -3 dB frequencies [Hz]; NaN with bounds where that of one level is not known.
 
     Parameters
     ----------
@@ -63,12 +63,12 @@ def bandwidth_of(
 
 
 def gain_bound(response: Response, side: int) -> Response:
-    """The response with the lowest gain that noise leaves at 95 %, or the highest."""
+    """Return the response with the lowest gain (`side` -1) or the highest (1) that noise leaves possible at 95 %."""
     return response._replace(value=response.value * np.maximum(1.0 + side * ONE_SIDED * response.relative_std, 0.0))
 
 
 def sampled_half_power(turns: Array) -> tuple[Array, Array]:
-    """Highest and lowest gain of samples of a first-order loop that is at -3 dB itself, over frequency times interval.
+    """Return the highest and lowest gain of the samples of a first-order loop at its own -3 dB frequency.
 
     Highest where its drive acts at once, lowest where it does so about the middle of a sample.
     """
@@ -78,7 +78,7 @@ def sampled_half_power(turns: Array) -> tuple[Array, Array]:
 
 
 def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[float, float]:
-    """Between which frequencies the gain first passes a level; equal where it does so between two known ones."""
+    """Return the frequencies [Hz] between which the gain first passes a level; equal if both neighbours are known."""
     excess = response.gain - level
     known_indices = np.flatnonzero(known)
     below = np.flatnonzero(excess[known_indices] < 0.0)
@@ -98,11 +98,11 @@ def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[floa
 def _crossing_over(
     method: BlackmanTukey, spectra: Sequence[Spectra], known: Mask, gains: tuple[Array, Array, Array]
 ) -> LevelValue:
-    whole = together(spectra)
+    whole = sum_of_spectra(spectra)
 
     def crossing(kept: Sequence[int]) -> TrialFigure:
         left_out = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
-        response = method.response(whole.plus(together(left_out), -1) if left_out else whole)
+        response = method.response(whole.plus(sum_of_spectra(left_out), -1) if left_out else whole)
         (low, high), (first, _), (_, last) = (crossing_bounds(response, known, gain) for gain in gains)
         return TrialFigure(low, shared=(max(low - first, last - low),)) if low == high else TrialFigure(NAN)
 

@@ -23,7 +23,7 @@ FINER = 4  # frequencies from one resolved frequency to the next
 
 
 class Spectra(NamedTuple):
-    """Sums over records of what the covariances of input and output become, at the frequencies of a grid."""
+    """Sums over records of the transformed covariances of input and output, shape (frequencies,) each."""
 
     input: Array
     output: Array
@@ -31,7 +31,7 @@ class Spectra(NamedTuple):
     samples: int
 
     def plus(self, other: "Spectra", sign: int = 1) -> "Spectra":
-        """Records of both; with -1, without those of the other."""
+        """Return the spectra with the records of another added, or taken out where `sign` is -1."""
         return Spectra(
             self.input + sign * other.input,
             self.output + sign * other.output,
@@ -40,14 +40,14 @@ class Spectra(NamedTuple):
         )
 
 
-def together(spectra: Sequence[Spectra]) -> Spectra:
-    """Of all these records."""
+def sum_of_spectra(spectra: Sequence[Spectra]) -> Spectra:
+    """Return the spectra of all records together."""
     return reduce(Spectra.plus, spectra)
 
 
 @dataclass(frozen=True, eq=False)
 class BlackmanTukey:
-    """An estimator for records of one rate."""
+    """An estimator of frequency responses for records of one rate."""
 
     interval: float  # s
     lags: int  # to either side
@@ -55,12 +55,12 @@ class BlackmanTukey:
 
     @property
     def resolved(self) -> float:
-        """Hz from one frequency to the next that the window tells apart."""
+        """Return the distance [Hz] between frequencies that the window tells apart."""
         return 1.0 / (2 * self.lags * self.interval)
 
     @property
     def frequency(self) -> Array:
-        """The grid [Hz], beyond the highest frequency by as much as the correction needs."""
+        """Return the grid of frequencies [Hz], which goes beyond the highest by what the correction needs."""
         count = round(self.highest / self.resolved * FINER) + FINER + 1
         return np.asarray(self.resolved / FINER * np.arange(count), np.float64)
 
@@ -71,7 +71,7 @@ class BlackmanTukey:
         return np.asarray(0.5 * (1.0 + np.cos(math.pi * lag / self.lags)), np.float64)
 
     def spectra(self, reference: Array, measured: Array) -> Spectra:
-        """Of one record, its means taken out."""
+        """Return the spectra of one record, whose means are subtracted first."""
         reference, measured = reference - reference.mean(), measured - measured.mean()
         size = 1 << (2 * len(reference) - 1).bit_length()
         u, y = np.fft.rfft(reference, size), np.fft.rfft(measured, size)
@@ -84,7 +84,7 @@ class BlackmanTukey:
         return Spectra(transforms[0].real, transforms[1].real, transforms[2], len(reference))
 
     def response(self, spectra: Spectra) -> "Response":
-        """Gain and phase with coherence, as far as the highest frequency."""
+        """Return the corrected response and its coherence, up to the highest frequency."""
         raw = spectra.cross / spectra.input
         power = spectra.input * spectra.output
         # an answer without power, as of a sensor that stands still, has nothing in common with anything
@@ -101,7 +101,7 @@ class BlackmanTukey:
 
 
 class Response(NamedTuple):
-    """A frequency response."""
+    """A frequency response, its coherence and its uncertainty, shape (frequencies,) each."""
 
     frequency: Array  # Hz
     value: Complex
@@ -110,5 +110,5 @@ class Response(NamedTuple):
 
     @property
     def gain(self) -> Array:
-        """Magnitude."""
+        """Return the magnitude of the response."""
         return np.abs(self.value)

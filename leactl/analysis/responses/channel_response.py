@@ -6,18 +6,20 @@ import numpy as np
 
 from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed
 from leactl.analysis.responses.blackman_tukey import FINER, BlackmanTukey, Mask, Response
-from leactl.analysis.responses.noise_records import EVEN
-from leactl.analysis.responses.noise_response import COHERENT, SHOWN
+from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
+from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
 from leactl.analysis.signals.levels import span
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.runfile.read.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
-PART = 8  # of a record, that the lags to either side reach over
+RECORD_OVER_LAGS = 8  # of a record, that the lags to either side reach over
 FEWEST = 80  # samples
-REACHED = 1e-3  # of the setpoint's greatest power, below which it counts as not excited (-30 dB)
-SKIRT = 0.5  # of the greatest power within a line's width, below which it is what the window spreads from elsewhere
-LISTED = 5  # frequencies that are results; all are in the grid
+LEAST_POWER = 1e-3  # of the setpoint's greatest power, below which it counts as not excited (-30 dB)
+LEAST_LINE_POWER = (
+    0.5  # of the greatest power within a line's width, below which it is what the window spreads from elsewhere
+)
+LISTED_FREQUENCIES = 5  # frequencies that are results; all are in the grid
 
 
 def gain_and_phase(
@@ -30,7 +32,7 @@ def gain_and_phase(
     estimates: list[Estimate] = []
     plots: list[Plot] = []
     grids: list[Grid] = []
-    setpoint = moving(run, step)
+    setpoint = moving_setpoint(run, step)
     if setpoint is None:
         note = f"{run.path}: {label}: no setpoint moves in it: gain and phase are not known"
         return Noted((estimates, plots, grids), (note,))
@@ -43,15 +45,15 @@ def gain_and_phase(
         title, units = f"{label}_{name}", f"{channel.units}/({setpoint.units})"
         if channel.units == setpoint.units:
             units = "1"
-        estimates += rows(title, response, units)
-        plots += curves(title, response, units)
-        grids.append(table(title, step, response, units))
+        estimates += gain_and_phase_estimates(title, response, units)
+        plots += response_plots(title, response, units)
+        grids.append(response_grid(title, step, response, units))
     notes = tuple(f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in unknown.items())
     return Noted((estimates, plots, grids), notes)
 
 
-def moving(run: Run, step: Step) -> Channel | None:
-    """The setpoint of a step's role that moves in it; None where there is none."""
+def moving_setpoint(run: Run, step: Step) -> Channel | None:
+    """Return the setpoint channel of a step's role that moves in the step; None where there is none."""
     role = str(step.parameters.get("role", "test"))
     for stream, specs in run.streams.items():
         for spec in specs:
@@ -64,7 +66,7 @@ def moving(run: Run, step: Step) -> Channel | None:
 
 
 def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | str:
-    """The response at the frequencies that the setpoint reaches and the channel follows coherently, or why not."""
+    """Return the response at the frequencies that are excited and coherent, or the reason why there is none."""
     from scipy.ndimage import maximum_filter1d
 
     if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
@@ -75,37 +77,43 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
         return f"fewer than {FEWEST} samples"
     intervals = np.diff(time)
     interval = float(np.median(intervals))
-    if not np.isfinite(reference + response_values).all() or np.any(np.abs(intervals / interval - 1.0) > EVEN):
+    if not np.isfinite(reference + response_values).all() or np.any(
+        np.abs(intervals / interval - 1.0) > MOST_UNEVEN_INTERVAL
+    ):
         return "samples are missing"
     if not np.ptp(response_values) > 0.0:
         return "the channel does not move"
-    method = BlackmanTukey(interval, len(time) // PART, 0.5 / interval)
+    method = BlackmanTukey(interval, len(time) // RECORD_OVER_LAGS, 0.5 / interval)
     spectra = method.spectra(reference, response_values)
     response = method.response(spectra)
     power = spectra.input[: len(response.frequency)]
     around = maximum_filter1d(power, 4 * FINER + 1)  # Hann's main lobe reaches two resolved frequencies to either side
-    known = (power > REACHED * power.max()) & (power > SKIRT * around) & (response.coherence >= COHERENT)
-    known &= excited(reference, interval, response.frequency, method.resolved)
+    known = (
+        (power > LEAST_POWER * power.max())
+        & (power > LEAST_LINE_POWER * around)
+        & (response.coherence >= LEAST_COHERENCE)
+    )
+    known &= excited_frequencies(reference, interval, response.frequency, method.resolved)
     known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
     if not known.any():
-        return f"no frequency with a coherence of {COHERENT:g} or more"
+        return f"no frequency with a coherence of {LEAST_COHERENCE:g} or more"
     return Response(*(column[known] for column in response))
 
 
-def excited(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
-    """Which frequencies the setpoint itself reaches: a lag window's side lobes spread 3 % of a line far beyond it."""
+def excited_frequencies(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
+    """Return which frequencies the setpoint excites, by a window whose side lobes are below -90 dB."""
     from scipy.ndimage import maximum_filter1d
     from scipy.signal.windows import blackmanharris  # side lobes below -90 dB
 
     power = np.abs(np.fft.rfft((reference - reference.mean()) * blackmanharris(len(reference)))) ** 2
     bins = np.fft.rfftfreq(len(reference), interval)
     half = round(0.5 * resolved / bins[1])
-    return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > REACHED * power.max())
+    return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > LEAST_POWER * power.max())
 
 
-def rows(title: str, response: Response, units: str) -> list[Estimate]:
-    """Gain and phase at a few of the frequencies, evenly over their decades."""
-    wanted = np.geomspace(response.frequency[0], response.frequency[-1], LISTED)
+def gain_and_phase_estimates(title: str, response: Response, units: str) -> list[Estimate]:
+    """Estimate gain and phase at `LISTED_FREQUENCIES` frequencies, evenly over their decades."""
+    wanted = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
     indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - at))) for at in wanted)
     estimates = []
     for index in indices:
@@ -119,9 +127,9 @@ def rows(title: str, response: Response, units: str) -> list[Estimate]:
     return estimates
 
 
-def curves(title: str, response: Response, units: str) -> list[Plot]:
-    """Gain, phase and coherence over frequency."""
-    shown = slice(0, None, max(1, len(response.frequency) // SHOWN))
+def response_plots(title: str, response: Response, units: str) -> list[Plot]:
+    """Return plots of gain, phase and coherence over frequency."""
+    shown = slice(0, None, max(1, len(response.frequency) // MOST_POINTS))
     x = tuple(response.frequency[shown].tolist())
     columns = {f"gain [{units}]": response.gain, "phase [rad]": np.unwrap(np.angle(response.value))}
     columns["coherence [1]"] = response.coherence
@@ -132,8 +140,8 @@ def curves(title: str, response: Response, units: str) -> list[Plot]:
     ]
 
 
-def table(title: str, step: Step, response: Response, units: str) -> Grid:
-    """All frequencies that are known, with half the 95 % interval of gain (relative) and phase."""
+def response_grid(title: str, step: Step, response: Response, units: str) -> Grid:
+    """Return gain, phase and coherence at every known frequency, with half the width of their 95 % intervals."""
     axes = {"start [s]": (step.start,), "frequency [Hz]": tuple(response.frequency.tolist())}
     columns = {
         f"gain [{units}]": response.gain,

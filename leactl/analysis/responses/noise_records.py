@@ -18,13 +18,13 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 FEWEST = 1600  # samples in a row, four windows of the estimator
-EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
-EVEN = 0.2  # of an interval that stamps may be off
+STAMP_ROUNDING_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
+MOST_UNEVEN_INTERVAL = 0.2  # of an interval that stamps may be off
 
 
 @dataclass(frozen=True)
 class NoiseExperiment:
-    """What a noise experiment looks at."""
+    """The quantities, the setup and the filter of a noise experiment."""
 
     experiment: str
     reference: str
@@ -89,16 +89,16 @@ def _is_noise(step: Step, offset: str) -> bool:
 def _record(
     run_path: str, reference: Channel, measured: Channel, step: Step, loop: NoiseExperiment
 ) -> NoiseRecord | str:
-    """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
+    """Return the longest part of a stretch without a gap, filtered; or the reason why it is not used."""
     from scipy.signal import butter, sosfilt
 
-    begin, end = np.searchsorted(reference.time, (step.start + EPS_S, step.stop - EPS_S))
+    begin, end = np.searchsorted(reference.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S))
     time = reference.time[begin:end]
     if end - begin < FEWEST:
         return "too few samples"
     interval = float(np.median(np.diff(time)))
     missed = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
-    broken = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > EVEN)
+    broken = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_UNEVEN_INTERVAL)
     stops = np.unique(np.concatenate([[-1], np.flatnonzero(missed), [end - begin]]))
     parts = [part for low, high in zip(stops[:-1] + 1, stops[1:], strict=True) for part in _cut(low, high, broken)]
     first, last = max(parts, key=lambda part: part[1] - part[0])
@@ -122,6 +122,6 @@ def _record(
 
 
 def _cut(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
-    """A part without missed samples, cut where its stamps leap."""
+    """Split a part without missed samples where its time stamps leap; return the indices of each piece."""
     inside = [int(index) + 1 for index in broken if low <= index < high - 1]
     return list(zip([low, *inside], [*inside, high], strict=True))

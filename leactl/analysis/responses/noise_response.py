@@ -13,7 +13,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
 from leactl.analysis.responses.bandwidth import HALF_POWER, bandwidth_of
-from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
+from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, sum_of_spectra
 from leactl.analysis.responses.noise_records import NoiseExperiment, NoiseRecord, records_of
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array
@@ -26,13 +26,13 @@ NOISE_RESULTS = {
     "coherent_band_high": "Hz",
 }
 LAGS = 400
-COHERENT = 0.6
-SAMPLED = 0.1  # of the record's rate, above which holding and sampling show
-SHOWN = 80  # points of a level in a plot
+LEAST_COHERENCE = 0.6
+SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate, above which holding and sampling show
+MOST_POINTS = 80  # points of a level in a plot
 
 
 def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
-    """Bandwidth of the test actuator's loop.
+    """Estimate the bandwidth of the test actuator's loop.
 
     `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it does not in the band that
     is known, its value is NaN and `low` is how far the gain stays above at 95 % confidence. `coherent_band_low` and
@@ -51,20 +51,20 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     interval = float(np.median([record.interval for record in records]))
     highest = min(min(record.cutoff for record in records), 0.5 / interval)
     method = BlackmanTukey(interval, LAGS, highest)
-    levels = spectra_of(records, method)
+    levels = spectra_by_level(records, method)
     counts = {level: len(trials) for level, trials in levels.items()}
     if len(set(counts.values())) > 1:
         shown = ", ".join(f"{count} at {level:.3g}" for level, count in counts.items())
         notes.append(f"repeats are missing: records are {shown}; every level counts the same")
 
-    responses = {level: method.response(together(trials)) for level, trials in levels.items()}
-    masks = {level: known_of(response, method.resolved, level) for level, response in responses.items()}
+    responses = {level: method.response(sum_of_spectra(trials)) for level, trials in levels.items()}
+    masks = {level: known_frequencies(response, method.resolved, level) for level, response in responses.items()}
     known = {level: mask.value for level, mask in masks.items()}
     notes += [note for mask in masks.values() for note in mask.notes]
     band = method.frequency[: len(next(iter(known.values())))][np.all(list(known.values()), axis=0)]
     if not len(band):
         raise NotIdentifiable(
-            f"{error_prefix}: no frequency at which the coherence of every level is {COHERENT:g} or more"
+            f"{error_prefix}: no frequency at which the coherence of every level is {LEAST_COHERENCE:g} or more"
         )
     for level, response in responses.items():
         refuse_swapped(response, known[level], f"{error_prefix}: at {level:.3g}")
@@ -73,18 +73,19 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     notes += half_power.notes
     ends = [("coherent_band_low", float(band[0])), ("coherent_band_high", float(band[-1]))]
     results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in ends))
-    if not bandwidth.high <= SAMPLED / interval:
+    if not bandwidth.high <= SAMPLING_SHOWS_ABOVE / interval:
         notes.append(
-            f"above {SAMPLED / interval:g} Hz, a tenth of the record's rate, the response is that of a sampled loop to "
-            "references that are held; what that takes from the gain or adds to it is within the bandwidth's limits"
+            f"above {SAMPLING_SHOWS_ABOVE / interval:g} Hz, a tenth of the record's rate, the response is that of a "
+            "sampled loop to references that are held; what that takes from the gain or adds to it is within the "
+            "bandwidth's limits"
         )
     units = runs[0].channel(loop.response, role="test").units
     plots = plots_of(responses, known, units)
     return Result(loop.experiment, tuple(str(run.path) for run in runs), results, tuple(notes), plots)
 
 
-def spectra_of(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
-    """Spectra by level, one for each noise: records of the same noise are no trials of their own."""
+def spectra_by_level(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
+    """Return the spectra by level, one for each noise: records of the same noise count as one trial."""
     by_level: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):
         spectra, by_noise = method.spectra(record.given, record.answer), by_level.setdefault(record.level, {})
@@ -92,15 +93,15 @@ def spectra_of(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[fl
     return {level: list(by_noise.values()) for level, by_noise in by_level.items()}
 
 
-def known_of(response: Response, resolved: float, level: float) -> Noted[Mask]:
+def known_frequencies(response: Response, resolved: float, level: float) -> Noted[Mask]:
     """Return at which frequencies a level's response is known; notes name the bands of too little coherence."""
     frequency = response.frequency
-    known = (response.coherence >= COHERENT) & (frequency >= resolved)
+    known = (response.coherence >= LEAST_COHERENCE) & (frequency >= resolved)
     unknown = ~known & (frequency >= resolved)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], unknown, [False]]).astype(np.int8)))
     notes = tuple(
-        f"coherence at {level:.3g} is below {COHERENT:g} from {frequency[first]:.1f} to {frequency[last]:.1f} Hz: "
-        "the response there is not known"
+        f"coherence at {level:.3g} is below {LEAST_COHERENCE:g} from {frequency[first]:.1f} to "
+        f"{frequency[last]:.1f} Hz: the response there is not known"
         for first, last in zip(edges[::2], edges[1::2] - 1, strict=True)
     )
     return Noted(known, notes)
@@ -122,10 +123,10 @@ def refuse_swapped(response: Response, known: Mask, error_prefix: str) -> None:
 
 
 def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], units: str) -> tuple[Plot, ...]:
-    """Gain, phase and coherence over frequency; what is not known of gain and phase is left out."""
+    """Return plots of gain, phase and coherence over frequency; gain and phase are drawn where they are known."""
     gains, limits, phases, coherences = [], [], [], []
     for level, response in responses.items():
-        shown_points = slice(0, None, max(1, len(response.frequency) // SHOWN))
+        shown_points = slice(0, None, max(1, len(response.frequency) // MOST_POINTS))
         label, x = f"{level:.3g} {units}", tuple(response.frequency[shown_points].tolist())
         shown = np.where(known[level], response.gain, NAN)
         gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[shown_points])))
@@ -137,7 +138,7 @@ def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], u
         coherences.append(Series(label, x, _tuple(response.coherence[shown_points])))
     ends = (0.0, max(series.x[-1] for series in gains))
     minus_3_db = Series("-3 dB", ends, (20.0 * math.log10(HALF_POWER),) * 2)
-    threshold = Series("known from here", ends, (COHERENT,) * 2)
+    threshold = Series("known from here", ends, (LEAST_COHERENCE,) * 2)
     return (
         Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits), x_log=True),
         Plot("frequency [Hz]", "phase [deg]", tuple(phases), (), x_log=True),

@@ -1,4 +1,4 @@
-"""The response that several trials make together, and where it passes a level.
+"""The mean response of several trials, and where it passes a level.
 
 A drive may act anywhere in the sample in which its reference jumps, so that a response of a few samples says little of
 where it was between them: how far a passing may be off comes with it.
@@ -14,12 +14,12 @@ from leactl.analysis.responses.step_trials import StepTrial
 from leactl.analysis.statistics.regression import Array
 
 LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
-SMOOTH = 0.5  # of the way between two bins, by which the ways beside it differ at the most for a curve through them
-EVEN = 0.01  # of an interval, to which samples lie evenly
+MOST_BEND = 0.5  # of the way between two bins, by which the ways beside it differ at the most for a curve through them
+MOST_UNEVEN_INTERVAL = 0.01  # of an interval, to which samples lie evenly
 
 
 class MeanStepResponse(NamedTuple):
-    """A response averaged in bins, from its jump on."""
+    """A step response averaged in bins, from its jump on; values are parts of the step."""
 
     time: Array  # s, the first one 0
     value: Array
@@ -31,7 +31,7 @@ class MeanStepResponse(NamedTuple):
 
 
 def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> MeanStepResponse:
-    """The response of trials together, in bins of a sample or of this part of the time since the jump."""
+    """Average the responses in bins of one sample, or of `growth` times the time since the jump if that is longer."""
     time = np.concatenate([trial.time for trial in trials])
     values = np.concatenate([trial.response for trial in trials])
     interval = float(np.median([np.median(np.diff(trial.time)) for trial in trials]))
@@ -55,21 +55,21 @@ def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> Mean
 
 
 class LevelCrossing(NamedTuple):
-    """Where a response passes a level."""
+    """The time at which a response passes a level, and its largest error."""
 
     time: float  # s
     limit: float  # s, by which that may be off
 
 
 def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> float:
-    """Where the response passes a level between the bin before this one and this one."""
+    """Return the time [s] at which the straight line from bin `index - 1` to bin `index` passes a level."""
     before, after = float(curve.value[index - 1]), float(curve.value[index])
     share = (level - before) / (after - before)
     return float(curve.time[index - 1] + share * (curve.time[index] - curve.time[index - 1]))
 
 
 def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> LevelCrossing:
-    """Where the response passes a level, by a curve through the bins around it if samples lie close enough on it.
+    """Return when the response passes a level, by a cubic through the bins around it where they lie smoothly enough.
 
     Where they do not, it may pass as early or as late as the two bins allow; a response that bends one way lies on one
     side of the straight line between them.
@@ -80,26 +80,30 @@ def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> Le
     values = np.concatenate([[0.0], curve.value])[around]
     rise, bends = float(values[2] - values[1]), np.diff(values, 2)
     bent = float(np.max(np.abs(bends))) / rise
-    if len(bends) == 2 and bent < SMOOTH:
+    if len(bends) == 2 and bent < MOST_BEND:
         polynomial = np.polynomial.Polynomial.fit(time, values - level, 3)
         roots = [float(root.real) for root in polynomial.roots() if not root.imag and time[1] <= root.real <= time[2]]
         nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
         return LevelCrossing(nearest, bent * abs(nearest - straight))
-    if (relaxed := _relaxing(curve, index, level)) is not None:
+    if (relaxed := _exponential_crossing(curve, index, level)) is not None:
         return LevelCrossing(relaxed, abs(relaxed - straight))
     sooner = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
     later = float(time[2]) - straight if np.max(bends) > 0.0 else 0.0
     return LevelCrossing(straight, max(sooner, later))
 
 
-def _relaxing(curve: MeanStepResponse, index: int, level: float) -> float | None:
-    """The same for a response of few samples: by the exponential through three, of which one lies on the way.
+def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> float | None:
+    """Return when a response of few samples passes a level [s], by the exponential through three samples.
 
     None where there is none, or where they do not slow down.
     """
     first = index - 1 if curve.value[index - 1] > LOW else index
     time, values = curve.time[first : first + 3], curve.value[first : first + 3]
-    if len(values) < 3 or values[0] >= HIGH or not np.allclose(np.diff(time), curve.interval, rtol=EVEN):
+    if (
+        len(values) < 3
+        or values[0] >= HIGH
+        or not np.allclose(np.diff(time), curve.interval, rtol=MOST_UNEVEN_INTERVAL)
+    ):
         return None
     ways = np.diff(values)
     if not 0.0 < ways[1] < ways[0]:

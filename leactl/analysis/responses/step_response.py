@@ -12,15 +12,15 @@ import numpy as np
 from leactl.analysis.estimate import Plot, Result, Series, joined
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.responses.step_curve import mean_step_response
-from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time, settling_time
+from leactl.analysis.responses.step_metrics import BIN_GROWTH, overshoot, rise_time, settling_time
 from leactl.analysis.responses.step_trials import (
-    BAND,
+    SETTLING_BAND,
     StepTrial,
-    of_another_size,
+    drift_notes,
+    repeat_notes,
     rounding_limit_of,
     trials_of,
-    uneven,
-    wandering,
+    wrong_size_notes,
 )
 from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
 from leactl.analysis.statistics.linefit import setup_notes
@@ -32,12 +32,12 @@ STEP_RESULTS = {
     "settling_time": "s",
     "steady_state_error": "%",
 }
-SHOWN = 60  # points of a level in the plot
-FURTHER = 2.0  # settling times that the plot goes on for
+MOST_POINTS = 60  # points of a level in the plot
+PLOTTED_SETTLING_TIMES = 2.0  # settling times that the plot goes on for
 
 
 def step_response(experiment: str, runs: Sequence[Run], reference: str, response: str, key: str, setup: str) -> Result:
-    """Step metrics of the test actuator's `response`, with `reference` and the setpoint's `key` in the steps.
+    """Estimate the step metrics of the test actuator's `response` to `reference`.
 
     `rise_time` [s] from 10 to 90 %, `overshoot` [%], `settling_time` [s] to within 2 %, `steady_state_error` [%], the
     part of the step by which the steady value falls short of the reference; NaN where the trials leave one open.
@@ -51,7 +51,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     every = joined(trials_of(run, reference, response, key) for run in runs)
     setpoints = sorted({trial.level for trial in every.value})
     levels = [[trial for trial in every.value if trial.level == setpoint] for setpoint in setpoints]
-    notes += [*every.notes, *uneven(levels), *wandering(levels)]
+    notes += [*every.notes, *repeat_notes(levels), *drift_notes(levels)]
     units = runs[0].channel(response, role="test").units
     metrics: dict[str, tuple[str, Callable[[Sequence[StepTrial]], TrialFigure]]] = {
         "rise_time": ("s", rise_time),
@@ -60,7 +60,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     }
     results = []
     for name, (unit, metric) in metrics.items():
-        values = [_over(trials, metric) for trials in levels]
+        values = [_level_value(trials, metric) for trials in levels]
         results.append(mean_of_levels(name, unit, values))
         shown = ", ".join(
             f"{value.reading.value:.4g} {unit} at {trials[0]} {units}"
@@ -68,15 +68,17 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
         )
         notes.append(f"{name} by level: {shown}")
         if not math.isfinite(results[-1].value):
-            notes.append(f"{name} is not known: noise of the readings goes beyond {BAND:.0%} of the smallest step")
+            notes.append(
+                f"{name} is not known: noise of the readings goes beyond {SETTLING_BAND:.0%} of the smallest step"
+            )
     results.append(mean_of_levels("steady_state_error", "%", [_steady_error(trials) for trials in levels]))
-    until = FURTHER * results[2].value if math.isfinite(results[2].value) else math.inf
-    notes[:0] = of_another_size(levels, response) or unit_notes(runs, [], [response])
+    until = PLOTTED_SETTLING_TIMES * results[2].value if math.isfinite(results[2].value) else math.inf
+    notes[:0] = wrong_size_notes(levels, response) or unit_notes(runs, [], [response])
     paths = tuple(str(run.path) for run in runs)
     return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
 
 
-def _over(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], TrialFigure]) -> LevelValue:
+def _level_value(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], TrialFigure]) -> LevelValue:
     return over_trials(len(trials), lambda kept: metric([trials[k] for k in kept]))
 
 
@@ -91,11 +93,11 @@ def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
 def _plot(levels: Sequence[Sequence[StepTrial]], units: str, until: float) -> Plot:
     points = []
     for trials in levels:
-        curve = mean_step_response(trials, GROWTH)
+        curve = mean_step_response(trials, BIN_GROWTH)
         shown = np.flatnonzero(curve.time <= until)
-        shown = shown[:: max(1, len(shown) // SHOWN)]
+        shown = shown[:: max(1, len(shown) // MOST_POINTS)]
         time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()
         points.append(Series(f"{trials[0]} {units}", tuple(time), tuple(value)))
     ends = (0.0, max(series.x[-1] for series in points))
-    lines = [Series("band of settling", ends, (1.0 + side, 1.0 + side)) for side in (BAND, -BAND)]
+    lines = [Series("band of settling", ends, (1.0 + side, 1.0 + side)) for side in (SETTLING_BAND, -SETTLING_BAND)]
     return Plot("time since the step [ms]", "response [of the step]", tuple(points), tuple(lines))

@@ -1,4 +1,4 @@
-"""Trials of step experiments: one jump of a setpoint each, what was measured around it, and which of them count.
+"""Trials of step experiments: one jump of a setpoint each, the readings around it, and whether it is usable.
 
 A trial is a step of the run named `step` that says from where to where (`signal: {kind: step}` of a protocol). The jump
 is where the recorded reference makes it: a row holds the reference that the drive followed until then, so the response
@@ -18,17 +18,17 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
-BAND = 0.02  # of the step, about the steady value: settled for good inside
+SETTLING_BAND = 0.02  # of the step, about the steady value: settled for good inside
 FEWEST_SAMPLES = 20  # before the jump or in the steady part
-MISSING = 0.1  # of a trial's samples
-EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
-FOLLOWS = 0.5  # of a step that the response makes of it at the least
-WHOLE = 1.0  # of a step, beyond which a response that misses its reference is no loop's doing
+MOST_MISSING = 0.1  # of a trial's samples
+STAMP_ROUNDING_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
+LEAST_FOLLOWED = 0.5  # of a step that the response makes of it at the least
+MOST_LOOP_ERROR = 1.0  # of a step, beyond which a response that misses its reference is no loop's doing
 
 
 @dataclass(frozen=True, eq=False)
 class StepTrial:
-    """One jump; the response goes from 0 before it to 1 in the steady part, which need not be where it was sent."""
+    """One jump, whose response is scaled from 0 before the jump to 1 in the steady part."""
 
     level: float  # the setpoint after the jump, in the channel's unit
     time: Array  # s since the jump, all samples behind it
@@ -46,7 +46,7 @@ class StepTrial:
 
 @dataclass(frozen=True)
 class Jump:
-    """What a step of the run says of its jump."""
+    """A step of the run with the setpoints before and after its jump."""
 
     step: Step
     start: float
@@ -72,7 +72,7 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
     setpoint, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
     holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
-    clipping_value, clipped_starts = clipped(measured, holds, [jump.step.settle for jump in jumps])
+    clipping_value, clipped_starts = clipped_holds(measured, holds, [jump.step.settle for jump in jumps])
     left_out: dict[str, list[str]] = {}
     trials = []
     for jump, hold in zip(jumps, holds, strict=True):
@@ -92,8 +92,8 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
     return Noted(trials, tuple(tally(left_out, str(run.path))))
 
 
-def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
-    """The value that a channel stops at, and where the settled parts begin of the steps that reach it.
+def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """Return the value at which a channel is clipped, and the starts [s] of the settled parts that reach it.
 
     `befores` are the lengths of what comes before each settled part [s].
     Where readings mostly come twice, a level at rest looks the same as an end of range; only two levels there tell.
@@ -104,12 +104,12 @@ def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -
     if still:
         return value, {hold.start for hold in reached if len({hold.setpoint for hold in reached}) > 1}
     if not reached:
-        return tops(channel, holds, befores)
+        return clipped_peaks(channel, holds, befores)
     return value, {hold.start for hold in reached}
 
 
-def tops(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
-    """The same of responses that are cut off on their way, such as at the top of an overshoot."""
+def clipped_peaks(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """Return the same for responses that are clipped before they settle, such as at the top of an overshoot."""
     whole = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
     parts = [channel.values[part][np.isfinite(channel.values[part])] for part in whole]
     every = np.concatenate(parts) if parts else np.zeros(0)
@@ -121,7 +121,7 @@ def tops(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> t
 
 
 def jumps_of(run: Run, key: str) -> list[Jump]:
-    """Steps of the run that jump from one setpoint of the test actuator to another."""
+    """Return the steps of the run that jump from one setpoint of the test actuator to another."""
     jumps = []
     for step in run.steps:
         ends = [step.parameters.get(f"{end}_{key}") for end in ("from", "to")]
@@ -132,9 +132,9 @@ def jumps_of(run: Run, key: str) -> list[Jump]:
 
 
 def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
-    """The trial of a jump, or why it does not count."""
+    """Return the trial of a jump, or the reason why it is not used."""
     step = jump.step
-    rows = slice(*np.searchsorted(setpoint.time, (step.start + EPS_S, step.stop - EPS_S)))
+    rows = slice(*np.searchsorted(setpoint.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S)))
     references, stamps = setpoint.values[rows], setpoint.time[rows]
     nearer = np.abs(references - jump.target) < np.abs(references - jump.start)
     if not nearer.any() or nearer[0] or jump.target == jump.start:
@@ -144,26 +144,26 @@ def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
     start, target = (float(np.nanmedian(part)) for part in (old_references, references[first:]))
 
     time = measured.time - (0.5 * float(np.median(np.diff(measured.time))) if measured.sampling == "mean" else 0.0)
-    within = (time > step.start + EPS_S) & (time < step.stop - EPS_S)
+    within = (time > step.start + STAMP_ROUNDING_S) & (time < step.stop - STAMP_ROUNDING_S)
     time, values = time[within] - jumped, measured.values[within]
     after_jump, steady = time > 0.0, time >= step.start + step.settle - jumped
     resting = (time <= 0.0) & (time >= 0.5 * (step.start - jumped))  # the later half of the wait for the jump
     good = np.isfinite(values)
-    if (~good[after_jump]).mean() > MISSING if after_jump.any() else True:
+    if (~good[after_jump]).mean() > MOST_MISSING if after_jump.any() else True:
         return "too many samples are missing"
     if step.settle <= jumped - step.start or min((good & resting).sum(), (good & steady).sum()) < FEWEST_SAMPLES:
         return f"fewer than {FEWEST_SAMPLES} samples before the jump or in the steady part"
     before_value, steady_value = float(values[good & resting].mean()), float(values[good & steady].mean())
     response_step, reference_step = steady_value - before_value, target - start
-    if response_step * reference_step < 0.0 and abs(response_step) > FOLLOWS * abs(reference_step):
+    if response_step * reference_step < 0.0 and abs(response_step) > LEAST_FOLLOWED * abs(reference_step):
         return "the response goes against the reference: a sign is swapped"
-    if abs(response_step) < FOLLOWS * abs(reference_step):
-        return f"the response makes less than {FOLLOWS:.0%} of the step"
+    if abs(response_step) < LEAST_FOLLOWED * abs(reference_step):
+        return f"the response makes less than {LEAST_FOLLOWED:.0%} of the step"
     response = (values - before_value) / response_step
     residual = response[good & steady] - 1.0
     quarters = np.array([part.mean() for part in np.array_split(residual, 4)])
-    if np.max(np.abs(quarters)) > BAND:
-        return f"the response never settles within {BAND:.0%}"
+    if np.max(np.abs(quarters)) > SETTLING_BAND:
+        return f"the response never settles within {SETTLING_BAND:.0%}"
     return StepTrial(
         level=jump.target,
         time=time[good & after_jump],
@@ -186,7 +186,7 @@ def rounding_limit_of(noise: float, quantum: float) -> float:
 
 
 def quantum_of(values: Array) -> float:
-    """Smallest step between two readings; zero where hardly any comes twice."""
+    """Return the smallest difference between two readings; zero where few readings are equal."""
     distinct = np.unique(values)
     if len(distinct) < 2 or len(distinct) > 0.9 * len(values):
         return 0.0
@@ -195,18 +195,18 @@ def quantum_of(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def wandering(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
-    """What a reader must know of levels that are not where they were sent, and of what is read before a jump."""
+def drift_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
+    """Return notes on levels that stay off their reference, and on readings that drift before the jump."""
     notes = []
     for trials in levels:
-        short = mean_error(trials)
-        if BAND < abs(short) <= WHOLE:
+        short = mean_steady_error(trials)
+        if SETTLING_BAND < abs(short) <= MOST_LOOP_ERROR:
             notes.append(
                 f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
                 " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
             )
         apart = float(np.ptp([trial.rest for trial in trials]))
-        if apart > BAND:
+        if apart > SETTLING_BAND:
             notes.append(
                 f"at {trials[0]} what is read before the jump moves by {apart:.1%} of the step over the trials: the"
                 " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
@@ -214,9 +214,9 @@ def wandering(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
     return notes
 
 
-def of_another_size(levels: Sequence[Sequence[StepTrial]], response: str) -> list[str]:
-    """What a reader must know of levels whose response misses the reference by more than all of the step."""
-    far = [trials for trials in levels if abs(mean_error(trials)) > WHOLE]
+def wrong_size_notes(levels: Sequence[Sequence[StepTrial]], response: str) -> list[str]:
+    """Return a note on levels whose response misses the reference by more than the whole step."""
+    far = [trials for trials in levels if abs(mean_steady_error(trials)) > MOST_LOOP_ERROR]
     if not far:
         return []
     times = float(np.mean([trial.times for trials in far for trial in trials]))
@@ -226,13 +226,13 @@ def of_another_size(levels: Sequence[Sequence[StepTrial]], response: str) -> lis
     ]
 
 
-def mean_error(trials: Sequence[StepTrial]) -> float:
-    """By how much of the step a level's steady values fall short of the reference."""
+def mean_steady_error(trials: Sequence[StepTrial]) -> float:
+    """Return by which part of the step a level's steady values fall short of the reference, on average."""
     return float(np.mean([trial.steady_error for trial in trials]))
 
 
-def uneven(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
-    """What a reader must know of levels that lack repeats."""
+def repeat_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
+    """Return notes on levels that have fewer trials than others, or a single one."""
     counts = {str(trials[0]): len(trials) for trials in levels}
     notes = []
     if len(set(counts.values())) > 1:
