@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 MISSING = "MuJoCo is not installed: pip install 'leactl[mujoco]'"
 MOST_NAMES = 20  # of joints that a fault lists
 DAMPING_SPEED = 1e-6  # rad/s at which damping is taken: a polynomial's higher terms vanish
-SAME_WITHIN = 1e-9  # relative, by which figures of one meaning may differ
+SAME_WITHIN = 1e-9  # relative difference up to which two figures count as the same
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ def read_joint(path: Path, name: str) -> Joint:
 
     Raises
     ------
-    InputError : the file cannot be compiled, has no such joint, or the joint is none that a model file describes:
-        a ball or free joint, one in a closed loop, one that a tendon or several actuators act on.
+    InputError : the file cannot be compiled or has no such joint; or it is a ball or free joint, part of a closed loop,
+        or driven by a tendon or by several actuators.
     """
     return joint_of(compile_file(path), name)
 
@@ -156,11 +156,11 @@ def joint_of(compiled: Compiled, name: str) -> Joint:
         raise InputError(f"{text.name}: joint '{name}' is a {called} joint; a hinge or slide was expected")
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)
-    about = _CompiledJoint(mujoco, model, state, text.name, index)
-    about.notes += [f"MuJoCo warns: {warning}" for warning in compiled.warnings]
-    about.refuse_loops(text)
-    about.refuse_tendons()
-    return about.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)
+    compiled_joint = _CompiledJoint(mujoco, model, state, text.name, index)
+    compiled_joint.notes += [f"MuJoCo warns: {warning}" for warning in compiled.warnings]
+    compiled_joint.refuse_loops(text)
+    compiled_joint.refuse_tendons()
+    return compiled_joint.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def _suggestion(name: str, known: list[str]) -> str:
@@ -190,7 +190,7 @@ class _CompiledJoint:
         return body == self.body
 
     def refuse_loops(self, text: XmlText) -> None:
-        """Refuse equality constraints that tie the joint, or what it moves to what it does not move."""
+        """Refuse equality constraints on the joint, or between a body that it moves and one that it does not."""
         model, kinds, bodies_alone = self.model, self.mujoco.mjtEq, [self.mujoco.mjtObj.mjOBJ_BODY] * self.model.neq
         between = getattr(model, "eq_objtype", bodies_alone)  # sites too since 3.2
         for equality in range(model.neq):
@@ -214,9 +214,9 @@ class _CompiledJoint:
         return text.elements[element.parent].attributes.get("name") if element.parent is not None else None
 
     def refuse_tendons(self) -> None:
-        """Refuse tendons that pull and whose length goes by the joint's position."""
+        """Refuse active tendons whose length depends on the joint's position."""
         model, before = self.model, np.array(self.state.ten_length)
-        for shift in (1e-3, 0.3):  # one may be drawn so that its length stands still at first
+        for shift in (1e-3, 0.3):  # a length may have its extreme at the first position
             state = self._at(float(self.state.qpos[self.position]) + shift)
             for tendon in np.flatnonzero(np.abs(state.ten_length - before) > 1e-12):
                 if self._pulls(int(tendon)):
@@ -224,6 +224,7 @@ class _CompiledJoint:
                     raise InputError(f"{self.file}: tendon '{name}' acts on joint '{self.name}'")
 
     def _pulls(self, tendon: int) -> bool:
+        """Return whether a tendon has a spring, friction, a limit, an actuator or an equality constraint."""
         model, kinds = self.model, self.mujoco.mjtTrn
         properties = ("stiffness", "damping", "frictionloss", "limited", "armature")
         if any(
@@ -393,10 +394,13 @@ class _CompiledJoint:
             if hasattr(self.model, owner) and np.any(getattr(self.model, owner)[index]):
                 self.notes.append(f"of the joint's {name} the linear part alone is taken along")
 
-    def _smaller(self, limits: Array, called: str) -> float:
+    def _smaller(self, limits: Array, attribute: str) -> float:
+        """Return the smaller magnitude of two limits; add a note where they are not symmetric."""
         low, high = _pair(limits)
         if abs(low + high) > SAME_WITHIN * max(abs(low), abs(high)):
-            self.notes.append(f"{called} {low:g} to {high:g} is not the same both ways; the smaller of the two counts")
+            self.notes.append(
+                f"{attribute} {low:g} to {high:g} is not the same both ways; the smaller of the two counts"
+            )
         return min(abs(low), abs(high))
 
 

@@ -34,7 +34,7 @@ ACTS_ON = {
     "transport_delay": "drive",
     "unbalance": "joint",
 }
-"""What the callbacks hold: the joint itself, a drive of either kind, or one of a kind."""
+"""What each effect of the callbacks acts on: the joint, a drive of either kind, or a drive of one kind."""
 IN_AMPERES = ("command_slew_limit", "current_sensor_offset", "power_foldback", "saturation", "torque_limit")
 SECOND_BODY = "a second body behind the joint would have to be added"
 TEMPERATURES = "MuJoCo has no temperatures"
@@ -66,7 +66,7 @@ def destinations(model: Model, law: str | None) -> Iterator[Destination]:
 
     Parameters
     ----------
-    law : of the joint's actuator: `SERVO`, `CURRENT`, or None where the callbacks cannot stand in for it.
+    law : law of the joint's actuator: `SERVO`, `CURRENT`, or None where the callbacks cannot replace it.
     """
     springs = [entry for entry in model.effects if entry.effect == "position_spring"]
     for entry in model.effects:

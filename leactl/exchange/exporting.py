@@ -35,7 +35,7 @@ class ExportRequest:
 
         Raises
         ------
-        InputError : one line each.
+        InputError : a line for each fault.
         """
         given = {
             "--into": self.into,
@@ -62,8 +62,8 @@ def refuse_unusable_outputs(
 
     Parameters
     ----------
-    code : the one of them that is Python.
-    also : faults that are known already.
+    code_file : the file of callbacks, whose name must end in .py.
+    other_faults : faults that are reported with those of the files.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def export(request: ExportRequest) -> Exported:
 
     Raises
     ------
-    InputError : a file that cannot be used, what does not go together, or a joint that the model does not fit.
+    InputError : a file that cannot be used, arguments that exclude each other, or a joint that the model does not fit.
     """
     request.check()
     model, document = read_model(request.model)
@@ -127,7 +127,7 @@ def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
 
     Raises
     ------
-    InputError : MuJoCo does not read the patched file at its place as it was written, or a file exists.
+    InputError : MuJoCo reads other figures from the patched file than were written, or a file exists.
     """
     with ExitStack() as files:
         for path, text in beside.items():

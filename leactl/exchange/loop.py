@@ -107,12 +107,12 @@ def close_loop(
 
     Parameters
     ----------
-    supply : V, of the joint's position servo.
+    supply : voltage [V] of the joint's position servo.
 
     Raises
     ------
     InputError : files that cannot be used, a joint that no position servo drives, runs without angle and reference,
-        or a patched file that MuJoCo does not read as it was written.
+        or a patched file from which MuJoCo reads other figures than were written.
     """
     refuse_unusable_outputs((files.out, files.callbacks, files.augmented), files.callbacks)
     imported = import_joint(files.robot, joint, supply)
@@ -125,7 +125,7 @@ def close_loop(
         case = read_case(files.runs, files.held_out, nominal)
     playable([*case.fitted, *case.held_out])
     trial = files.out.with_name(f".{files.out.name}.trial.xml")
-    try:  # what does not fit is told before minutes are spent
+    try:  # a model that does not fit is refused before minutes are spent
         write_patch(patch(imported.model, files.robot, joint, "mjcf"), trial)
     finally:
         trial.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ from leactl.gap.servo.runs import starting_speed
 from leactl.gap.signals.record import Clocked, Record
 
 Array = npt.NDArray[np.float64]
-HELD_INERTIA_FACTOR = 1e6  # times its inertia, with which a joint beside the one that plays is as good as held
+HELD_INERTIA_FACTOR = 1e6  # on the armature of other joints, which then stay in place
 ANGLE_REFERENCE, ANGLE = ("angle_reference", "test"), ("angle", "test")
 
 
@@ -23,7 +23,7 @@ def playable(records: Sequence[Record]) -> None:
 
     Raises
     ------
-    InputError : a run has no angle, or no reference of it; one line each.
+    InputError : a line for each run without an angle or its reference.
     """
     faults = [
         f"{record.path}: no {quantity} of test; a run of a position servo was expected"
@@ -40,11 +40,11 @@ def play(
 ) -> tuple[Array, ...]:
     """Return the angle [rad] of a joint at the time stamps of each run, from the run's first measured state on.
 
-    The reference of a stamp is held in `ctrl` until the next. Other joints of the file are held where it has them.
+    `ctrl` keeps the reference of each time stamp until the next. Other joints stay at their positions in the file.
 
     Parameters
     ----------
-    install : puts callbacks on a compiled model, and gives what takes them off by `remove`.
+    install : installs callbacks on a compiled model and returns an object whose `remove` uninstalls them.
 
     Raises
     ------

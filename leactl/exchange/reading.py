@@ -12,15 +12,15 @@ from leactl.errors import InputError
 from leactl.exchange.compiled import Joint, JointActuator, read_joint
 from leactl.model.nominal import Model
 
-DIGITS = 9  # of figures in the file: those of a compiled model have rounding errors behind them
-MOST_HANGING_OFFSET = 1e-6  # rad off straight down, up to which a load counts as a pendulum
+DIGITS = 9  # of figures in a file; further digits of a compiled model are rounding errors
+MOST_HANGING_OFFSET = 1e-6  # rad off straight down, up to which a load is a pendulum
 ALONG_A_SLIDE = {"N*m": "N", "rad": "m", "rad/s": "m/s", "kg*m^2": "kg", "N*m*s/rad": "N*s/m"}
 NOT_OF_A_SIMULATOR = {
     "bench.velocity_filter_bandwidth": "how the drive filters its velocity",
     "encoder_lines": "the encoder's counts",
     "thermal": "how the winding heats",
 }
-"""What neither MJCF nor URDF has a word for, of what a diagnosis can use."""
+"""Keys that a diagnosis can use and that neither MJCF nor URDF can state, with their meaning."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
 
     Parameters
     ----------
-    supply : V, of a position servo's supply, which neither format has.
+    supply : voltage [V] of a position servo's supply, which neither format has.
     ctrl_is_current : whether ctrl of a torque actuator is the current in A, so that its gain is the torque constant.
 
     Raises
     ------
-    InputError : as `read_joint`; or a supply or a current is told of and no such actuator takes it.
+    InputError : see `read_joint`; or a supply or `ctrl_is_current` is given and the actuator does not take it.
     """
     joint = read_joint(path, name)
     kind = None if joint.actuator is None else joint.actuator.kind

@@ -15,7 +15,7 @@ def actuator_table(model: Model, joint: str, timestep: float | None = None) -> d
 
     Parameters
     ----------
-    timestep : s, of the simulation in whose steps the delay is told too.
+    timestep : step [s] of the simulation; with it, the delay is stated in steps too.
     """
     given = {
         "format": FORMAT,

@@ -13,10 +13,10 @@ from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file
 
-SAME_WITHIN = 1e-6  # relative, by which MuJoCo may read back another figure than was written
+SAME_WITHIN = 1e-6  # relative difference between a written figure and the one that MuJoCo reads
 # steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
 STICKING_STEPS = 4.0
-STICKING_IMPEDANCE = "0.999 0.9999 0.001"  # solimpfriction for the same
+STICKING_IMPEDANCE = "0.999 0.9999 0.001"  # solimpfriction of a bearing that sticks
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,13 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
 
     Parameters
     ----------
-    format : mjcf or urdf, which the file has to be.
+    format : format of the file, mjcf or urdf.
     ctrl_is_current : whether ctrl of a torque actuator is the current in A, so that torque_constant is its gain.
 
     Raises
     ------
-    InputError : the file cannot be compiled or is of the other format, the joint is none that a model file describes
-        or not written in the file itself, or its actuator is not the model's drive.
+    InputError : see `read_joint`; or the file is of the other format, the joint is in an included file, or its actuator
+        is not the model's drive.
     """
     compiled = compile_file(into)
     text = compiled.text
@@ -289,7 +289,7 @@ def write_patch(patched: Patch, out: Path) -> None:
 
     Raises
     ------
-    InputError : it does not compile at that place, or a default of the file stands against a figure.
+    InputError : the file does not compile at its path, or a default of it overrides a written figure.
     """
     with new_file(out) as path:
         path.write_bytes(patched.text)

@@ -58,7 +58,7 @@ class XmlText:
         Parameters
         ----------
         changes : attributes by the index of their element.
-        below : text of an element to put first below another, by the other's index.
+        below : text of a new first child, by the index of its parent.
         """
         parts, copied_to = [], 0
         for index in sorted({*changes, *below}):
@@ -79,7 +79,8 @@ def read_xml(path: Path) -> XmlText:
 
     Raises
     ------
-    InputError : it is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document type.
+    InputError : the file is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document
+        type.
     """
     return parse_xml(file_bytes(path, MOST_BYTES), str(path))
 

@@ -11,7 +11,7 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    body : as `--json` prints it.
+    body : the document that `--json` prints.
     """
     rows = body["runs"]
     lines = [f"{body['campaign']}: {title}".rstrip(": ")]
@@ -35,7 +35,7 @@ def campaign_state_text(body: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    body : as `--json` prints it.
+    body : the document that `--json` prints.
     """
     rows = body["runs"]
     width = max(len(row["run"]) for row in rows)

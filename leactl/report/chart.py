@@ -11,9 +11,9 @@ from leactl.report.html import Html, joined, tag
 from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
-TICKS = (5, 5)  # at most about so many along x and y: at 360 px, x labels have 47 px each
+TICKS = (5, 5)  # about the most along x and y: at 360 px, x labels have 47 px each
 DRAWING_SIZE = 1000.0  # units of the drawing, across and down
-GAP_STEPS = 10.0  # usual steps of a curve, beyond which its points do not belong together
+GAP_STEPS = 10.0  # median steps of a curve; points further apart are not connected
 LONGEST_TICK_TEXT = 7  # characters
 
 
@@ -25,7 +25,7 @@ class LineMarks:
     style: str
     x: Array
     y: Array
-    whole: bool = False  # from end to end, however far its points are from each other
+    whole: bool = False  # connect all points, however far apart
     labelled: bool = False  # its name stands on the line, and not in the legend
 
     def extent(self) -> tuple[Array, Array]:
@@ -63,7 +63,8 @@ class PointMarks:
     def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
         """Return strokes of almost no length: their ends are the marks, whose shape a stretched drawing keeps.
 
-        A PDF paints a stroke of no length with round ends alone (ISO 32000, 8.5.3.2): one with square ends has a tenth.
+        A PDF paints a stroke of zero length only if its ends are round (ISO 32000, 8.5.3.2), so that one with square
+        ends is 0.1 long.
         """
         stroke = "h0.1" if "square" in self.style.split() else "h0"
         pairs = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
@@ -161,8 +162,8 @@ def chart(
 
     Parameters
     ----------
-    beside : layers of another chart, which the axes are to hold too.
-    keys : of the legend, style and name each; by default those of the layers, once a name.
+    beside : layers of another chart, which the axes contain too.
+    keys : style and name of each entry of the legend; by default those of the layers, each name once.
     """
     extents = [layer.extent() for layer in (*layers, *beside)]
     x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])

@@ -36,9 +36,9 @@ from leactl.report.gap_words import (
 from leactl.report.html import without_control_characters
 from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout
 
-WIDEST = 120  # characters; notes that run wider are hard to read
+WIDEST = 120  # characters; wider notes are hard to read
 NO_BREAK = "\u00a0"  # a space at which no line ends
-MOST_REGIONS = 5  # entries of the part that says where
+MOST_REGIONS = 5
 
 
 def print_diagnosis(answer: Diagnosis) -> None:
@@ -199,7 +199,7 @@ def calibration_part(answer: Diagnosis, width: int) -> str:
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, droppable: int | None = None) -> str:
     """Return aligned columns; where they are too wide, column `droppable` goes, then last cells move to the next line.
 
-    Where that does not fit either, each row's name has a line of its own.
+    Where that is still too wide, each row becomes its name and, below it, a list of headings and cells.
     """
     whole = aligned(headings, rows)
     if widest(whole) <= width:

@@ -26,7 +26,7 @@ class Outputs:
     def check(self, inputs: Sequence[Path] = ()) -> None:
         """Refuse files that could not be written, all at once, before minutes are spent on the diagnosis.
 
-        An earlier answer of the same name is replaced; what was read never is.
+        An existing file is replaced, but never an input.
 
         Raises
         ------

@@ -1,6 +1,6 @@
 """A diagnosis as one HTML file: verdict, causes, how far the gap shrinks, where it sits, calibration, notes.
 
-Nothing is loaded from anywhere and nothing moves: it can be mailed, printed and read again in ten years.
+The page loads nothing and runs no script, so that it can be mailed, printed and kept.
 """
 
 import math
@@ -44,7 +44,7 @@ from leactl.report.page_style import PAGE
 NO_CONTENT = Html("")
 MODELS = ("nominal", "calibrated", "augmented", "floor")
 MOST_CARDS = 12  # channels with bars, where no effect is added
-SCALE_START = 0.5  # of the smallest number, where the bars begin: on a log scale there is no zero
+SCALE_START = 0.5  # of the smallest value, where the logarithmic scale of the bars begins
 # colours that differ for the colour-blind too (Okabe, Ito 2008)
 STYLE = (
     PAGE
@@ -99,7 +99,7 @@ path.region { fill: var(--nominal); fill-opacity: 0.2; }
 def page(answer: Diagnosis, preface: Html = NO_CONTENT) -> str:
     """Return the whole diagnosis as one self-contained page; the same answer gives the same page.
 
-    preface : what is to stand after the verdict.
+    preface : a section that follows the verdict.
     """
     model = answer.extra.get("augmented")
     model_name = f": {model.name}" if model is not None else ""

@@ -1,6 +1,6 @@
 """A simulator that stands for the model: its effects and floors, and what of them the real runs share.
 
-The terminal and the page show the same.
+The terminal and the page share these sentences and tables.
 """
 
 from collections import Counter

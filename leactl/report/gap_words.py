@@ -22,9 +22,9 @@ from leactl.vocabulary.setup_fault import setup_faults
 from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
-TIME = "time"  # as what a rest depends on
-PRESENT_FROM = 0.5  # probability from which on a cause is said to act
-NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
+TIME = "time"  # in `Rest.depends_on`
+PRESENT_FROM = 0.5  # probability
+NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap
 VERDICTS = {
     "none": "The model explains these runs; no gap is left.",
     "calibration": "Other parameters explain these runs; no effect is missing.",

@@ -1,9 +1,8 @@
 """The live view of a run: step, progress, time left, and the newest value of every channel.
 
-On a terminal it is a picture, painted over four times a second; on a pipe, a file or a terminal that cannot move its
-cursor it is a line every few seconds. It draws from a thread of its own and only reads what the loop has left for it.
-A terminal that takes nothing (Ctrl-S, a dead connection) holds that thread and nothing else: the view is left behind,
-never waited for.
+A terminal shows frames that are repainted four times a second; a pipe, a file or a terminal that cannot move its cursor
+gets a line every few seconds. A separate thread draws the view and only reads what the loop publishes. A terminal that
+accepts no output (Ctrl-S, a dead connection) blocks that thread alone; the run does not wait for it.
 """
 
 import io
@@ -25,13 +24,13 @@ from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
-FIRST_LINE_S = 5.0  # a run that is over before needs no line
+FIRST_LINE_S = 5.0  # a shorter run needs no line
 SLOWEST_LINE_S = 30.0
-LINES_A_DECADE = 10  # a line once a tenth of the time so far has passed again: long runs fill no log
-WARM_DEGC = 50.0  # from which on it is told how long a winding can go on
+LINES_A_DECADE = 10  # the next line comes after a tenth of the time so far, so that long runs write few lines
+WARM_DEGC = 50.0  # winding temperature from which the time to its limit is shown
 PATIENCE_S = 1.0  # how long a view may take to clear the screen
-CELL = 40  # characters a name and its value need side by side
-WIDEST_CELL = 56  # beyond which a value stands too far from its name to be read with it
+CELL = 40  # characters that a name and its value need side by side
+WIDEST_CELL = 56  # characters; wider cells separate a value from its name
 WIDEST_BAR = 120
 SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
 HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
@@ -79,8 +78,8 @@ def _own_console(console: Console) -> Console:
 def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) -> None:
     """Paint frames over each other until `wait` says that the run has ended, then clear them away.
 
-    A terminal that is resized folds or cuts what stands on it in ways of its own, and a question to the operator is
-    written by another thread: then nobody knows where the last frame lies, and the next begins at the top.
+    After a resize or a question to the operator the position of the last frame is not known, and the next frame begins
+    at the top of the terminal.
     """
     size, height = _size(console), 0
     console.file.write(HIDE_CURSOR)
@@ -137,7 +136,7 @@ def log_line(progress: Progress) -> str:
 def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -> list[Text]:
     """Return the lines of one frame for a terminal of this size.
 
-    Where not all fits, the values go first, then title and bar; how to stop the run goes last.
+    Where not all fits, the values are left out first, then title and bar; the hint how to stop the run stays longest.
     """
     across = width - 1  # a line that fills the terminal wraps on some
     below = [(f"warning: {progress.warnings[-1]}", "bold yellow")] if progress.warnings else []

@@ -20,7 +20,7 @@ from leactl.model.motor_schema import LoopFigures, MotorSheet
 from leactl.report.terminal import aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
-PEAK_DURATION_S = 20.0  # as the paper tells it
+PEAK_DURATION_S = 20.0  # as in the paper
 LONGEST_TIME_CONSTANT_S = (
     0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
 )

@@ -1,4 +1,4 @@
-"""Answers in a notebook: a page in a frame of its own, whose style and scripts touch nothing around it."""
+"""Answers in a notebook: each page is in a frame, so that its style and scripts do not affect the notebook."""
 
 from html import escape
 

@@ -13,7 +13,7 @@ def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Seq
 
     Parameters
     ----------
-    also : faults found before.
+    other_faults : faults that are reported with those of the files.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def check_folder(folder: Path) -> None:
 
     Raises
     ------
-    InputError : with the part of its path that is why.
+    InputError : the folder cannot be made or written to; the line names the part of its path that prevents it.
     """
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
     if reason := refusal(existing) if existing.is_dir() else "not a folder":

@@ -45,7 +45,7 @@ def browser() -> str:
 
     Raises
     ------
-    InputError : there is none.
+    InputError : no browser is installed.
     """
     browser_path = installed()
     if browser_path is None:

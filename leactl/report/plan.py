@@ -85,7 +85,7 @@ def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, An
 
     Parameters
     ----------
-    body : as `--json` prints it.
+    body : the document that `--json` prints.
     """
     lines = plan_lines(rehearsal.plan, request.bench.limits)
     for role, winding in body["windings"].items():

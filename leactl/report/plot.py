@@ -1,4 +1,4 @@
-"""A plot made of characters: fitted lines as fine dots, points as letters; ASCII where nothing else can be shown."""
+"""A plot made of characters: fitted lines as Braille dots, points as letters; in ASCII where the terminal needs it."""
 
 import itertools
 import math
@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from leactl.analysis.estimate import Plot, Series
 
 MARKS = "ox+#%@"
-SEVERAL = "*"  # points of two kinds in one place
-MARGIN = 0.04  # of the range, free around the points
-TICKS = (6, 8)  # at most about so many along x and y
+SEVERAL = "*"  # points of several kinds in one cell
+MARGIN = 0.04  # of the range, kept free at both ends
+TICKS = (6, 8)  # about the most along x and y
 # Braille, 2 x 4 dots a character, Unicode 3.0 chart U+2800: bit of the dot in column x, row y
 BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 

@@ -19,8 +19,8 @@ def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Colle
 
     Parameters
     ----------
-    every : the runs of the folder: a parameter that differs among those of a protocol is shown.
-    named : parameters that are shown in any case.
+    all_runs : the runs of the folder; a parameter is shown if it differs among those of one protocol.
+    named : names of parameters that are shown in any case.
     """
     columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
     width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)

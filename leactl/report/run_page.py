@@ -1,7 +1,7 @@
 """A run's channels over time as one page: linked charts that zoom, steps shaded, every step in a table.
 
-A reading and its setpoint share a chart. The page holds so many bins a channel and says how many samples each stands
-for; a part of the run is drawn with all its samples.
+A reading and its setpoint share a chart. The page has at most `BINS` bins a channel and says how many samples each
+stands for; a short part of the run is drawn with all its samples.
 """
 
 from collections.abc import Sequence

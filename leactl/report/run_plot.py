@@ -11,7 +11,7 @@ from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
 from leactl.runfile.read.reader import Step
 from leactl.runfile.read.traces import ChannelTrace
 
-TICKS = (6, 4)  # at most about so many along time and value: a panel has few rows
+TICKS = (6, 4)  # about the most along time and value: a panel has few rows
 ROWS_BESIDE_CANVAS = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
 LOWEST, HIGHEST = 5, 16  # rows of a panel
 SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
@@ -37,7 +37,7 @@ def panels(
 ) -> list[str]:
     """Return lines of text, none wider than `width`, one panel of `height` rows below the other.
 
-    A channel that has no finite sample in this part says so in place of its panel.
+    A channel without a finite sample in this part has a line that says so in place of its panel.
     """
     start, stop = part
     time = PlotAxis([start, stop], TICKS[0])

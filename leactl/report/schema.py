@@ -34,7 +34,7 @@ UNITS = {
     "s": "s",
 }
 STEP = "Step"  # the block that has every kind of step
-# of the entries of interlocks, which differ in the unit alone, one stands in the tables
+# blocks of interlocks that differ from a listed one in the unit alone
 REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
 
 
@@ -136,7 +136,7 @@ def schema_of(kind: str) -> JsonSchema:
 
     Raises
     ------
-    KeyError : a key has no meaning yet.
+    KeyError : a key has no meaning in key_meanings/.
     """
     make, meanings = KINDS[kind]
     whole = _with_choices(make())

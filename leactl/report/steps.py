@@ -17,7 +17,7 @@ class Steps:
 
     Raises
     ------
-    Stopped : at the step after a Ctrl-C that a library called back had swallowed.
+    Stopped : a Ctrl-C was swallowed by a callback of a library before this step.
     """
 
     def __init__(self, console: Console | None = None) -> None:

@@ -1,7 +1,7 @@
 """Results as text: a table for each actuator and condition with the paper's figures, the notes, and a plot.
 
-Plain text without colours, so that a pipe and a log take it as a terminal does. Where the stream cannot show a
-character, ASCII takes its place.
+The text has no colours, so that a pipe and a log take it as a terminal does. Characters that the stream cannot show are
+replaced by ASCII.
 """
 
 import locale
@@ -20,7 +20,7 @@ from leactl.analysis.estimate import Estimate, Result
 from leactl.report.plot import draw
 
 ASCII = str.maketrans({"±": "+-", "…": "..."})
-WIDEST = 100  # characters; a plot gains nothing beyond
+WIDEST = 100  # characters; a wider plot shows no more
 SMALLEST = 40
 FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stays on one line
 
@@ -113,7 +113,7 @@ def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
 def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return rows under headings, in columns as wide as their longest cell; nothing is cut or folded.
 
-    What nothing follows in its row takes no width of its column.
+    A cell at the end of its row does not widen its column.
     """
     widths = [
         max(len(row[column]) for row in (headings, *rows) if row is headings or any(row[column + 1 :]))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
 
 WIDTH = 80
-MOST_CORRELATIONS = 3  # told, the largest
+MOST_CORRELATIONS = 3  # the largest are shown
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 

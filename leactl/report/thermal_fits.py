@@ -41,12 +41,13 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
 
     Returns
     -------
-    A fit for each actuator, and a line for each run that tells of no network and each file of a folder that is none.
+    A fit for each actuator, and a line for each file that was left out: runs without the channels that a network needs,
+    and files in folders that are no runs.
 
     Raises
     ------
-    InputError : a file that was named and cannot be read, a run that is there twice or is not as it was closed, no run
-        that tells of a network, or a channel that it needs and that cannot be believed.
+    InputError : a named file that cannot be read, a run that is given twice or was altered after it was closed, no run
+        with the channels that a network needs, or one of these channels that fails the gate of the analyses.
     """
     in_folders = {file for path in paths if path.is_dir() for file in run_files([path])}
     left_out: list[str] = []

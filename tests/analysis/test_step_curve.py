@@ -54,7 +54,7 @@ def errors_of(shape, seed):
         true = FINE[np.argmax(fine >= 0.9)] - FINE[np.argmax(fine >= 0.1)]
         time = SAMPLE_S * np.arange(1, 60)
         response = np.where(time > late, answer(np.maximum(time - late, 0.0)), 0.0)
-        trial = StepTrial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, rest=0.0)
+        trial = StepTrial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, error_before=0.0)
         reading = rise_time([trial])
         errors[k], limits[k] = abs(reading.value - true), math.hypot(*reading.shared)
     return errors, limits
@@ -80,5 +80,7 @@ def test_a_drive_that_acts_late_in_a_sample_has_not_risen_later():
     found = []
     for late in np.linspace(0.0, 0.99, 9) * SAMPLE_S:
         response = np.where(time > late, 1.0 - np.exp(-(time - late) / lag), 0.0)
-        found.append(rise_time([StepTrial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, rest=0.0)]).value)
+        found.append(
+            rise_time([StepTrial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, error_before=0.0)]).value
+        )
     assert found == pytest.approx([2.197 * lag] * len(found), abs=0.1 * SAMPLE_S)

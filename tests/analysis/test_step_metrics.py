@@ -71,7 +71,7 @@ def test_rounding_that_every_trial_repeats_is_in_the_interval(lag, quantum):
         step = 1.0 + np.random.default_rng(seed).uniform(0.0, quantum)
         read = np.round(step * first_order(lag)(TIME) / quantum) * quantum
         read = read / read[600:].mean()
-        trials = [StepTrial(1.0, TIME, read, 0.0, 0.6, noise=1e-9, quantum=quantum, rest=0.0)] * 2
+        trials = [StepTrial(1.0, TIME, read, 0.0, 0.6, noise=1e-9, quantum=quantum, error_before=0.0)] * 2
         for figure, true in truths.items():
             found = estimate(figure, [trials])
             held[figure] += found.low <= true <= found.high
@@ -88,7 +88,9 @@ def test_a_top_on_which_friction_holds_the_rotor_is_no_higher_than_it_is(falls_s
         up = np.minimum(TIME / 0.07, 1.0) * (1.0 + over)
         down = over * np.clip((TIME - falls_s) / 0.1, 0.0, 1.0)
         read = 1e-4 * np.round((up - down) / 1e-4)
-        trials = [StepTrial(1.0, TIME, read / read[600:].mean(), 0.0, 0.6, noise=1e-9, quantum=1e-4, rest=0.0)] * 2
+        trials = [
+            StepTrial(1.0, TIME, read / read[600:].mean(), 0.0, 0.6, noise=1e-9, quantum=1e-4, error_before=0.0)
+        ] * 2
         found = estimate(overshoot, [trials])
         held += found.low <= 100.0 * over <= found.high
         errors.append(found.value - 100.0 * over)

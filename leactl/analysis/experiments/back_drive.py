@@ -44,12 +44,12 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
 
     `breakaway_torque` [N*m], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
     [N*m*s^2/rad^2], `cogging_order` (periods a turn), `cogging_amplitude` [N*m] of that order, `cogging_peak_to_peak`
-    [N*m]. Breakaway and cogging are there where the runs have such steps.
+    [N*m]. Breakaway and cogging need steps of that kind in the runs.
 
     Parameters
     ----------
     runs : of one actuator under one condition, coupled, its drive off, whose steps `hold` a velocity of the load.
-    torque_gain_std : relative standard uncertainty of the torque's calibration; the channel's own unless told.
+    torque_gain_std : relative standard uncertainty of the torque's calibration; by default that of the channel.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def refuse_powered(run: Run) -> None:
 
     Raises
     ------
-    NotIdentifiable : it was on.
+    NotIdentifiable : the test drive was on.
     """
     if not run.has(ENABLED):
         return

@@ -56,9 +56,9 @@ Q_AXIS_OVER_LINE = {
     "delta": math.sqrt(1.5),
 }  # q axis of the winding's own frame over line to line
 TIME_BASE_STD = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
-MOST_UNEVEN = 0.005  # between pairs, above which a note says so
-MOST_SUM_OF_THREE = 0.01  # of a pair, that may be left of the three voltages' sum
-MOST_OFFSET = 0.01  # of the amplitude: an offset of a channel of which a note says so
+MOST_UNEVEN = 0.005  # relative difference of pairs; a note names a larger one
+MOST_SUM_OF_THREE = 0.01  # of a pair's voltage; the sum of the three voltages should be zero
+MOST_OFFSET = 0.01  # of the amplitude; a note names a larger offset of a channel
 UNITS = "V*s/rad"
 
 
@@ -138,7 +138,7 @@ def pole_pairs_of(holds: Sequence[TurningHold], error_prefix: str) -> Noted[tupl
 
     Raises
     ------
-    NotIdentifiable : no whole number, or not the same in all holds.
+    NotIdentifiable : the pole pairs are no whole number, or differ between holds.
     """
     counts = [waves_per_turn(len(hold.angle.edges) - 1, hold.shaft) for hold in holds]
     numbers = {
@@ -220,7 +220,7 @@ def torque_constant_ratio(
 
     Raises
     ------
-    InputError : a torque constant or an uncertainty that makes no sense.
+    InputError : see `refuse_torque_constant`.
     """
     refuse_torque_constant(given_constant, std)
     kt = given_constant if given_constant is not None else model_of(runs[0]).get("torque_constant")

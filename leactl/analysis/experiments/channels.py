@@ -24,9 +24,9 @@ RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
 
 BINS = 40  # of a histogram
 NOISY = ("torque", "q_axis_current", "velocity")  # whose readings differ by noise even where nothing moves
-MOST_PLOTTED = 3  # channels that are plotted where none is chosen
-SETPOINT_KEYS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint of its own
-KEPT_SETPOINT_KEYS = ({"repeat"}, {"repeat", "until"})  # and what alone is told of a hold that keeps the one before
+MOST_PLOTTED = 3  # channels; with more, only chosen ones are plotted
+SETPOINT_KEYS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint
+KEPT_SETPOINT_KEYS = ({"repeat"}, {"repeat", "until"})  # all parameters of a hold that keeps the setpoint before it
 
 
 def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Result:
@@ -41,12 +41,12 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
     Parameters
     ----------
     runs : of one actuator under one condition.
-    channel : what to look at, such as `torque` or `load_velocity`; every measured channel by default.
+    channel : names of channels, such as `torque` or `load_velocity`; every measured channel by default.
 
     Raises
     ------
     MissingChannel : a run has no such channel.
-    InputError : repeats that came to their end and whose steps differ.
+    InputError : complete repeats whose steps differ.
     """
     notes: list[str] = []
     results: list[Estimate] = []

@@ -38,10 +38,10 @@ RESULTS = {
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
 HELD = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
-SLOWEST_PART = 0.1  # of the speed before: below, the filter's lag and sticking show
+SLOWEST_PART = 0.1  # of the held speed; below it, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
-MOST_MISSED = 0.05  # of the setpoint: a velocity further from it was not reached
-MOST_ABOVE_HELD = 0.05  # of the speed before, that a run-out may lie above it
+MOST_MISSED = 0.05  # of the setpoint, by which a held velocity may be off it
+MOST_ABOVE_HELD = 0.05  # of the held speed, by which a run-out may be faster
 OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
 DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
 
@@ -53,7 +53,7 @@ class RunOut:
     trial: TrialLabel
     before: float  # rad/s, magnitude of the speed that was held
     current: float  # A, that held it, along the motion
-    rounding: float  # relative standard uncertainty of that by the steps of its readings, the same in every trial
+    rounding: float  # relative standard uncertainty of the current by the steps of its readings, shared by all trials
     time: Array  # s, since the fit's first sample
     speed: Array  # rad/s, magnitude
     fitted: Array  # rad/s
@@ -90,7 +90,7 @@ def analyze(
     Raises
     ------
     MissingChannel : a run has no velocity of the test actuator, or no q-axis current.
-    NotIdentifiable : fewer than two run-outs in a direction more than once.
+    NotIdentifiable : no direction has two usable run-outs.
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
     error_prefix = f"{paths_of(runs)}: coast-down"
@@ -163,7 +163,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
 
     Raises
     ------
-    NotIdentifiable : why it cannot be used.
+    NotIdentifiable : the run-out cannot be used, with the reason.
     """
     before = [hold for hold in HELD.holds_of(run) if hold.stop <= step.start + 1e-9]
     if not before:

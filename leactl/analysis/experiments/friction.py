@@ -39,9 +39,9 @@ RESULTS = {
 
 CURRENT, VELOCITY = "q_axis_current", "velocity"
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
-TURNING_STANDARD_ERRORS = 4.0  # standard errors of a mean velocity, below which it may be none
-SLOWEST_TURNING = 0.02  # of the fastest level: slower does not count as turning
-MOST_QUARTER_SPREAD = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
+TURNING_STANDARD_ERRORS = 4.0  # of a mean velocity; a smaller mean may be that of a rotor at rest
+SLOWEST_TURNING = 0.02  # of the fastest level; a slower rotor does not count as turning
+MOST_QUARTER_SPREAD = 0.05  # of the mean, by which the quarters of a settled part may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ def analyze(
     runs : of one actuator under one condition, free, whose steps `hold` its current at two levels or more.
     torque_constant : [N*m/A], in place of the one in the runs' model.
     torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of b and f.
-    current_gain_std : relative standard uncertainty of the current's calibration, as far as the torque constant does
-        not make up for it; the channel's own unless told.
+    current_gain_std : relative standard uncertainty of the current's calibration, less what cancels with the torque
+        constant; by default that of the channel.
 
     Raises
     ------
@@ -141,12 +141,12 @@ def torque_constants(
 ) -> TorqueConstants:
     """Return the torque constant of each run: the given one, or that of the model it carries.
 
-    The error of the current's calibration is another factor on the same torque.
+    The relative uncertainty includes that of the current's calibration, which scales the same torque.
 
     Raises
     ------
     NotIdentifiable : none is given and a run has none.
-    InputError : a value or an uncertainty that makes no sense.
+    InputError : see `refuse_torque_constant`.
     """
     refuse_torque_constant(given_constant, std)
     values = np.array([given_constant if given_constant is not None else torque_constant_of_model(run) for run in runs])
@@ -155,11 +155,8 @@ def torque_constants(
     relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
     known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
     note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
-    note += (
-        "".join(f"; {calibration_note}" for calibration_note in calibration_notes({"current": gain}, "them"))
-        if gain
-        else ""
-    )
+    if gain:
+        note += "".join(f"; {text}" for text in calibration_notes({"current": gain}, "them"))
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 

@@ -63,8 +63,8 @@ def analyze(
     """Estimate drag over speed and the loss at full speed; iron is told from friction where friction alone is given.
 
     `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m] and `quadratic_drag` [N*m*s^2/rad^2], iron included;
-    `full_speed` [rad/s] and `no_load_loss` [W] there; `hysteresis_torque` [N*m] and `eddy_damping` [N*m*s/rad], which
-    have no value, only an interval from zero to all of the drag, without what friction alone takes.
+    `full_speed` [rad/s] and `no_load_loss` [W] there; `hysteresis_torque` [N*m] and `eddy_damping` [N*m*s/rad]. Where
+    friction alone is not given, the last two have no value, only an interval from zero to all of the drag.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def analyze(
     ------
     MissingChannel : a run has no velocity or no q-axis current of the test actuator.
     NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
-    InputError : a given number that makes no sense, or current and velocity of opposite senses.
+    InputError : a given number below zero or not finite, or current and velocity of opposite senses.
     """
     error_prefix = f"{paths_of(runs)}: no-load loss"
     without_iron = {
@@ -114,7 +114,7 @@ def known_friction(name: str, value: float | None, std: float | None) -> Frictio
 
     Raises
     ------
-    InputError : a negative number, or an uncertainty of nothing.
+    InputError : a negative number, or an uncertainty without a value.
     """
     if value is None and std is None:
         return None

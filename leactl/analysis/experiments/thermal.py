@@ -78,7 +78,7 @@ RESULTS = {
 }
 
 PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
-MOST_LEFT_OUT = 0.01  # of the frames, above which it is told
+MOST_LEFT_OUT = 0.01  # of the frames; a note names a larger share
 WINDING_LIMIT = 130.0  # degC, the paper's
 
 
@@ -97,17 +97,17 @@ def analyze(
 
     Resistances [K/W] and capacitances [J/K] of the network, their combination `parallel_thermal_resistance` Rwa ||
     (Rwh + Rha), resistance at 25 degC and its coefficient, residuals against noise, the change in the last 30 minutes
-    of heating, continuous and peak current [A] with all phases alike, and with the rotor standing. What a record does
-    not tell is NaN, and a note says so.
+    of heating, continuous and peak current [A] with all phases alike, and with the rotor standing. A result
+    that the record does not determine is NaN, and a note says so.
 
     Parameters
     ----------
     runs : of one actuator under one condition, with temperatures of active and inactive windings and of the housing.
     camera_offset_std : [K], standard uncertainty of the camera's zero; 1 K is half of the +-2 K of a thermal camera.
     camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
-    voltage_gain_std, current_gain_std : relative, of the supply's readings; those of the channels unless told.
-    camera_lag : [s], how late the camera's clock is by the supply's; estimated where it is not told.
-    winding_limit : [degC], for the currents; that of the run's model, else 130, where it is not told.
+    voltage_gain_std, current_gain_std : relative, of the supply's readings; by default those of the channels.
+    camera_lag : [s], how late the camera's clock is by the supply's; estimated by default.
+    winding_limit : [degC], for the currents; by default that of the run's model, else 130.
     ambient : [degC], for the currents.
 
     Raises

@@ -48,8 +48,8 @@ def analyze(
     Parameters
     ----------
     runs : of one actuator under one condition, whose steps `hold` its current at two levels or more.
-    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
-        channels unless told.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; by default
+        those of the channels.
 
     Raises
     ------

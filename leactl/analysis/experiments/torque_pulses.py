@@ -43,12 +43,12 @@ RESULTS = {
     "sticking_torque": "N*m",
 }
 
-FEWEST_LEVELS = 5  # magnitudes of current: one more than K, p, q and e need
+FEWEST_LEVELS = 5  # magnitudes of current, one more than K, p, q and e need
 POWER_OF_BEND = {"second_power": 2, "fourth_power": 4}
-LEAST_RADICAND = 0.1  # of the root's argument, on the way to the fit
+LEAST_RADICAND = 0.1  # lower bound of the root's argument during the iterations
 CONVERGED_BELOW = 1e-9
 MOST_ITERATIONS = 20  # Gauss-Newton; it converges in four
-STRAIGHT_LOSS = 0.02  # of the torque: a loss up to which a current counts as within the straight part
+STRAIGHT_LOSS = 0.02  # of the torque, up to which a current is in the straight part
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +90,8 @@ def analyze(
     Parameters
     ----------
     runs : of one actuator under one condition, locked, whose steps `hold` its current at five magnitudes or more.
-    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
-        channels unless told.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; by default
+        those of the channels.
 
     Raises
     ------
@@ -194,8 +194,8 @@ def coefficient_weights(line: LineFit, weight_of_slope: dict[str, float]) -> Arr
 def torque_at_peak(bent: SaturationCurve, unit: str, relative_std: float) -> Estimate:
     """Estimate the torque at the peak current; the interval covers all the torque that sticking may hide there.
 
-    e is a torque of the current or none of it, and how s goes with the level e may do as well: neither is an error that
-    scatters, so that the interval holds the truth more often than 95 % ones do.
+    It is not known whether e is torque of the current, nor whether e changes with the level as s does. Neither error
+    scatters, so that the interval covers the true value more often than in 95 % of cases.
     """
     fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
     unsaturated = bent.constant * bent.peak

@@ -41,24 +41,24 @@ RESULTS = {
 }
 
 HELD = HoldSelector("weight_Nm", "N*m", "bench")
-GRAVITY_OF_HOLDS = 9.80665  # m/s^2, in the torque that the holds tell
+GRAVITY_OF_HOLDS = 9.80665  # m/s^2, by which the torques of the holds were worked out
 GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
 ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
 FEWEST_WEIGHTS = 3
 HYSTERESIS_COLUMN = "hysteresis"
-FOLLOWING_STANDARD_ERRORS = 10.0  # standard errors that the sensitivity must differ from zero by
-MOST_FACTOR_ERROR = 0.005  # from one: a factor of which a note says what to do
-MOST_SWING = 0.002  # of the highest torque, between the quarters of a hold
+FOLLOWING_STANDARD_ERRORS = 10.0  # by which the sensitivity must differ from zero
+MOST_FACTOR_ERROR = 0.005  # off one; a note says how to mend a larger one
+MOST_SWING = 0.002  # of the highest torque, by which the quarters of a hold may differ
 
 
 @dataclass(frozen=True)
 class ReferenceTorque:
     """The true torque of the weights over the one that the holds state, and its uncertainty."""
 
-    factor: float  # gravity at the place over the one that the holds tell
-    relative_std: float  # of mass, arm and gravity, as far as what is told of them goes
-    within: float  # relative; gravity lies anywhere between as much less and as much more where none is told
+    factor: float  # local gravity over `GRAVITY_OF_HOLDS`
+    relative_std: float  # of mass, arm and a given gravity
+    within: float  # relative half width of the range of a gravity that is not given; 0 for a given one
 
     @property
     def whole_std(self) -> float:
@@ -101,7 +101,7 @@ def analyze(
     ------
     MissingChannel : a run has no torque.
     NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
-    InputError : a given number that makes no sense.
+    InputError : see `reference_of`.
     """
     error_prefix = f"{paths_of(runs)}: torque sensor calibration"
     weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
@@ -151,7 +151,8 @@ def reference_of(
 
     Raises
     ------
-    InputError : a gravity that is none of this planet's, a negative uncertainty, or an arm of no length.
+    NotIdentifiable : no hold has the length of its arm.
+    InputError : a gravity outside 9.7 to 9.9 m/s^2, or a negative uncertainty.
     """
     if gravity is not None and not 9.7 < gravity < 9.9:
         raise InputError(f"gravity {gravity:g}: 9.7 to 9.9 m/s^2 was expected")
@@ -181,7 +182,7 @@ def reference_of(
 def fit_readings(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
     """Fit the readings over the applied torque, with drift of the zero and hysteresis where the holds allow it.
 
-    Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
+    Each run has a drift of its zero. Hysteresis is a loop between rising and falling weights that closes at both ends.
     """
     time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
     columns = {"sensitivity": applied}
@@ -236,19 +237,16 @@ def budget(
 ) -> Noted[list[BudgetComponent]]:
     """Return the budget's components that follow from the readings, as standard uncertainties [N*m].
 
-    A component that the runs do not show is NaN, and a note says so.
+    A component that cannot be estimated from the runs is NaN, and a note says so.
     """
     notes = []
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
     if HYSTERESIS_COLUMN in line.slopes:  # the loop is a part of the budget
-        residuals = (
-            residuals
-            + line.slope(HYSTERESIS_COLUMN) / factor * line.fit.projected[:, line.slopes.index(HYSTERESIS_COLUMN)]
-        )
-    cells = np.unique(np.column_stack([setpoint_groups(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(
-        -1
-    )
+        loop = line.fit.projected[:, line.slopes.index(HYSTERESIS_COLUMN)]
+        residuals = residuals + line.slope(HYSTERESIS_COLUMN) / factor * loop
+    weight_and_run = np.column_stack([setpoint_groups(levels), levels.run])
+    cells = np.unique(weight_and_run, axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(cells)
     within = residuals - (np.bincount(cells, residuals) / counts)[cells]
     dof = float(len(residuals) - len(counts))

@@ -46,14 +46,14 @@ RESULTS = {
 }
 
 BUS = "bus_voltage"
-VOLTAGE_LIMITED_ABOVE = 0.02  # of the current asked for: more, and the voltage is the limit
-CURRENT_HELD_WITHIN = 0.002  # of it: less, and the drive had all of it
-HELD_STANDARD_ERRORS = 4.0  # standard errors of a mean current, within which it is as asked for
+VOLTAGE_LIMITED_ABOVE = 0.02  # of the setpoint, missing from the current: then the voltage is the limit
+CURRENT_HELD_WITHIN = 0.002  # of the setpoint, missing from the current: then the drive held it
+HELD_STANDARD_ERRORS = 4.0  # of a mean current, within which it equals its setpoint
 MOST_SAG = 0.01  # of the bus voltage at its highest
-MOST_SPEED_CHANGE = 0.005  # of the highest speed, between the quarters of a hold
+MOST_SPEED_CHANGE = 0.005  # of the highest speed, by which the quarters of a hold may differ
 INERTIA_STD = 0.1  # relative standard uncertainty of the inertia: it may be one of a drawing
-FEWEST_AT_REST = 20  # readings of torque before the first step, that tell how well its zero is known
-SAME_READING_WITHIN = 1e-12  # of it: a mean of equal readings is off by no more
+FEWEST_AT_REST = 20  # readings of torque before the first step, for the uncertainty of its zero
+SAME_READING_WITHIN = 1e-12  # relative rounding error of a mean of equal readings
 NORMAL_QUARTILE = 0.6745  # of a normal distribution, in standard deviations
 
 
@@ -62,13 +62,13 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
 
     `highest_torque` [N*m] and `highest_power` [W] with `speed_of_highest_torque` and `speed_of_highest_power` [rad/s];
     `corner_speed` [rad/s] of the winding as warm as its holds left it, without a value where all levels are on one side
-    of it; `current_limit` [A] as asked for; `bus_voltage` [V] at its lowest. Of a torque beyond the sensor's range only
-    `low` is told.
+    of it; `current_limit` [A], the setpoint; `bus_voltage` [V] at its lowest. A torque beyond the sensor's range has a
+    lower bound only.
 
     Parameters
     ----------
     runs : of one actuator under one condition, coupled, whose steps `hold` its current at speeds of the load.
-    torque_gain_std : relative standard uncertainty of the torque's calibration; the channel's own unless told.
+    torque_gain_std : relative standard uncertainty of the torque's calibration; by default that of the channel.
 
     Raises
     ------
@@ -130,8 +130,8 @@ def driving_holds(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
 
     Raises
     ------
-    NotIdentifiable : there is none.
-    InputError : a current against its setpoint in most.
+    NotIdentifiable : no hold is left.
+    InputError : the current is opposite to its setpoint in most holds.
     """
     flows = levels.value[CURRENT] * levels.setpoint
     if np.mean(flows < 0.0) > 0.5:
@@ -165,11 +165,11 @@ def refuse_still(levels: HoldMeans, error_prefix: str) -> None:
 def usable_readings(run: Run, quantity: str) -> Noted[Channel]:
     """Return a channel with NaN for saturated and repeated readings; refuse a saturated current.
 
-    A current at the end of its range would be taken for a limit of the drive.
+    A saturated current would look like the limit of the drive.
 
     Raises
     ------
-    NotIdentifiable : the current is there in a hold, or the torque in all of them.
+    NotIdentifiable : the current is saturated in a hold, or the torque in all of them.
     """
     if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HOLDS.holds_of(run))[1]):
         limits = ", ".join(f"{value:g} A" for value in ends)
@@ -240,8 +240,8 @@ def highest_estimates(
 ) -> list[Estimate]:
     """Estimate the highest mean of torque times `factor` over the repeats of one speed, and that speed.
 
-    Repeats of all speeds of one `kind`, on one side of the corner, tell how torques scatter; there is no interval where
-    no speed has a repeat.
+    The scatter is that of repeats at all speeds of the same `kind`, on one side of the corner; without repeats there is
+    no interval.
     """
     speed = np.abs(levels.value[VELOCITY])
     group = groups_of(speed)
@@ -266,8 +266,8 @@ def highest_estimates(
 def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     """Return a note where the corner speed drifts from repeat to repeat by more than chance and its interval.
 
-    What a change of resistance does to the current goes with the current itself; over the fall of the current with the
-    speed, and at the current asked for, it is how far the corner moves.
+    A change of resistance shifts the current in proportion to it. That shift at the setpoint, over the slope of the
+    current by speed, is the drift of the corner.
     """
     if math.isnan(corner.value):
         return []

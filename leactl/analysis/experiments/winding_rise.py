@@ -31,11 +31,11 @@ RESULTS = {
 
 Array = npt.NDArray[np.float64]
 ON_ABOVE = 0.2  # of the largest current, above which it counts as switched on
-COLD_S = 3.0  # after switching on, over which a parabola leads back to the cold winding; it takes 7 s to warm
-SKIPPED_READINGS = 2  # readings after switching on, which the supply may have begun before
+COLD_S = 3.0  # after switching on, over which a parabola is fitted; the winding takes 7 s to warm
+SKIPPED_READINGS = 2  # after switching on, which the supply may have begun to average before
 HOT_S = 30.0
 STEADY_S, STEADY_K = 1800.0, 1.0
-BLOCK_S = 60.0  # whose mean counts
+BLOCK_S = 60.0  # over which the temperature is averaged
 FEWEST_READINGS = 10
 UNKNOWN_COLD = (25.0, 3.0)  # degC and its standard uncertainty, where no ambient was measured
 MOST_POINTS = 300  # points of the plot
@@ -89,8 +89,8 @@ def analyze(
     Parameters
     ----------
     runs : one run of one actuator, heated.
-    voltage_gain_std, current_gain_std : relative standard uncertainties of the supply's readings; those of the channels
-        unless told.
+    voltage_gain_std, current_gain_std : relative standard uncertainties of the supply's readings; by default those of
+        the channels.
 
     Raises
     ------
@@ -230,8 +230,8 @@ def coefficient_of(run: Run) -> CopperCoefficient:
 
     Raises
     ------
-    NotIdentifiable : there is none.
-    InputError : a tolerance or a reference temperature that makes no sense.
+    NotIdentifiable : the model has no resistance coefficient.
+    InputError : a tolerance or a reference temperature out of range.
     """
     model = model_of(run)
     coefficient = positive(model.get("resistance_coefficient"))

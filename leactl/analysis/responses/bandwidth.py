@@ -1,8 +1,9 @@
-"""-3 dB bandwidth from frequency responses that are known in parts.
+"""-3 dB bandwidth from frequency responses that are known at some frequencies only.
 
-Where a reference is held from sample to sample, samples of the answer have another gain than the loop: how much,
-depends on when within a sample the drive acts (Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3:
-sampling with a delay). It counts as limit: at a hundredth of the record's rate 0.03 % of the gain, at a fifth 14 %.
+A reference that is held from sample to sample changes the gain that samples of the response show. The change depends on
+when within a sample the drive acts (Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3: sampling
+with a delay), which is not known: it is a limit of the error, 0.03 % of the gain at a hundredth of the record's rate
+and 14 % at a fifth.
 """
 
 import math
@@ -70,7 +71,8 @@ def gain_bound(response: Response, side: int) -> Response:
 def sampled_half_power(turns: Array) -> tuple[Array, Array]:
     """Return the highest and lowest gain of the samples of a first-order loop at its own -3 dB frequency.
 
-    Highest where its drive acts at once, lowest where it does so about the middle of a sample.
+    The gain is highest where the drive acts at once and lowest where it acts about the middle of a sample. `turns` is
+    frequency times sample interval, shape (frequencies,), as are both gains.
     """
     angle = math.pi * np.maximum(turns, TINY)
     highest = 1.0 / np.hypot(1.0, np.sin(angle) / np.sinh(angle))

@@ -2,8 +2,8 @@
 
 Ljung, System Identification, 2nd ed. (1999), section 6.4; Jenkins & Watts, Spectral Analysis and Its Applications
 (1968), chapter 10, for coherence and the variance of the gain. The window is Hann's, over lags to both sides. It
-averages the response over some frequencies around each; the same average, taken once more, tells how much that has
-changed it, and the estimate is corrected by that (Tukey's twicing).
+averages the response over neighbouring frequencies. The error of this average is estimated by averaging once more, and
+subtracted (Tukey's twicing).
 """
 
 import math
@@ -19,7 +19,7 @@ from leactl.analysis.statistics.regression import Array
 
 Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
-FINER = 4  # frequencies from one resolved frequency to the next
+FINER = 4  # grid points from one resolved frequency to the next
 
 
 class Spectra(NamedTuple):

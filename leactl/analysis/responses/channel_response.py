@@ -13,9 +13,9 @@ from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.runfile.read.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
-RECORD_OVER_LAGS = 8  # of a record, that the lags to either side reach over
+RECORD_OVER_LAGS = 8  # length of the record over the lags to either side
 FEWEST = 80  # samples
-LEAST_POWER = 1e-3  # of the setpoint's greatest power, below which it counts as not excited (-30 dB)
+LEAST_POWER = 1e-3  # of the setpoint's greatest power (-30 dB); below it, a frequency is not excited
 LEAST_LINE_POWER = (
     0.5  # of the greatest power within a line's width, below which it is what the window spreads from elsewhere
 )
@@ -27,7 +27,7 @@ def gain_and_phase(
 ) -> Noted[tuple[list[Estimate], list[Plot], list[Grid]]]:
     """Return the response of every channel to the setpoint that moves in a step; notes name channels without one.
 
-    `label` opens the names of the results, `measured` has the channels by name.
+    `label` opens the names of the results; `measured` maps names to channels.
     """
     estimates: list[Estimate] = []
     plots: list[Plot] = []

@@ -1,7 +1,7 @@
 """Records of noise experiments: reference and response over each stretch of noise, without gaps.
 
-A stretch is a step of the run named `noise` that says its level (`signal: {kind: noise}` of a protocol), and the seed
-and cut-off of its noise where it has them.
+A stretch is a step of the run named `noise` whose parameters have its level (`signal: {kind: noise}` of a protocol),
+and the seed and cut-off of its noise where they are known.
 """
 
 import math
@@ -18,8 +18,8 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 FEWEST = 1600  # samples in a row, four windows of the estimator
-STAMP_ROUNDING_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
-MOST_UNEVEN_INTERVAL = 0.2  # of an interval that stamps may be off
+STAMP_ROUNDING_S = 1e-6  # of time stamps; a row at the end of a step may belong to its neighbour
+MOST_UNEVEN_INTERVAL = 0.2  # of an interval, by which intervals may differ
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     Raises
     ------
     MissingChannel : the run lacks the reference or the response.
-    NotIdentifiable : there is no stretch of noise, or none with data.
+    NotIdentifiable : the run has no stretch of noise, or no usable one.
     """
     reference, measured = run.channel(loop.reference, role="test"), run.channel(loop.response, role="test")
     steps = [step for step in run.steps if _is_noise(step, loop.offset)]

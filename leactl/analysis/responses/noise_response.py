@@ -1,9 +1,9 @@
 """Frequency response of a drive's loops to noise about several levels: -3 dB bandwidth and the band that is known.
 
 Paper, section "Controller Performance": Blackman-Tukey with a window of 400 samples, bandwidth at the -3 dB crossover,
-mean over trials and levels. A response counts where its coherence is 0.6 or more (Tischler & Remple, Aircraft and
-Rotorcraft System Identification, 2nd ed., section 2.2) and the noise was meant to reach; elsewhere it is not known, and
-so is a bandwidth that lies there. It is the response to noise of that size: friction takes more of a smaller one.
+mean over trials and levels. A response is known below the noise's cut-off where its coherence is 0.6 or more (Tischler
+& Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section 2.2). It holds for noise of that amplitude:
+friction takes a larger share of a smaller one.
 """
 
 import math
@@ -27,16 +27,16 @@ NOISE_RESULTS = {
 }
 LAGS = 400
 LEAST_COHERENCE = 0.6
-SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate, above which holding and sampling show
+SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate; above it, holding and sampling change the response
 MOST_POINTS = 80  # points of a level in a plot
 
 
 def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     """Estimate the bandwidth of the test actuator's loop.
 
-    `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it does not in the band that
-    is known, its value is NaN and `low` is how far the gain stays above at 95 % confidence. `coherent_band_low` and
-    `coherent_band_high` [Hz]: what is known of every level, without the stretches that the notes name.
+    `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it stays above in the known
+    band, the value is NaN and `low` is the frequency up to which it does, at 95 % confidence. `coherent_band_low` and
+    `coherent_band_high` [Hz]: ends of the band that is known at every level; notes name the gaps in it.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def refuse_swapped(response: Response, known: Mask, error_prefix: str) -> None:
 
     Raises
     ------
-    NotIdentifiable : it does.
+    NotIdentifiable : the response goes against its reference.
     """
     lowest = np.flatnonzero(known)[:4]
     if np.mean(response.value[lowest].real) < 0.0:

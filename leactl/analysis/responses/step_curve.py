@@ -1,7 +1,7 @@
 """The mean response of several trials, and where it passes a level.
 
-A drive may act anywhere in the sample in which its reference jumps, so that a response of a few samples says little of
-where it was between them: how far a passing may be off comes with it.
+A drive may act anywhere within the sample in which its reference jumps. A response of few samples is not known between
+them, so that each crossing of a level has a limit of its error.
 """
 
 import math
@@ -14,8 +14,8 @@ from leactl.analysis.responses.step_trials import StepTrial
 from leactl.analysis.statistics.regression import Array
 
 LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
-MOST_BEND = 0.5  # of the way between two bins, by which the ways beside it differ at the most for a curve through them
-MOST_UNEVEN_INTERVAL = 0.01  # of an interval, to which samples lie evenly
+MOST_BEND = 0.5  # second difference over the rise between two bins; above it, no cubic is laid through them
+MOST_UNEVEN_INTERVAL = 0.01  # of an interval, by which intervals may differ
 
 
 class MeanStepResponse(NamedTuple):
@@ -71,8 +71,8 @@ def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> floa
 def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> LevelCrossing:
     """Return when the response passes a level, by a cubic through the bins around it where they lie smoothly enough.
 
-    Where they do not, it may pass as early or as late as the two bins allow; a response that bends one way lies on one
-    side of the straight line between them.
+    Otherwise the straight line is taken, and the limit is the earliest or latest time that the bend of the response
+    allows between the two bins.
     """
     straight = straight_crossing(curve, index, level)
     around = slice(index - 1, index + 3)
@@ -95,7 +95,7 @@ def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> Le
 def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> float | None:
     """Return when a response of few samples passes a level [s], by the exponential through three samples.
 
-    None where there is none, or where they do not slow down.
+    None where fewer than three samples are on the way, or where the response does not slow down.
     """
     first = index - 1 if curve.value[index - 1] > LOW else index
     time, values = curve.time[first : first + 3], curve.value[first : first + 3]

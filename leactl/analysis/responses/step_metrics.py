@@ -1,9 +1,9 @@
 """Rise time, overshoot and settling time of the mean step response of several trials.
 
-Samples of all trials are averaged in bins of one sample; for the settling time they grow to a fiftieth of the time
-since the jump, so that the noise of a late, slow part does not end in it. Values between bins are taken from the
-straight line, or from a curve where they lie close enough on it.
-Where samples lie on the curve is the same in every trial: its uncertainty is told apart from the scatter of trials.
+Samples of all trials are averaged in bins of one sample; for the settling time, bins grow to a fiftieth of the time
+since the jump, which averages the noise of the late, slow part. Values between bins are interpolated by a straight
+line, or by a curve where the bins lie smoothly enough. The samples are at the same positions of the response in every
+trial, so that the error of the interpolation is kept apart from the scatter of trials.
 """
 
 import math
@@ -25,18 +25,18 @@ from leactl.analysis.statistics.intervals import rounding_limit
 from leactl.analysis.statistics.jackknife import TrialFigure
 from leactl.analysis.statistics.regression import Array
 
-BIN_GROWTH = 0.02  # of the time since the jump, bins for the settling time
-LEAST_OVERSHOOT_ERRORS = 4.5  # standard errors that an overshoot stands out by, else there is none
-BAND_NOISE = 1 / 8  # of the band, to which noise is averaged to find where it is entered
+BIN_GROWTH = 0.02  # width of a bin for the settling time, over the time since the jump
+LEAST_OVERSHOOT_ERRORS = 4.5  # standard errors; a smaller overshoot counts as none
+BAND_NOISE = 1 / 8  # of the band, to which noise is averaged to find when the band is entered
 TOP_NOISE = 1 / 20  # of an overshoot, to which noise is averaged to find its top
-AVERAGED_PART = 4  # part of the bins since the jump, over which it is averaged to either side at the most
-UNDECIDED_ABOVE = 1 / 3  # of the band, above which noise or rounding leaves open when a response settles
-PACE_QUANTA = 2.0  # of a reading's resolution, to either side of a level, over which its pace is taken
-TOP_PARTS = 0.75, 0.9, 0.97  # of the overshoot, above which a curve is laid through its top, until they lie on it
-MOST_RESIDUAL_STDS = 3.0  # standard deviations, by which a curve may leave more of them than noise and rounding do
-TOP_ORDER = 4  # of that curve in the logarithm of time
-WAY_ORDER = 3  # of the curve through the last way into the band
-FEWEST_BINS = 8  # bins, for such a curve and that of the settling
+AVERAGED_PART = 4  # bins since the jump over the bins to either side that are averaged at most
+UNDECIDED_ABOVE = 1 / 3  # of the band; larger noise or rounding hides when a response settles
+PACE_QUANTA = 2.0  # resolutions to either side of a level, over which the response's slope is taken
+TOP_PARTS = 0.75, 0.9, 0.97  # of the overshoot; bins above the first that a curve fits are used
+MOST_RESIDUAL_STDS = 3.0  # standard deviations, by which a curve's residuals may exceed noise and rounding
+TOP_ORDER = 4  # of the polynomial through the top, in the logarithm of time
+WAY_ORDER = 3  # of the polynomial through the last way into the band
+FEWEST_BINS = 8  # for either polynomial
 BAND_NEAR, BAND_FAR = 0.4, 2.0  # of the band, between which the last way into it counts for when it is entered
 
 

@@ -1,7 +1,7 @@
 """Step responses of a drive's loops: rise time, overshoot, settling time and steady-state error over trials and levels.
 
 Paper, section "Controller Performance": each figure is the mean over trials and levels. The paper does not print its
-band of settling; here it is 2 % of the step about the steady value, from which overshoot and rise are counted as well.
+band of settling; here it is 2 % of the step about the steady value. Overshoot and rise refer to the steady value too.
 """
 
 import math
@@ -33,14 +33,14 @@ STEP_RESULTS = {
     "steady_state_error": "%",
 }
 MOST_POINTS = 60  # points of a level in the plot
-PLOTTED_SETTLING_TIMES = 2.0  # settling times that the plot goes on for
+PLOTTED_SETTLING_TIMES = 2.0  # length of the plot
 
 
 def step_response(experiment: str, runs: Sequence[Run], reference: str, response: str, key: str, setup: str) -> Result:
     """Estimate the step metrics of the test actuator's `response` to `reference`.
 
     `rise_time` [s] from 10 to 90 %, `overshoot` [%], `settling_time` [s] to within 2 %, `steady_state_error` [%], the
-    part of the step by which the steady value falls short of the reference; NaN where the trials leave one open.
+    part of the step by which the steady value falls short of the reference. A metric that is not known is NaN.
 
     Raises
     ------

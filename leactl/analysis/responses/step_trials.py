@@ -1,8 +1,8 @@
 """Trials of step experiments: one jump of a setpoint each, the readings around it, and whether it is usable.
 
-A trial is a step of the run named `step` that says from where to where (`signal: {kind: step}` of a protocol). The jump
-is where the recorded reference makes it: a row holds the reference that the drive followed until then, so the response
-begins with the last row of the old one.
+A trial is a step of the run named `step` whose parameters have both setpoints (`signal: {kind: step}` of a protocol).
+The jump is taken from the recorded reference: each row has the reference that the drive followed up to it, so the
+response begins at the last row of the old reference.
 """
 
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
-SETTLING_BAND = 0.02  # of the step, about the steady value: settled for good inside
+SETTLING_BAND = 0.02  # of the step, about the steady value
 FEWEST_SAMPLES = 20  # before the jump or in the steady part
 MOST_MISSING = 0.1  # of a trial's samples
-STAMP_ROUNDING_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
-LEAST_FOLLOWED = 0.5  # of a step that the response makes of it at the least
-MOST_LOOP_ERROR = 1.0  # of a step, beyond which a response that misses its reference is no loop's doing
+STAMP_ROUNDING_S = 1e-6  # of time stamps; a row at the end of a step may belong to its neighbour
+LEAST_FOLLOWED = 0.5  # of the reference's step, which the response must make
+MOST_LOOP_ERROR = 1.0  # of a step; a response that misses its reference by more has wrong units
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class StepTrial:
     steady_from: float  # s since the jump
     noise: float  # standard deviation of one sample in the steady part, of the step
     quantum: float  # resolution of the readings, of the step; 0 where none shows
-    rest: float  # what was read before the jump, less what was asked for, of the step
-    times: float = 1.0  # the reference's jump, that the response makes
+    error_before: float  # reading less reference before the jump, of the step
+    size_ratio: float = 1.0  # the response's step over the reference's
 
     def __str__(self) -> str:
         return f"{self.level:.3g}"
@@ -61,13 +61,13 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
 
     Parameters
     ----------
-    reference, response : quantities of what was asked for and what was measured.
-    key : of the setpoint in a step's parameters behind `from_` and `to_`: `current_A`, `angle_rad`.
+    reference, response : quantities of the setpoint and of the measurement.
+    key : of the setpoint in a step's parameters, behind `from_` and `to_`: `current_A`, `angle_rad`.
 
     Raises
     ------
     MissingChannel : the run lacks one of the quantities.
-    NotIdentifiable : no trial is there, or none of them counts.
+    NotIdentifiable : the run has no trial, or no usable one.
     """
     setpoint, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
@@ -95,8 +95,8 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
 def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
     """Return the value at which a channel is clipped, and the starts [s] of the settled parts that reach it.
 
-    `befores` are the lengths of what comes before each settled part [s].
-    Where readings mostly come twice, a level at rest looks the same as an end of range; only two levels there tell.
+    `befores` are the lengths of what comes before each settled part [s]. Where most neighbouring readings are equal, a
+    level at rest looks like the end of the range; only a value that two levels share counts as clipped then.
     """
     value, reached = saturated(channel, holds)
     parts = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
@@ -109,7 +109,7 @@ def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[flo
 
 
 def clipped_peaks(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
-    """Return the same for responses that are clipped before they settle, such as at the top of an overshoot."""
+    """Return value and starts for responses that are clipped before they settle, as at the top of an overshoot."""
     whole = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
     parts = [channel.values[part][np.isfinite(channel.values[part])] for part in whole]
     every = np.concatenate(parts) if parts else np.zeros(0)
@@ -170,10 +170,10 @@ def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
         response=response[good & after_jump],
         steady_error=(target - steady_value) / reference_step,
         steady_from=float(step.start + step.settle - jumped),
-        noise=float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))),  # what drifts or slips is none
+        noise=float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))),  # differences, so that drift is not noise
         quantum=quantum_of(values[good]) / abs(response_step),
-        rest=(before_value - start) / response_step,
-        times=response_step / reference_step,
+        error_before=(before_value - start) / response_step,
+        size_ratio=response_step / reference_step,
     )
 
 
@@ -205,7 +205,7 @@ def drift_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
                 f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
                 " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
             )
-        apart = float(np.ptp([trial.rest for trial in trials]))
+        apart = float(np.ptp([trial.error_before for trial in trials]))
         if apart > SETTLING_BAND:
             notes.append(
                 f"at {trials[0]} what is read before the jump moves by {apart:.1%} of the step over the trials: the"
@@ -219,10 +219,10 @@ def wrong_size_notes(levels: Sequence[Sequence[StepTrial]], response: str) -> li
     far = [trials for trials in levels if abs(mean_steady_error(trials)) > MOST_LOOP_ERROR]
     if not far:
         return []
-    times = float(np.mean([trial.times for trials in far for trial in trials]))
+    ratio = float(np.mean([trial.size_ratio for trials in far for trial in trials]))
     where = ", ".join(str(trials[0]) for trials in far)
     return [
-        f"at {where} the response makes {times:.4g} times the step of its reference: {unit_question(times, [response])}"
+        f"at {where} the response makes {ratio:.4g} times the step of its reference: {unit_question(ratio, [response])}"
     ]
 
 

@@ -13,11 +13,11 @@ from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.html import Html, joined, tag
 from leactl.report.intervals import Interval, intervals
 
-COLOURS = 6  # that can be told apart; see style.py
+COLOURS = 6  # that the colour-blind can tell apart; see style.py
 MARKS = ("dot", "ring", "square")
-MOST_KINDS = 2  # of points in a plot, for several conditions to be readable over each other
-MOST_GREY = 2  # names of lines of their own, beyond which each is written on its line: contours
-DENSE = 40  # points of a kind, from which on they are drawn fine, or as a line where no line was fitted to them
+MOST_KINDS = 2  # of points in a plot, up to which several conditions share it
+MOST_GREY = 2  # names of lines without points; more of them, as of contours, stand on their lines
+DENSE = 40  # points of a kind; more are drawn small, or as a line where no line was fitted to them
 AS_WRITTEN = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
 PRINTED = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
 UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED)})(?![\w])")
@@ -140,7 +140,7 @@ def overlaid_layers(
 def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
     """Return points as marks; many points that follow each other without a fitted line become a line themselves.
 
-    A level line is no fit: it marks a threshold or a mean.
+    A horizontal line does not count as fitted: it marks a threshold or a mean.
     """
     x, y = arrays(series)
     fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)

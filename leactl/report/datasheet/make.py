@@ -1,4 +1,4 @@
-"""From paths to the files of a datasheet: faults of the command line, then minutes of analysis, then the files."""
+"""From paths to the files of a datasheet: check the command line, analyse for minutes, then write the files."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ class Wanted:
 
         Raises
         ------
-        InputError : nothing is wanted, no place for it, or no browser for a PDF.
+        InputError : no output is named, a page without .html, a file that cannot be written, or no browser for a PDF.
         """
         if self.html is None and (self.pdf or not self.json):
             raise InputError("--html OUT.html: where the datasheet goes is missing; --json alone prints its table")
@@ -50,8 +50,9 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
 
     Raises
     ------
-    InputError : see `read_runs` and `Wanted.refuse`; an option that no analysis takes; nothing could be analysed, or a
-        run is in both sets.
+    InputError : see `read_runs` and `Wanted.refuse`; an option that no analysis takes; no run that could be analysed;
+        or
+        a run in both sets.
     """
     refuse_untaken(options)
     wanted.refuse([*runs, *compared])
@@ -80,7 +81,7 @@ def refuse_shared(sets: Sequence[RunSet]) -> None:
 
     Raises
     ------
-    InputError : one line for each.
+    InputError : a line for each shared run.
     """
     seen: dict[str, tuple[int, Path]] = {}
     faults = []

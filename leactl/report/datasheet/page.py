@@ -1,6 +1,6 @@
 """A datasheet as one HTML file: table, figures, runs; nothing is loaded from anywhere, so it can be mailed and printed.
 
-The same runs in the same places give the same page to the byte.
+The same runs at the same paths give the same page to the byte.
 """
 
 import math

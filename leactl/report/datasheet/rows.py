@@ -88,8 +88,8 @@ def estimate_json(estimate: Estimate | None) -> dict[str, float | None]:
 def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[DatasheetRow]:
     """Return the rows of one experiment; motor k is that of set k.
 
-    One set has a row for each actuator, and one for all where several know the result; of two sets only what all of
-    each know together is side by side.
+    One set has a row for each actuator, and a pooled row where several have the result. Two sets have pooled cells
+    alone, side by side.
     """
     answers = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     faulty = [
@@ -123,7 +123,7 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
 def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
     """Return the names of an experiment's rows: the paper's results, or those with an interval where it has none.
 
-    A result that is a part of another, such as that of one direction alone, is left to the list of all results.
+    A part of another result, such as that of one direction alone, is in the list of all results only.
     """
     in_paper = dict.fromkeys(name for paper_row in figures_by_condition(experiment).values() for name in paper_row)
     if in_paper:

@@ -1,4 +1,4 @@
-"""The runs of a campaign and what they answer: each file is an entry, whether or not anything came of it."""
+"""A set of runs and the results of their analyses; each file is an entry, also one that cannot be analysed."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -91,13 +91,13 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
 
     Parameters
     ----------
-    prefix : of the runs' short names.
-    options : of analyses, each for those that take it; see `refuse_untaken`.
-    tell : is called with what begins.
+    prefix : first letter of the runs' labels.
+    options : options of analyses by name; each analysis gets those that it takes.
+    tell : is called with the name of each step that begins.
 
     Raises
     ------
-    InputError : nothing was given, a path that is not there, or a folder without runs.
+    InputError : no path, a path that does not exist, or a folder without runs.
     """
     tell("reading")
     entries = [entry_of(path) for path in run_files(paths)]
@@ -244,7 +244,7 @@ def refuse_untaken(options: Mapping[str, float]) -> None:
 
     Raises
     ------
-    InputError : one line for each.
+    InputError : a line for each such option.
     """
     accepted = {name for experiment in names() for name in options_of(experiment, options)}
     if unknown := [name for name in options if name not in accepted]:

@@ -1,4 +1,4 @@
-"""What a datasheet says: sections by motor, rows of results, runs; as JSON for scripts."""
+"""The contents of a datasheet: sections by motor, rows of results, notes; and all of it as JSON."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -80,9 +80,9 @@ class Datasheet:
 
         Raises
         ------
-        InputError : why nothing came of each run, one line each.
+        InputError : a line for each run that says why it was not analysed.
         """
-        if not any(entry.answers for entry in self.sets):
+        if not any(run_set.answers for run_set in self.sets):
             raise InputError([f"{entry.path}: {entry.fault}" for run_set in self.sets for entry in run_set.entries])
 
     def as_json(self) -> dict[str, Any]:
@@ -151,7 +151,8 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
 def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
     """Return the rows of every experiment that was measured or that the paper has.
 
-    What is known comes first, then what runs did not tell, then what was not measured; of each the paper's first.
+    Experiments with an estimate come first, then those whose runs could not be analysed, then those not measured; among
+    each, the paper's come first.
     """
     in_order = sorted(names(), key=lambda name: (not figures_by_condition(name), name))
     by_experiment = {name: sorted(rows(sets, motors, name), key=_unknown) for name in in_order}
