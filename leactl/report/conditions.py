@@ -4,16 +4,14 @@ from collections.abc import Sequence
 
 from leactl.analysis.anova.comparison import Comparison, in_words
 from leactl.analysis.estimate import listed
-from leactl.report.terminal import aligned, number, wrapped
-
-WIDTH = 80
+from leactl.report.terminal import TEXT_WIDTH, aligned, number, wrapped
 
 
 def comparisons_text(experiment: str, comparisons: Sequence[Comparison], refused: Sequence[str]) -> str:
     """Return a part for each compared result, and a part for each reason why results were not compared."""
     parts = [f"{experiment}: {len(comparisons)} results over conditions"]
     parts += [comparison_text(comparison) for comparison in comparisons]
-    parts += [wrapped("not compared:", [line], WIDTH) for line in by_reason(refused)]
+    parts += [wrapped("not compared:", [line], TEXT_WIDTH) for line in by_reason(refused)]
     return "\n\n".join(parts)
 
 
@@ -34,7 +32,7 @@ def comparison_text(comparison: Comparison) -> str:
     ]
     lines = [
         f"{comparison.name} [{comparison.units}]",
-        wrapped(" ", [comparison.sentence], WIDTH),
+        wrapped(" ", [comparison.sentence], TEXT_WIDTH),
         aligned(("  condition", "values", "mean", "std"), groups),
         aligned(("  Tukey", "difference", "95 % interval, all at once", "p"), pairs),
     ]
@@ -45,8 +43,8 @@ def comparison_text(comparison: Comparison) -> str:
     checks = [
         f"{check.name} {'not checked' if check.p is None else f'p = {check.p:.2g}'}" for check in comparison.checks
     ]
-    lines.append(wrapped("  assumptions:", checks, WIDTH))
-    return "\n".join([*lines, *(wrapped("  note:", [note], WIDTH) for note in comparison.notes)])
+    lines.append(wrapped("  assumptions:", checks, TEXT_WIDTH))
+    return "\n".join([*lines, *(wrapped("  note:", [note], TEXT_WIDTH) for note in comparison.notes)])
 
 
 def by_reason(lines: Sequence[str]) -> list[str]:

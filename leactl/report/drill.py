@@ -1,7 +1,6 @@
 """A drill as text, as a page of Markdown, and its progress on stderr with the time that is left."""
 
 import io
-import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from leactl.report.terminal import encodable, encoding_of_stdout, wrapped
+from leactl.report.terminal import encodable, encoding_of_stdout, terminal_columns, wrapped
 from leactl.runner.drill.finding import Drilled, Finding, Tell
 
 NARROWEST = 72
@@ -22,8 +21,7 @@ VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
 
 def print_drill(drilled: Drilled) -> None:
     """Print the drill as wide as the terminal, 80 columns into a pipe."""
-    width = shutil.get_terminal_size((80, 24)).columns
-    sys.stdout.write(render(drilled, width, encoding_of_stdout()))
+    sys.stdout.write(render(drilled, terminal_columns(), encoding_of_stdout()))
 
 
 def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:

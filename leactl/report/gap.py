@@ -1,6 +1,5 @@
 """A diagnosis as text: verdict, causes, how far the gap shrinks, where it sits, calibration, notes."""
 
-import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
     bare_units,
-    change_text,
+    calibration_rows,
     channel_label,
     claimed_causes,
     closed_by_calibration,
@@ -31,10 +30,9 @@ from leactl.report.gap_words import (
     three_digits,
     variable_words,
     verdict_sentence,
-    with_std,
 )
 from leactl.report.html import without_control_characters
-from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout
+from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout, terminal_columns
 
 WIDEST = 120  # characters; wider notes are hard to read
 NO_BREAK = "\u00a0"  # a space at which no line ends
@@ -43,8 +41,7 @@ MOST_REGIONS = 5
 
 def print_diagnosis(answer: Diagnosis) -> None:
     """Print the answer as wide as the terminal, 80 columns into a pipe."""
-    width = shutil.get_terminal_size((80, 24)).columns
-    sys.stdout.write(render(answer, width, encoding_of_stdout()))
+    sys.stdout.write(render(answer, terminal_columns(), encoding_of_stdout()))
 
 
 def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
@@ -130,17 +127,19 @@ def shrinkage_part(answer: Diagnosis, width: int) -> str:
     headings: tuple[str, ...]
     if shown and claimed_causes(answer.causes):
         headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
-        lines.append(table(headings, [effect_row(channel, answer.shrinkage) for channel in shown], width, droppable=1))
+        lines.append(
+            table(headings, [augmented_row(channel, answer.shrinkage) for channel in shown], width, droppable=1)
+        )
         lines.append(filled("before: the calibrated model; after: with the effects; on held-out runs", width))
     else:
         shown = shown or closed_by_calibration(answer.shrinkage)[:MOST_REGIONS]
     if shown and not lines:
         headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
-        lines.append(table(headings, [calibration_row(channel, answer.shrinkage) for channel in shown], width))
+        lines.append(table(headings, [calibrated_row(channel, answer.shrinkage) for channel in shown], width))
     return "\n".join([*lines, filled(closed_count_text(answer.shrinkage), width)])
 
 
-def effect_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
+def augmented_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
     """Return a channel's RMS before and after the effects are added."""
     numbers = (channel.nominal_rms, channel.calibrated_rms, channel.augmented_rms, channel.floor_rms)
     return [
@@ -151,7 +150,7 @@ def effect_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
     ]
 
 
-def calibration_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
+def calibrated_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
     """Return a channel's RMS before and after calibration, where no effect is added."""
     numbers = (channel.nominal_rms, channel.calibrated_rms, channel.floor_rms)
     return [
@@ -183,16 +182,7 @@ def region_part(answer: Diagnosis, width: int) -> str:
 
 def calibration_part(answer: Diagnosis, width: int) -> str:
     """Return the parameters of the nominal model before and after calibration."""
-    rows = [
-        (
-            parameter.parameter,
-            f"{parameter.nominal:.6g}",
-            with_std(parameter.fitted, parameter.std),
-            bare_units(parameter.units),
-            change_text(parameter),
-        )
-        for parameter in answer.calibration
-    ]
+    rows = calibration_rows(answer)
     return table(("calibration", "nominal", "fitted ± std", "", "change"), rows, width, droppable=1) if rows else ""
 
 

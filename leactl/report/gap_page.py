@@ -16,7 +16,7 @@ from leactl.report.gap_words import (
     CLOSES_NOTHING,
     PRESENT_FROM,
     bare_units,
-    change_text,
+    calibration_rows,
     channel_label,
     claimed_causes,
     closed_by_calibration,
@@ -36,7 +36,6 @@ from leactl.report.gap_words import (
     rest_words,
     three_digits,
     verdict_sentence,
-    with_std,
 )
 from leactl.report.html import Html, document, joined, table, tag
 from leactl.report.page_style import PAGE
@@ -334,14 +333,5 @@ def regions_table(answer: Diagnosis) -> Html:
 
 def calibration_table(answer: Diagnosis) -> Html:
     """Return a row for each parameter of the nominal model, before and after calibration."""
-    rows = [
-        [
-            parameter.parameter,
-            f"{parameter.nominal:.6g}",
-            with_std(parameter.fitted, parameter.std),
-            bare_units(parameter.units),
-            change_text(parameter),
-        ]
-        for parameter in answer.calibration
-    ]
+    rows = calibration_rows(answer)
     return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else NO_CONTENT

@@ -155,6 +155,20 @@ def change_text(parameter: CalibratedParameter) -> str:
     return f"{100.0 * (parameter.fitted / parameter.nominal - 1.0):+.2f} %"
 
 
+def calibration_rows(answer: Diagnosis) -> list[list[str]]:
+    """Return a row for each calibrated parameter: name, nominal and fitted value, units, change."""
+    return [
+        [
+            parameter.parameter,
+            f"{parameter.nominal:.6g}",
+            with_std(parameter.fitted, parameter.std),
+            bare_units(parameter.units),
+            change_text(parameter),
+        ]
+        for parameter in answer.calibration
+    ]
+
+
 def closed_text(channel: Shrinkage) -> str:
     """Return the share of a gap that is closed with its interval, in percent."""
     if channel.closed is None:

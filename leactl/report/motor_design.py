@@ -9,8 +9,8 @@ from leactl.model.energy import Stride
 from leactl.model.flexures import Preload, Reading
 from leactl.model.motor_schema import Bearings, MotorSheet
 from leactl.model.scaling import Scaled
-from leactl.report.motors import WIDTH, cell
-from leactl.report.terminal import aligned, wrapped
+from leactl.report.motors import cell
+from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 
 ENERGIES = {
     "joint_work": "onto the joint, net",
@@ -34,7 +34,7 @@ def scaled_text(motor: MotorSheet, figures: Sequence[Scaled], radius: float) -> 
     ]
     lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), table)]
     assumption = f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"
-    lines.append(wrapped(assumption, [], WIDTH))
+    lines.append(wrapped(assumption, [], TEXT_WIDTH))
     return "\n".join(lines)
 
 
@@ -61,7 +61,7 @@ def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[St
         for words in ceilings_passed(stride)
     ]
     table = aligned(("", *(motor.name for motor in motors)), rows)
-    return "\n".join([head, table, *(wrapped("note:", [note], WIDTH) for note in [*beyond, *notes])])
+    return "\n".join([head, table, *(wrapped("note:", [note], TEXT_WIDTH) for note in [*beyond, *notes])])
 
 
 def ceilings_passed(stride: Stride) -> list[str]:
@@ -106,7 +106,7 @@ def preload_text(
             f" {1e3 * bearings.deflection_at_static_load:g} mm of deflection;"
             f" {bearings.told_preload:g} N told at a gap of {1e3 * bearings.told_gap:g} mm",
             [],
-            WIDTH,
+            TEXT_WIDTH,
         )
     ]
     for reading, preloads, static_gap in readings:

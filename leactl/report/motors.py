@@ -17,7 +17,7 @@ from leactl.model.derived_quantities import (
 )
 from leactl.model.motor import Motor, load_sheet
 from leactl.model.motor_schema import LoopFigures, MotorSheet
-from leactl.report.terminal import aligned, wrapped
+from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
 PEAK_DURATION_S = 20.0  # as in the paper
@@ -25,7 +25,6 @@ LONGEST_TIME_CONSTANT_S = (
     0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
 )
 SAME_CONSTANT_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
-WIDTH = 80
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def comparison_text(motors: Sequence[ComparedMotor]) -> str:
         if any(value is not None for value in row.values) and not (differ and row.of_frame)
     ]
     parts = [aligned(("", *(motor.sheet.name for motor in motors)), shown)]
-    return "\n".join([*parts, *(wrapped("note:", [note], WIDTH) for note in comparison_notes(motors))])
+    return "\n".join([*parts, *(wrapped("note:", [note], TEXT_WIDTH) for note in comparison_notes(motors))])
 
 
 def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:

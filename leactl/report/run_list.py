@@ -1,12 +1,11 @@
 """The list of runs as text: one line for each into a pipe; in a terminal, long lines are wrapped and indented."""
 
-import shutil
 import sys
 import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from leactl.report.terminal import duration
+from leactl.report.terminal import duration, terminal_columns
 from leactl.runfile.catalog.selection import differing
 from leactl.runfile.summary import Summary
 
@@ -22,7 +21,7 @@ def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Colle
     all_runs : the runs of the folder; a parameter is shown if it differs among those of one protocol.
     named : names of parameters that are shown in any case.
     """
-    columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
+    columns = terminal_columns() if sys.stdout.isatty() else 0
     width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)
     varied = differing(all_runs)
     lines = []

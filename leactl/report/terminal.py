@@ -22,13 +22,19 @@ from leactl.report.plot import draw
 ASCII = str.maketrans({"±": "+-", "…": "..."})
 WIDEST = 100  # characters; a wider plot shows no more
 SMALLEST = 40
+TEXT_WIDTH = 80  # characters of texts that have the same width on every terminal
 FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stays on one line
 
 
 def print_result(result: Result, plot: bool = True) -> None:
     """Print a result as wide as the terminal, or 80 columns wide into a pipe."""
-    width = shutil.get_terminal_size((80, 24)).columns
+    width = terminal_columns()
     sys.stdout.write(render(result, width, encoding_of_stdout(), plot))
+
+
+def terminal_columns() -> int:
+    """Return the width of the terminal in characters, 80 into a pipe."""
+    return shutil.get_terminal_size((80, 24)).columns
 
 
 def encoding_of_stdout() -> str:
@@ -193,7 +199,7 @@ def list_line(head: str, text: str) -> str:
     line = f"{head}{text}".rstrip()
     if not sys.stdout.isatty():
         return line
-    width = shutil.get_terminal_size((80, 24)).columns
+    width = terminal_columns()
     if len(line) <= width or width < len(head) + FEWEST_COLUMNS:
         return line
     return textwrap.fill(

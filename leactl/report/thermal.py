@@ -4,14 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from leactl.model.motor import Motor
-from leactl.report.terminal import wrapped
+from leactl.report.terminal import TEXT_WIDTH, wrapped
 from leactl.report.thermal_fits import ActuatorFit
 from leactl.safety.thermal.capability import Carried, Held, Peak
 
 if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
 
-WIDTH = 80
 MOST_CORRELATIONS = 3  # the largest are shown
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
@@ -42,7 +41,7 @@ def fit_text(fitted: ActuatorFit) -> str:
         wrapped(
             f"{fitted.actuator or 'actuator not told'}, {len(fitted.runs)} run{'s' * (len(fitted.runs) > 1)}:",
             fitted.runs,
-            WIDTH,
+            TEXT_WIDTH,
         ),
     ]
     lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
@@ -57,7 +56,7 @@ def fit_text(fitted: ActuatorFit) -> str:
         lines.append(f"  correlation {fit.correlation[i, k]:+.2f} of {first} and {second}")
     lines += ["tolerances:  # of the motor file, three standard errors; others as they were"]
     lines += [f"  {name}: {value:g}" for name, value in fit.tolerances.items()]
-    lines += [wrapped("note:", [note], WIDTH) for note in fitted.notes]
+    lines += [wrapped("note:", [note], TEXT_WIDTH) for note in fitted.notes]
     return "\n".join(lines)
 
 

@@ -6,16 +6,14 @@ from leactl.analysis.estimate import Plot, Series
 from leactl.analysis.statistics.control_chart import FEWEST, ON_ONE_SIDE
 from leactl.analysis.trend import Trend
 from leactl.report.plot import draw
-from leactl.report.terminal import aligned, number, shows_all, value_text, wrapped
-
-WIDTH = 80
+from leactl.report.terminal import TEXT_WIDTH, aligned, number, shows_all, value_text, wrapped
 
 
 def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
     """Return whether the result changed, a row for each run, and a plot."""
     group = ", ".join(filter(None, (trend.actuator, trend.condition)))
     head = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {change_sentence(trend)}"
-    lines = [*textwrap.wrap(head, WIDTH, subsequent_indent="  "), ""]
+    lines = [*textwrap.wrap(head, TEXT_WIDTH, subsequent_indent="  "), ""]
     beyond = set(trend.chart.beyond) if trend.chart else set()
     shifted = set(trend.chart.shifted) if trend.chart else set()
     rows = [
@@ -28,8 +26,8 @@ def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
         for index, point in enumerate(trend.points)
     ]
     lines.append(aligned(("made (UTC)", "value ± std", "", "run"), rows))
-    lines += ["", *draw(trend_plot(trend), WIDTH, ascii_only=not shows_all(encoding))]
-    lines += [wrapped("left out:", [line], WIDTH) for line in trend.left_out]
+    lines += ["", *draw(trend_plot(trend), TEXT_WIDTH, ascii_only=not shows_all(encoding))]
+    lines += [wrapped("left out:", [line], TEXT_WIDTH) for line in trend.left_out]
     return "\n".join(lines)
 
 

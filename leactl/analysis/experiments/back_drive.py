@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined
+from leactl.analysis.experiments.friction import points_by_direction
 from leactl.analysis.experiments.torque_constant import TORQUE, intercepts_by_hold
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
@@ -143,15 +144,7 @@ def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
     velocity = levels.value[VELOCITY]
     sensor_zeros = intercepts_by_hold(line)
     torque_against = (-levels.value[TORQUE] - (sensor_zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
-    points = []
-    for label, sign in (("forward", 1.0), ("backward", -1.0)):
-        in_direction = np.sign(velocity) == sign
-        if in_direction.any():
-            points.append(
-                Series(
-                    label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(torque_against[in_direction].tolist())
-                )
-            )
+    points = points_by_direction(velocity, torque_against)
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     fitted = Series("fit", tuple(speeds.tolist()), tuple(drag_at(line.fit, line, speeds).tolist()))
-    return Plot("speed [rad/s]", "torque against the motion [N*m]", tuple(points), (fitted,))
+    return Plot("speed [rad/s]", "torque against the motion [N*m]", points, (fitted,))

@@ -262,6 +262,17 @@ def line_results(
     return [*estimates, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
 
 
+def points_by_direction(velocity: Array, values: Array) -> tuple[Series, ...]:
+    """Return values over speed, a series for each direction that has any; both arguments have shape (holds,)."""
+    series = []
+    for label, direction in DIRECTIONS.items():
+        in_direction = np.sign(velocity) == direction
+        if in_direction.any():
+            speed = np.abs(velocity[in_direction])
+            series.append(Series(label, tuple(speed.tolist()), tuple(values[in_direction].tolist())))
+    return tuple(series)
+
+
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
     """Plot the torque of the current over speed, both along the motion, by direction."""
     velocity = levels.value[VELOCITY]

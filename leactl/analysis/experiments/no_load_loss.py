@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
-from leactl.analysis.experiments.friction import torque_constants
+from leactl.analysis.experiments.friction import points_by_direction, torque_constants
 from leactl.analysis.experiments.torque_constant import intercepts_by_hold
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
@@ -157,13 +157,7 @@ def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
     """Plot the loss over speed, by direction, and the fit with its three parts on top of each other."""
     velocity = levels.value[VELOCITY]
     shown = (torque - intercepts_by_hold(line) if both_ways(levels) else torque) * velocity
-    points = []
-    for label, sign in (("forward", 1.0), ("backward", -1.0)):
-        in_direction = np.sign(velocity) == sign
-        if in_direction.any():
-            points.append(
-                Series(label, tuple(np.abs(velocity[in_direction]).tolist()), tuple(shown[in_direction].tolist()))
-            )
+    points = points_by_direction(velocity, shown)
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds
     lines = (
@@ -175,4 +169,4 @@ def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
             tuple((friction + line.slope("viscous_damping") * speeds**2).tolist()),
         ),
     )
-    return Plot("speed [rad/s]", "no-load loss [W]", tuple(points), lines)
+    return Plot("speed [rad/s]", "no-load loss [W]", points, lines)

@@ -62,12 +62,10 @@ def analyze(
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
-    directed = with_direction(gathered.value)
-    levels = directed.value
-    notes += [*gathered.notes, *directed.notes]
+    gathered = torque_levels(runs, error_prefix)
+    levels = gathered.value
+    notes += gathered.notes
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
-    require_levels(error_prefix, "current", levels.setpoint, current, levels.std[CURRENT])
 
     columns = {"torque_constant": current}
     both_sides = len(np.unique(levels.direction)) == 2
@@ -104,6 +102,21 @@ def convention_notes(run: Run, torque_constant: float) -> list[str]:
         return []
     reason = reason_for_torque_constant(ratio)
     return [f"the torque constant is {ratio:.3f} times that of the model in the run: {reason}"] if reason else []
+
+
+def torque_levels(runs: Sequence[Run], error_prefix: str) -> Noted[HoldMeans]:
+    """Return the mean current and torque of the usable holds; notes name the others.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque or no q-axis current of the test actuator.
+    NotIdentifiable : fewer than two distinct levels of current.
+    """
+    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
+    directed = with_direction(gathered.value)
+    levels = directed.value
+    require_levels(error_prefix, "current", levels.setpoint, levels.value[CURRENT], levels.std[CURRENT])
+    return Noted(levels, (*gathered.notes, *directed.notes))
 
 
 def with_direction(levels: HoldMeans) -> Noted[HoldMeans]:

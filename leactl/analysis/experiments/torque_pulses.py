@@ -22,13 +22,12 @@ from leactl.analysis.experiments.torque_constant import (
     TORQUE,
     convention_notes,
     intercepts_by_hold,
-    with_direction,
+    torque_levels,
 )
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.sign_checks import refuse_below_zero
-from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
-from leactl.analysis.signals.levels import HoldMeans, gather_means, require_levels
+from leactl.analysis.signals.levels import HoldMeans
 from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import NotIdentifiable
@@ -104,12 +103,10 @@ def analyze(
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
     both_stds = math.hypot(torque_std, current_std)
-    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
-    directed = with_direction(gathered.value)
-    levels = directed.value
-    notes += [*gathered.notes, *directed.notes]
+    gathered = torque_levels(runs, error_prefix)
+    levels = gathered.value
+    notes += gathered.notes
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
-    require_levels(error_prefix, "current", levels.setpoint, current, levels.std[CURRENT])
     magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(magnitudes) < FEWEST_LEVELS:
         raise NotIdentifiable(
