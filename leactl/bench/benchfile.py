@@ -282,8 +282,8 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
         if not isinstance(bus, CanBus) or not interface:
             known = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
             raise InputError(
-                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, or NAME=serial:PORT,"
-                f" with a serial line of it, or NAME=visa:RESOURCE, with a raw socket of it ({known})"
+                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, NAME=visa:RESOURCE,"
+                f" with a raw socket of it, or NAME=serial:PORT, with a serial line of it ({known})"
             )
         changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
     return changed

@@ -106,7 +106,7 @@ def make_at_line(far_end_process):
         bench.supply.close()
 
 
-@pytest.fixture(params=[*SERIAL, "tcp"])
+@pytest.fixture(params=SERIAL)
 def make_supply(request, make_at_line):
     """Make a supply that speaks SCPI, with these settings."""
     return partial(make_at_line, SupplyBench, request.param)
