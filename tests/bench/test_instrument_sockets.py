@@ -207,7 +207,7 @@ def test_a_resource_names_address_and_port(tmp_path, resource):
         ("TCPIP::224.0.0.1::5025::SOCKET", "224.0.0.1 is not the address of one instrument"),
         ("TCPIP::192.168.0.5::0::SOCKET", "port 0; 1 to 65535 was expected"),
         ("TCPIP::192.168.0.5::65536::SOCKET", "port 65536; 1 to 65535 was expected"),
-        (5025, "string"),
+        (5025, "5025: a text was expected"),
     ],
 )
 def test_a_resource_that_is_no_raw_socket_is_refused(tmp_path, resource, said):

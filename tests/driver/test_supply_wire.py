@@ -340,7 +340,6 @@ def test_a_protection_beyond_the_limit_goes_nowhere(here, level):
 # -- readings --------------------------------------------------------------------------------------------------------
 
 
-@on_a_socket_too
 def test_a_round_is_voltage_current_and_how_the_instrument_fares(bench):
     bench.energise()
     before = bench.clock.now()
