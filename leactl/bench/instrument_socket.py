@@ -10,8 +10,8 @@ import struct
 
 CONNECT_S = 0.3  # a third of what a safe state has; on a local network a connection takes some ms
 # What was sent and is not acknowledged for so long is never delivered: a command to switch on must not reach the supply
-# when the cable is plugged in again minutes later. The kernel repeats after 0.2 and 0.6 s.
-UNACKNOWLEDGED_MS = 1000
+# when the cable is plugged in again minutes later.
+UNACKNOWLEDGED_MS = 1000  # the kernel looks when it would repeat the next time: after 1.4 s
 MOST_BYTES = 4096
 MEANING = {
     errno.ECONNREFUSED: "the connection is refused; is the port right, and does another program hold it?",
