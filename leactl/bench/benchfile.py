@@ -74,8 +74,8 @@ def _socket_address(resource: str) -> tuple[str, int]:
     match = SOCKET_RESOURCE.fullmatch(resource)
     if match is None:
         raise ValueError(
-            f"{resource!r} is not the name of a raw socket; TCPIP::ADDRESS::PORT::SOCKET was expected, with the"
-            " instrument's IPv4 address and port, mostly 5025 or 5555"
+            "not the name of a raw socket; TCPIP::ADDRESS::PORT::SOCKET was expected, with the instrument's IPv4"
+            " address and port, mostly 5025 or 5555"
         )
     try:
         host = IPv4Address(match[1])
@@ -311,12 +311,14 @@ def _shared_addresses(
     faults = []
     for device in devices:
         bus, address = device.entry.bus, device.settings.bus_address
-        line = bus is not None and isinstance(buses.get(bus), LineBus)  # its devices have addresses, or it has one
+        wire = buses.get(bus or "")
+        line = isinstance(wire, LineBus)  # its devices have addresses, or it has one
         if bus is None or (address is None and not line):
             continue
-        holder = first.setdefault((bus, address), device.name)
+        socket = "{} port {}".format(*wire.address) if isinstance(wire, VisaBus) else ""  # two names are one instrument
+        holder = first.setdefault((socket or bus, address), device.name)
         if holder != device.name:
-            where = f"bus '{bus}'" if address is None else f"address {address} on bus '{bus}'"
+            where = (socket or f"bus '{bus}'") if address is None else f"address {address} on bus '{bus}'"
             message = f"{where} is that of {holder}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
     return faults

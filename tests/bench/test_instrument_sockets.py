@@ -197,10 +197,10 @@ def test_a_resource_names_address_and_port(tmp_path, resource):
 @pytest.mark.parametrize(
     ("resource", "said"),
     [
-        ("TCPIP::192.168.0.5::INSTR", "is not the name of a raw socket; TCPIP::ADDRESS::PORT::SOCKET was expected"),
-        ("USB0::0x1AB1::0x0E11::DP8C1::INSTR", "is not the name of a raw socket"),
-        ("TCPIP::192.168.0.5::SOCKET", "is not the name of a raw socket"),
-        ("TCPIP::192.168.0.5::5025::SOCKET\n", "is not the name of a raw socket"),
+        ("TCPIP::192.168.0.5::INSTR", "not the name of a raw socket; TCPIP::ADDRESS::PORT::SOCKET was expected"),
+        ("USB0::0x1AB1::0x0E11::DP8C1::INSTR", "not the name of a raw socket"),
+        ("TCPIP::192.168.0.5::SOCKET", "not the name of a raw socket"),
+        ("TCPIP::192.168.0.5::5025::SOCKET\n", "not the name of a raw socket"),
         ("TCPIP::supply.lab::5025::SOCKET", "'supply.lab' is not an IPv4 address; one was expected"),
         ("TCPIP::192.168.0.256::5025::SOCKET", "'192.168.0.256' is not an IPv4 address"),
         ("TCPIP::0.0.0.0::5025::SOCKET", "0.0.0.0 is not the address of one instrument"),
@@ -216,6 +216,16 @@ def test_a_resource_that_is_no_raw_socket_is_refused(tmp_path, resource, said):
     assert len([fault for fault in refused.value.faults if "buses.lan" in fault]) == 1
 
 
+def test_an_instrument_has_one_driver_whatever_its_buses_are_called(tmp_path):
+    path = Path(write(tmp_path, "TCPIP::192.168.0.5::5025::SOCKET"))
+    bench = yaml.safe_load(path.read_text())
+    bench["buses"]["again"] = {"kind": "visa", "resource": "tcpip0::192.168.0.5::5025::socket"}
+    bench["devices"]["other"] = SUPPLY | {"bus": "again", "settings": dict(SUPPLY["settings"])}
+    path.write_text(yaml.safe_dump(bench, sort_keys=False))
+    with pytest.raises(InputError, match=r"192\.168\.0\.5 port 5025 is that of supply; another one was expected"):
+        benchfile.load(str(path))
+
+
 def test_a_driver_for_a_serial_line_alone_is_refused(tmp_path):
     with pytest.raises(InputError, match="'lan': bk1688b needs a bus of kind serial under buses"):
         benchfile.load(write(tmp_path, "TCPIP::192.168.0.5::5025::SOCKET", driver="bk1688b"))
@@ -225,7 +235,7 @@ def test_a_socket_is_put_elsewhere(tmp_path):
     file = benchfile.load(write(tmp_path, "TCPIP::192.168.0.5::5025::SOCKET"))[0]
     changed = benchfile.changed_buses(file, ["lan=visa:TCPIP::127.0.0.1::5555::SOCKET"])
     assert changed["lan"].address == ("127.0.0.1", 5555)
-    with pytest.raises(InputError, match=r"--bus lan=visa:here: 'here' is not the name of a raw socket"):
+    with pytest.raises(InputError, match=r"--bus lan=visa:here: not the name of a raw socket"):
         benchfile.changed_buses(file, ["lan=visa:here"])
     with pytest.raises(InputError, match=r"NAME=visa:RESOURCE, with a raw socket of it, .*\(can0, lan\)"):
         benchfile.changed_buses(file, ["lan=serial:/dev/ttyUSB0"])
