@@ -492,7 +492,6 @@ def test_more_than_the_model_can_give_is_no_reading(own, question, answer, compl
     assert f"a round was lost: {question} was answered by {complaint}" in bench.supply.notices()
 
 
-@on_a_socket_too
 def test_a_lost_answer_is_lived_with_on_every_transport(make_supply):
     bench = make_supply()
     bench.energise()
@@ -606,7 +605,6 @@ def test_stop_now_waits_for_nothing(here):
     assert (here.clock.now(), here.lines()) == (before, [b"\x03", b"SYST:REM", b"OUTP OFF"])
 
 
-@on_a_socket_too
 @pytest.mark.parametrize(
     ("admits", "detail"),
     [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")],
