@@ -50,7 +50,7 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
     from leactl.bench.provenance import overdue
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
     from leactl.runner.checked_bench import load_checked
 
     bench_file, devices, _document = load_checked(bench)
@@ -63,7 +63,7 @@ def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
         return
     for name, text in late.items():
         typer.echo(f"leactl: warning: {name}: {text}", err=True)
-    typer.echo(row("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
+    typer.echo(list_line("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
         for key, fact in device.entry.facts.items():
@@ -73,7 +73,7 @@ def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     for name, entries in interlocks.items():
         for entry in entries if isinstance(entries, list | tuple) else [entries]:
             settings = ", ".join(f"{key} {value}" for key, value in entry.items())
-            typer.echo(row(f"  interlock {name:<22} ", settings))
+            typer.echo(list_line(f"  interlock {name:<22} ", settings))
 
 
 @app.command(epilog=examples("bench reset mine.yaml"))
@@ -157,7 +157,7 @@ def serve(
 def faults(name: str = typer.Argument("", help="One fault, to be explained."), as_json: bool = AS_JSON) -> None:
     """List the faults that an emulated bench rehearses, or explain one: its parameters and a line for a bench file."""
     from leactl.emulation.faults import find_fault, known_faults
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
 
     chosen = {name: find_fault(name)} if name else known_faults()
     described = [fault.described(key) for key, fault in sorted(chosen.items())]
@@ -166,10 +166,10 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         return
     width = max(len(fault["fault"]) for fault in described)
     for fault in described:
-        typer.echo(row(f"{fault['fault']:<{width}} ", fault["summary"]))
+        typer.echo(list_line(f"{fault['fault']:<{width}} ", fault["summary"]))
     if name:
         for key, text in described[0]["parameters"].items():
-            typer.echo(row(f"  {key:<18} ", text))
+            typer.echo(list_line(f"  {key:<18} ", text))
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
 
 

@@ -45,7 +45,7 @@ OUT = typer.Option(None, help="Folder of the campaign; runs/NAME or runs/NAME-VA
 @app.command("list", epilog=examples("campaign list"))
 def list_campaigns(as_json: bool = AS_JSON) -> None:
     """List the campaigns that ship with leactl."""
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
     from leactl.runner.campaign.campaignfile import load, names
 
     campaigns = [load(name) for name in names()]
@@ -55,7 +55,7 @@ def list_campaigns(as_json: bool = AS_JSON) -> None:
         return
     width = max(len(campaign.name) for campaign in campaigns)
     for campaign in campaigns:
-        typer.echo(row(f"{campaign.name:<{width}}  {len(campaign.cells):3d} runs  ", campaign.title))
+        typer.echo(list_line(f"{campaign.name:<{width}}  {len(campaign.cells):3d} runs  ", campaign.title))
 
 
 @app.command(epilog=examples("campaign show paper"))
@@ -77,7 +77,7 @@ def status(
     as_json: bool = AS_JSON,
 ) -> None:
     """Show which runs of a campaign are finished, which are left, and what is wrong with its folder."""
-    from leactl.report.campaign import standing_text
+    from leactl.report.campaign import campaign_state_text
     from leactl.runner.campaign.folder import busy, found
 
     campaign, folder, entries = _read(name, variant, seed, out)
@@ -101,7 +101,7 @@ def status(
         "changed": list(now.changed),
         "unfinished": [str(file.path) for file in now.unfinished],
     }
-    typer.echo(json.dumps(body) if as_json else standing_text(body))
+    typer.echo(json.dumps(body) if as_json else campaign_state_text(body))
 
 
 @app.command(

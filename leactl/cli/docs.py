@@ -23,7 +23,7 @@ def docs(
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """List the pages of the manual and where they lie, or print one."""
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
 
     folder = folder_of_pages()
     paths = pages_by_name(folder)
@@ -37,7 +37,8 @@ def docs(
         typer.echo(paths[page].read_text(encoding="utf-8"), nl=False)
     else:
         width = max(map(len, titles))
-        typer.echo("".join(f"{row(f'{name:<{width}}  ', text)}\n" for name, text in titles.items()) + f"\nin {folder}")
+        lines = [list_line(f"{name:<{width}}  ", text) for name, text in titles.items()]
+        typer.echo("\n".join([*lines, "", f"in {folder}"]))
 
 
 def pages_by_name(folder: Path) -> dict[str, Path]:

@@ -11,7 +11,7 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
 
     from leactl.bench.host_checks import run_checks
     from leactl.report import pdf
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
     from leactl.runner import state
 
     findings = [*run_checks(), state.examine(), pdf.examine()]
@@ -21,8 +21,8 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     else:
         for finding in findings:
             mark = "ok     " if finding.fine else "MISSING" if finding.needed else "absent "
-            typer.echo(row(f"{mark} ", f"{finding.subject}: {finding.found}"))
+            typer.echo(list_line(f"{mark} ", f"{finding.subject}: {finding.found}"))
             if finding.mend:
-                typer.echo(row("        mend: ", finding.mend))
+                typer.echo(list_line("        mend: ", finding.mend))
     if wrong:
         raise typer.Exit(2)

@@ -18,7 +18,7 @@ NAME = typer.Argument(help="Name of a driver plug-in.", autocompletion=drivers)
 def list_drivers(as_json: bool = AS_JSON) -> None:
     """List every registered driver, broken ones included."""
     from leactl.driver import registry
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
 
     drivers = registry.survey()
     if as_json:
@@ -37,7 +37,7 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
     width = max((len(item.name) for item in drivers), default=0)
     for item in drivers:
         transport, text = (item.driver.transport, item.driver.summary) if item.driver else ("broken", item.error)
-        typer.echo(row(f"{item.name:<{width}} {transport:<7} ", text))
+        typer.echo(list_line(f"{item.name:<{width}} {transport:<7} ", text))
 
 
 @app.command(epilog=examples("driver info elmo_can"))

@@ -141,7 +141,7 @@ def show_effects(
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it; and faults."""
     from leactl.gap.explained import explained
-    from leactl.report.effects import all_effects, one_effect
+    from leactl.report.gap_listings import all_effects_text, effect_text
     from leactl.vocabulary.effect import effect_names
     from leactl.vocabulary.setup_fault import setup_faults
 
@@ -150,7 +150,7 @@ def show_effects(
         every = {group: [explained(effect) for effect in names] for group, names in groups.items()}
         typer.echo(json.dumps(explained(name) if name else every))
         return
-    typer.echo(one_effect(name) if name else all_effects())
+    typer.echo(effect_text(name) if name else all_effects_text())
 
 
 @app.command(
@@ -168,11 +168,10 @@ def plan_runs(
 ) -> None:
     """Say which effects runs and protocols can and cannot reveal, and which experiment would reveal more."""
     from leactl.gap.planning.advice import advise, read_noise
-    from leactl.report.gap_plan import as_json as document
-    from leactl.report.gap_plan import lines
+    from leactl.report.gap_listings import advice_json, advice_lines
 
     advice = advise(model, runs or [], protocols, read_noise(noise))
-    typer.echo(json.dumps(document(advice)) if as_json else "\n".join(lines(advice)))
+    typer.echo(json.dumps(advice_json(advice)) if as_json else "\n".join(advice_lines(advice)))
 
 
 @app.command(epilog=examples("gap demo", "gap demo --effect cogging --out cogging"))
@@ -188,8 +187,8 @@ def demo(
     from leactl.emulation.blind.key import read_key
     from leactl.emulation.blind.make import make
     from leactl.gap.blind.demonstration import demonstrate
-    from leactl.report.gap_demo import as_json as document
-    from leactl.report.gap_demo import files_of, lines, preface
+    from leactl.report.gap_demo import demonstration_json as document
+    from leactl.report.gap_demo import demonstration_lines, demonstration_section, files_of
     from leactl.report.gap_files import publish
     from leactl.report.gap_page import page
     from leactl.report.steps import Steps
@@ -200,8 +199,10 @@ def demo(
         step("planting an effect and running the emulated bench")
         make(1, files.bench, files.key, number, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
         shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
-        publish(files.page, page(shown.answer, preface(shown, number)))
-    typer.echo(json.dumps(document(shown, number, files)) if as_json else "\n".join(lines(shown, number, files)))
+        publish(files.page, page(shown.answer, demonstration_section(shown, number)))
+    typer.echo(
+        json.dumps(document(shown, number, files)) if as_json else "\n".join(demonstration_lines(shown, number, files))
+    )
 
 
 @app.command(
@@ -222,12 +223,12 @@ def loop(
 ) -> None:
     """Close the loop in your own MuJoCo model: play runs, diagnose, patch, play held-out runs again."""
     from leactl.exchange.loop import LoopFiles, close_loop
-    from leactl.report.gap_loop import lines
+    from leactl.report.gap_listings import closed_loop_lines
     from leactl.report.steps import Steps
 
     with Steps() as step:
         closed = close_loop(LoopFiles(robot, runs, held_out, out, callbacks, write_model), joint, supply, step)
-    typer.echo(json.dumps(closed.as_json()) if as_json else "\n".join(lines(closed)))
+    typer.echo(json.dumps(closed.as_json()) if as_json else "\n".join(closed_loop_lines(closed)))
 
 
 @blind.command(
@@ -292,8 +293,8 @@ def score_blind(
     from leactl.errors import InputError
     from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
-    from leactl.report.blind import as_json as document
     from leactl.report.blind import markdown
+    from leactl.report.blind import score_json as document
     from leactl.report.steps import Steps
     from leactl.runfile.publish import new_file, refuse_existing
     from leactl.scheduler import workers_of

@@ -32,12 +32,12 @@ def list_motors(as_json: bool = AS_JSON) -> None:
 def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json: bool = AS_JSON) -> None:
     """Show one motor by name, or from a YAML file after checking it, with what follows from it."""
     from leactl.model.motor import load_sheet
-    from leactl.report.motors import Setting, comparison, comparison_text, known
+    from leactl.report.motors import OperatingConditions, compared_motor, comparison_json, comparison_text
 
     sheet, document = load_sheet(motor)
-    derived = known(motor, Setting(ambient, bus_voltage))
+    derived = compared_motor(motor, OperatingConditions(ambient, bus_voltage))
     if as_json:
-        compared = comparison([derived])
+        compared = comparison_json([derived])
         figures = {row["name"]: row["values"][0] for row in compared["rows"]}
         body = sheet.model_dump(exclude_defaults=True) | {"name": sheet.name}
         follows = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
@@ -58,10 +58,12 @@ def compare(
 ) -> None:
     """Show motors side by side; in N*m and between the leads where their windings differ."""
     from leactl.model.motor import motor_names
-    from leactl.report.motors import Setting, comparison, comparison_text, known
+    from leactl.report.motors import OperatingConditions, compared_motor, comparison_json, comparison_text
 
-    compared_motors = [known(name, Setting(ambient, bus_voltage)) for name in motors or motor_names()]
-    typer.echo(json.dumps(comparison(compared_motors)) if as_json else comparison_text(compared_motors))
+    compared_motors = [
+        compared_motor(name, OperatingConditions(ambient, bus_voltage)) for name in motors or motor_names()
+    ]
+    typer.echo(json.dumps(comparison_json(compared_motors)) if as_json else comparison_text(compared_motors))
 
 
 @app.command(epilog=examples("motor scale --radius 60"))

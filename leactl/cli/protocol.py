@@ -30,8 +30,7 @@ BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
     from leactl.protocol.protocolfile import load, names
-    from leactl.report.listing import row
-    from leactl.report.plan import duration
+    from leactl.report.terminal import duration, list_line
 
     plans = [load(name) for name in names()]
     if as_json:
@@ -40,7 +39,8 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         return
     width = max(len(plan.name) for plan in plans)
     for plan in plans:
-        typer.echo(row(f"{plan.name:<{width}}  {plan.setup:<8} {duration(plan.duration_s):>10}  ", plan.title))
+        time = duration(plan.duration_s, always_hours=True)
+        typer.echo(list_line(f"{plan.name:<{width}}  {plan.setup:<8} {time:>10}  ", plan.title))
 
 
 @app.command(epilog=examples("protocol show friction > mine.yaml"))
@@ -63,7 +63,8 @@ def check(
     """Check a protocol: every fault with file, line and column."""
     from leactl import yamlfile
     from leactl.protocol.parameters import unused
-    from leactl.report.plan import duration, head, peaks, searches
+    from leactl.report.plan import head, peaks, searches
+    from leactl.report.terminal import duration
 
     plan = _checked(protocol)
     notes = unused(yamlfile.parse(plan.text, protocol))
@@ -76,8 +77,8 @@ def check(
         typer.echo(f"note: {note}", err=True)
     for line in searches(plan):
         typer.echo(line)
-    most = "at most " if plan.adaptive else ""
-    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {most}{duration(plan.duration_s)}, no faults")
+    time = f"{'at most ' if plan.adaptive else ''}{duration(plan.duration_s, always_hours=True)}"
+    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {time}, no faults")
 
 
 @app.command(epilog=examples("protocol plan friction", "protocol plan mine.yaml --bench emulated --set hold_s=6"))

@@ -170,7 +170,7 @@ def trend(
 @app.command(epilog=examples("runs show RUN.h5"))
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
-    from leactl.report.listing import row
+    from leactl.report.terminal import list_line
     from leactl.runfile.read.bisections import searches
     from leactl.runfile.read.reader import Run
 
@@ -204,20 +204,20 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     for name, value in about.items():
         typer.echo(f"{name:<16} {value}".rstrip())
     for name, value in parameters.items():
-        typer.echo(row(f"parameter {name} = ", str(value)))
+        typer.echo(list_line(f"parameter {name} = ", str(value)))
     for name, facts in instruments.items():
-        typer.echo(row(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
+        typer.echo(list_line(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
         typer.echo(f"stream {name}: {stream['rows']} rows{attachment_note(stream)}")
         for channel in opened.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     for search in searches(steps):
-        typer.echo(row("", str(search)))
+        typer.echo(list_line("", str(search)))
     typer.echo(f"{len(steps)} steps, {len(events)} events")
     for event in events:
-        typer.echo(row(f"  {event.time:10.3f} s  {event.level:<8} ", f"{event.source}: {event.message}"))
+        typer.echo(list_line(f"  {event.time:10.3f} s  {event.level:<8} ", f"{event.source}: {event.message}"))
     for note in notes:
-        typer.echo(row(f"note {note.time} ", f"{note.author}: {note.text}"))
+        typer.echo(list_line(f"note {note.time} ", f"{note.author}: {note.text}"))
 
 
 @app.command(
@@ -427,13 +427,13 @@ def plot(
 
     from leactl.report import outputs
     from leactl.report.run_page import BINS, page
-    from leactl.report.run_plot import text
+    from leactl.report.run_plot import panels_text
     from leactl.runfile.publish import replacement
     from leactl.runfile.read.reader import Run
     from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
 
     if html:
-        outputs.check([html], [run])
+        outputs.check_files([html], [run])
     columns, rows = shutil.get_terminal_size((80, 24))
     with Run.open(run) as opened:
         part = part_of_run(opened, step, start, stop)
@@ -449,7 +449,7 @@ def plot(
     elif html:
         typer.echo(str(html))
     else:
-        typer.echo(text(traces, steps, part, columns, rows), nl=False)
+        typer.echo(panels_text(traces, steps, part, columns, rows), nl=False)
 
 
 @app.command(

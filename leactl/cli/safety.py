@@ -104,7 +104,7 @@ def challenge(
     is true, noisy, stuck, lost or drifting. The guard is held against the hottest of them.
     """
     from leactl.errors import InputError
-    from leactl.report.challenge import challenge_text, told
+    from leactl.report.challenge import challenge_json, challenge_text
     from leactl.runner.challenge.courses import READINGS
     from leactl.runner.challenge.hunt import hunt, hunts
     from leactl.runner.challenge.optimisers import OPTIMISERS
@@ -128,7 +128,9 @@ def challenge(
         typer.echo(f"search {number} of {len(searches)}: {role}, {at:g} Hz, {reading} angle", err=True)
         share = 60.0 * minutes / len(searches)
         results.append(hunt(role, motor, settings, at, reading, share, seed, optimiser=optimiser))
-    typer.echo(json.dumps(told(results, settings.limit)) if as_json else challenge_text(results, settings.limit))
+    typer.echo(
+        json.dumps(challenge_json(results, settings.limit)) if as_json else challenge_text(results, settings.limit)
+    )
     if lost := [hunted for hunted in results if not hunted.held(settings.limit)]:
         raise SafetyTrip(f"{len(lost)} of {len(results)} searches found a winding hotter than the guard lets it be")
 

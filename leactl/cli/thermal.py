@@ -202,7 +202,7 @@ def commission(
 
     from leactl.analysis.heating.narrowing import Accuracy
     from leactl.cli.run import perform
-    from leactl.report.outputs import check, check_folder
+    from leactl.report.outputs import check_files, check_folder
     from leactl.report.thermal import commissioned_body, commissioned_text
     from leactl.runner.commission import Manner
     from leactl.runner.commission import commission as commissioned
@@ -210,7 +210,7 @@ def commission(
     from leactl.runner.signals import to_the_end
 
     target = file or Path(f"{actuator.replace('/', '-')}.yaml")
-    check([target], given)
+    check_files([target], given)
     check_folder(out)
 
     def prepared(changed: Mapping[str, str]) -> "Request":

@@ -34,27 +34,27 @@ the key's SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
 """
 
 
-def as_json(score: Score, command: str) -> dict[str, Any]:
+def score_json(score: Score, command: str) -> dict[str, Any]:
     """The score for other programs."""
     return {
         "format": FORMAT,
         "format_version": VERSION,
         "command": command,
         "cases": score.cases,
-        "shares": [line(share) for share in score.shares],
+        "shares": [share_json(share) for share in score.shares],
         "mean_set_size": score.set_size,
         "calibration": asdict(score.calibration),
         "calibration_of_named": asdict(score.calibration_of_named),
         "behind_oracle": None
         if score.behind_oracle is None
         else dict(zip(("median", "quantile_90"), score.behind_oracle, strict=True)),
-        "parameters": [line(share) for share in score.parameters],
+        "parameters": [share_json(share) for share in score.parameters],
         "misses": [asdict(miss) for miss in score.misses],
-        "groups": [asdict(group) | {"shares": [line(share) for share in group.shares]} for group in score.groups],
+        "groups": [asdict(group) | {"shares": [share_json(share) for share in group.shares]} for group in score.groups],
     }
 
 
-def line(share: Share) -> dict[str, Any]:
+def share_json(share: Share) -> dict[str, Any]:
     """One share with its interval."""
     low, high = share.interval or (None, None)
     return {**asdict(share), "share": share.share, "low": low, "high": high}
@@ -62,42 +62,49 @@ def line(share: Share) -> dict[str, Any]:
 
 def markdown(score: Score, command: str) -> str:
     """The report, with the command that made it."""
-    out = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", MEANINGS]
-    out += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
-    out += [row(share) for share in score.shares]
+    lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", MEANINGS]
+    lines += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    lines += [share_row(share) for share in score.shares]
     if score.set_size is not None:
-        out.append(f"| one effect: mean size of the reported set | <= 1.5 | {score.set_size:.2f} | | |")
+        lines.append(f"| one effect: mean size of the reported set | <= 1.5 | {score.set_size:.2f} | | |")
     if score.behind_oracle is not None:
-        median, most = score.behind_oracle
-        out.append(f"| distance from the oracle: median / 90 % | 0.03 / 0.08 | {median:.3f} / {most:.3f} | | |")
-    for title, found in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
-        skill = "-" if found.skill is None else f"{found.skill:.3f}"
-        figures = f"{found.error:.3f} / {skill}"
-        out.append(f"| probabilities, {title}: calibration error / Brier skill | 0.04 / 0.8 | {figures} | | |")
-    out += ["", "## Probability of the first cause", ""]
-    out += ["An answer without a cause counts with probability 0: nothing that it names acts.", ""]
-    out += reliability(score.calibration)
-    out += ["", "## Calibrated parameters within 2 standard errors", ""]
-    out += ["| parameter | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
-    out += [row(share) for share in score.parameters]
-    for by in dict.fromkeys(group.by for group in score.groups):
-        out += ["", f"## By {by}", "", *table([group for group in score.groups if group.by == by])]
-    out += ["", "## Every miss", "", "| case | question | acts | answer |", "|---|---|---|---|"]
-    out += [f"| {m.case} | {m.question} | {m.truth} | {m.answer} |" for m in score.misses]
-    return "\n".join(out) + "\n"
+        median, quantile_90 = score.behind_oracle
+        lines.append(
+            f"| distance from the oracle: median / 90 % | 0.03 / 0.08 | {median:.3f} / {quantile_90:.3f} | | |"
+        )
+    for title, calibration in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
+        skill = "-" if calibration.skill is None else f"{calibration.skill:.3f}"
+        figures = f"{calibration.error:.3f} / {skill}"
+        lines.append(f"| probabilities, {title}: calibration error / Brier skill | 0.04 / 0.8 | {figures} | | |")
+    lines += ["", "## Probability of the first cause", ""]
+    lines += ["An answer without a cause counts with probability 0: nothing that it names acts.", ""]
+    lines += reliability_table(score.calibration)
+    lines += ["", "## Calibrated parameters within 2 standard errors", ""]
+    lines += ["| parameter | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    lines += [share_row(share) for share in score.parameters]
+    for dimension in dict.fromkeys(group.by for group in score.groups):
+        lines += [
+            "",
+            f"## By {dimension}",
+            "",
+            *group_table([group for group in score.groups if group.by == dimension]),
+        ]
+    lines += ["", "## Every miss", "", "| case | question | acts | answer |", "|---|---|---|---|"]
+    lines += [f"| {miss.case} | {miss.question} | {miss.truth} | {miss.answer} |" for miss in score.misses]
+    return "\n".join(lines) + "\n"
 
 
-def table(groups: Sequence[Group]) -> list[str]:
+def group_table(groups: Sequence[Group]) -> list[str]:
     """A row a group, a column a question."""
-    out = [f"| {groups[0].by} | cases | {' | '.join(share.question for share in groups[0].shares)} |"]
-    out.append("|---" * (2 + len(groups[0].shares)) + "|")
+    lines = [f"| {groups[0].by} | cases | {' | '.join(share.question for share in groups[0].shares)} |"]
+    lines.append("|---" * (2 + len(groups[0].shares)) + "|")
     for group in groups:
         cells = [f"{share.count} of {share.total}" if share.total else "-" for share in group.shares]
-        out.append(f"| {group.name} | {group.cases} | {' | '.join(cells)} |")
-    return out
+        lines.append(f"| {group.name} | {group.cases} | {' | '.join(cells)} |")
+    return lines
 
 
-def row(share: Share) -> str:
+def share_row(share: Share) -> str:
     """One share as a row of a table."""
     if share.share is None or share.interval is None:
         return f"| {share.question} | {share.target} | - | 0 of 0 | |"
@@ -106,10 +113,13 @@ def row(share: Share) -> str:
     return f"| {share.question} | {share.target} | {figures} |"
 
 
-def reliability(found: Calibration) -> list[str]:
+def reliability_table(calibration: Calibration) -> list[str]:
     """The ten bins of probabilities."""
-    out = ["| stated | cases | mean stated | right |", "|---|---|---|---|"]
-    out += [f"| {b.low:.1f} to {b.high:.1f} | {b.count} | {b.probability:.3f} | {b.right:.3f} |" for b in found.bins]
-    out.append("")
-    out.append(f"{found.count} cases, {found.base_rate:.1%} of them with a first cause that acts.")
-    return out
+    lines = ["| stated | cases | mean stated | right |", "|---|---|---|---|"]
+    lines += [
+        f"| {part.low:.1f} to {part.high:.1f} | {part.count} | {part.probability:.3f} | {part.right:.3f} |"
+        for part in calibration.bins
+    ]
+    lines.append("")
+    lines.append(f"{calibration.count} cases, {calibration.base_rate:.1%} of them with a first cause that acts.")
+    return lines

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from leactl.report.live import duration
+from leactl.report.terminal import duration
 
 
 def plan_text(title: str, body: Mapping[str, Any]) -> str:
@@ -16,21 +16,21 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
     rows = body["runs"]
     lines = [f"{body['campaign']}: {title}".rstrip(": ")]
     width = max(len(row["step"]) for row in rows)
-    asked = ""
+    prompted = ""
     for number, row in enumerate(rows, start=1):
-        if row["prompt"] and row["prompt"] != asked:
+        if row["prompt"] and row["prompt"] != prompted:
             lines.append(f"      mount {row['prompt']}")
-        asked = row["prompt"]
-        where = "  ".join(filter(None, (row["actuator"], row["condition"], f"repeat {row['repeat']}")))
+        prompted = row["prompt"]
+        details = "  ".join(filter(None, (row["actuator"], row["condition"], f"repeat {row['repeat']}")))
         done = "  finished" if row["finished"] else ""
-        lines.append(f"{number:>5}  {row['step']:<{width}}  {duration(row['duration_s']):>8}  {where}{done}")
-    left = sum(row["duration_s"] for row in rows if not row["finished"])
+        lines.append(f"{number:>5}  {row['step']:<{width}}  {duration(row['duration_s']):>8}  {details}{done}")
+    remaining_s = sum(row["duration_s"] for row in rows if not row["finished"])
     count = sum(not row["finished"] for row in rows)
-    lines.append(f"{count} of {len(rows)} runs are left, {duration(left)} of bench time, in {body['folder']}")
+    lines.append(f"{count} of {len(rows)} runs are left, {duration(remaining_s)} of bench time, in {body['folder']}")
     return "\n".join(lines)
 
 
-def standing_text(body: Mapping[str, Any]) -> str:
+def campaign_state_text(body: Mapping[str, Any]) -> str:
     """How far a campaign is, a line for each run and for everything that is wrong.
 
     Parameters
@@ -41,8 +41,8 @@ def standing_text(body: Mapping[str, Any]) -> str:
     width = max(len(row["run"]) for row in rows)
     lines = []
     for row in rows:
-        told = row["file"] or ("lost" if row["run"] in body["lost"] else "left")
-        lines.append(f"{row['run']:<{width}}  {told}")
+        state = row["file"] or ("lost" if row["run"] in body["lost"] else "left")
+        lines.append(f"{row['run']:<{width}}  {state}")
         lines += [f"  {text}" for text in row["unmet"]]
     lines += [f"{key}: {fate}" for key, fate in body["lost"].items()]
     lines += [f"{key}: finished, and changed since" for key in body["changed"]]

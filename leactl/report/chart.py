@@ -12,9 +12,9 @@ from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
 TICKS = (5, 5)  # at most about so many along x and y: at 360 px, x labels have 47 px each
-FULL = 1000.0  # units of the drawing, across and down
-HOLE = 10.0  # usual steps of a curve, beyond which its points do not belong together
-LONGEST_LABEL = 7  # characters
+DRAWING_SIZE = 1000.0  # units of the drawing, across and down
+GAP_STEPS = 10.0  # usual steps of a curve, beyond which its points do not belong together
+LONGEST_TICK_TEXT = 7  # characters
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class LineMarks:
     x: Array
     y: Array
     whole: bool = False  # from end to end, however far its points are from each other
-    told: bool = False  # its name stands on the line, and not in the legend
+    labelled: bool = False  # its name stands on the line, and not in the legend
 
     def reach(self) -> tuple[Array, Array]:
         """What the axes have to hold."""
@@ -36,12 +36,12 @@ class LineMarks:
         """The path; a gap where a value is not finite, and where points were left out."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
-        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
-        for a, b, hole in zip(self.x.tolist(), self.y.tolist(), left_out.tolist(), strict=True):
-            if not (math.isfinite(a) and math.isfinite(b)):
+        follows_gap = steps > GAP_STEPS * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
+        for x_value, y_value, starts_anew in zip(self.x.tolist(), self.y.tolist(), follows_gap.tolist(), strict=True):
+            if not (math.isfinite(x_value) and math.isfinite(y_value)):
                 pen = "M"
                 continue
-            path.append(f"{'M' if hole else pen}{across(x, a)} {down(y, b)}")
+            path.append(f"{'M' if starts_anew else pen}{across(x, x_value)} {down(y, y_value)}")
             pen = "L"
         return tag("path", d="".join(path), class_=f"curve {self.style}")
 
@@ -91,9 +91,9 @@ class Bins:
         """Two paths: bars and strokes."""
         bars, strokes = [], []
         for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
-            left, right = across(x, a), across(x, b)
-            bars.append(f"M{left} {down(y, mean - std)}H{right}V{down(y, mean + std)}H{left}Z")
-            strokes.append(f"M{left} {down(y, mean)}H{right}")
+            start, end = across(x, a), across(x, b)
+            bars.append(f"M{start} {down(y, mean - std)}H{end}V{down(y, mean + std)}H{start}Z")
+            strokes.append(f"M{start} {down(y, mean)}H{end}")
         return joined(
             [
                 tag("path", d="".join(bars), class_=f"area {self.style}"),
@@ -119,9 +119,9 @@ class AxisRange:
     def drawn(self, x: PlotAxis, y: PlotAxis) -> Html:
         """One rectangle across the other axis."""
         if self.upright:
-            path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{FULL:g}H{across(x, self.low)}Z"
+            path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{DRAWING_SIZE:g}H{across(x, self.low)}Z"
         else:
-            path = f"M0 {down(y, self.low)}H{FULL:g}V{down(y, self.high)}H0Z"
+            path = f"M0 {down(y, self.low)}H{DRAWING_SIZE:g}V{down(y, self.high)}H0Z"
         return tag("path", d=path, class_=f"area {self.style}")
 
 
@@ -164,20 +164,20 @@ def chart(
     beside : layers of another chart, which the axes are to hold too.
     keys : of the legend, style and name each; by default those of the layers, once a name.
     """
-    reaches = [layer.reach() for layer in (*layers, *beside)]
-    x, y = axis([reach[0] for reach in reaches], TICKS[0], x_log), axis([reach[1] for reach in reaches], TICKS[1])
+    extents = [layer.reach() for layer in (*layers, *beside)]
+    x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])
     if not keys:
-        unnamed = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.told)]
-        of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
-        keys = [(of_name[name], name) for name in reversed(of_name)]
-    x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
-    y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
-    grid = "".join([*(f"M{at} 0V{FULL:g}" for at in x_ticks), *(f"M0 {at}H{FULL:g}" for at in y_ticks)])
+        unnamed = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
+        style_of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
+        keys = [(style_of_name[name], name) for name in reversed(style_of_name)]
+    x_ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
+    y_ticks = {down(y, value): tick_text(value, text) for value, text in y.ticks.items()}
+    grid = "".join([*(f"M{at} 0V{DRAWING_SIZE:g}" for at in x_ticks), *(f"M0 {at}H{DRAWING_SIZE:g}" for at in y_ticks)])
     drawing = tag(
         "svg",
         tag("path", d=grid, class_="grid"),
         *(layer.drawn(x, y) for layer in layers),
-        viewBox=f"0 0 {FULL:g} {FULL:g}",
+        viewBox=f"0 0 {DRAWING_SIZE:g} {DRAWING_SIZE:g}",
         preserveAspectRatio="none",
         data_x=f"{x.low:.12g} {x.high:.12g}",
         data_y=f"{y.low:.12g} {y.high:.12g}",
@@ -188,26 +188,26 @@ def chart(
         "div",
         legend(keys),
         tag("div", y_label, class_="y-label"),
-        tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
+        tag("div", *(tag("span", tick, style=f"top:{at / 10:.4g}%") for at, tick in y_ticks.items()), class_="y"),
         tag("div", drawing, *names_on_lines(layers, x, y), class_="drawing"),
-        tag("div", *(tag("span", words, style=f"left:{at / 10:.4g}%") for at, words in x_ticks.items()), class_="x"),
+        tag("div", *(tag("span", tick, style=f"left:{at / 10:.4g}%") for at, tick in x_ticks.items()), class_="x"),
         tag("div", x_label, class_="x-label"),
         class_="chart",
     )
 
 
 def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Html]:
-    """The names of lines that are told, each in the middle of the longest of its name."""
+    """The names of lines that are labelled, each in the middle of the longest of its name."""
     longest: dict[str, LineMarks] = {}
     for layer in layers:
-        if isinstance(layer, LineMarks) and layer.told and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
+        if isinstance(layer, LineMarks) and layer.labelled and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
             longest[layer.name] = layer
-    found = []
+    labels = []
     for name, line in longest.items():
         middle = len(line.x) // 2
-        left, top = across(x, float(line.x[middle])) / 10, down(y, float(line.y[middle])) / 10
-        found.append(tag("span", name, class_="on-line", style=f"left:{left:.4g}%;top:{top:.4g}%"))
-    return found
+        x_percent, y_percent = across(x, float(line.x[middle])) / 10, down(y, float(line.y[middle])) / 10
+        labels.append(tag("span", name, class_="on-line", style=f"left:{x_percent:.4g}%;top:{y_percent:.4g}%"))
+    return labels
 
 
 def legend(entries: Iterable[Key]) -> Html:
@@ -218,21 +218,21 @@ def legend(entries: Iterable[Key]) -> Html:
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
     """An axis over all finite values, on a logarithmic one over those above zero."""
-    every = np.concatenate(values)
-    finite = every[np.isfinite(every) & ((every > 0.0) | (not log))]
+    pooled = np.concatenate(values)
+    finite = pooled[np.isfinite(pooled) & ((pooled > 0.0) | (not log))]
     return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
 
 
 def across(x: PlotAxis, value: float) -> float:
     """Where a value lies in the drawing, from the left, cut at its edges."""
-    return round(FULL * min(max(x.share(value), 0.0), 1.0), 1)
+    return round(DRAWING_SIZE * min(max(x.share(value), 0.0), 1.0), 1)
 
 
 def down(y: PlotAxis, value: float) -> float:
     """Where a value lies in the drawing, from the top, cut at its edges."""
-    return round(FULL * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
+    return round(DRAWING_SIZE * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
 
 
-def short(value: float, text: str) -> str:
+def tick_text(value: float, text: str) -> str:
     """A tick's text; a long one with an exponent."""
-    return text if len(text) <= LONGEST_LABEL else f"{value:.3g}"
+    return text if len(text) <= LONGEST_TICK_TEXT else f"{value:.3g}"

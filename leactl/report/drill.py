@@ -16,8 +16,8 @@ from leactl.runner.drill.finding import Drilled, Finding, Tell
 
 NARROWEST = 72
 WIDEST = 160  # characters: the longest reason then stands on two lines
-LONGEST_NAME, SHORTEST_END = 19, 13  # characters: of a fault, of a device and what became of it
-VERDICT, AFTER, NO_TORQUE = 3, 6, 7
+LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault, of a device and what became of it
+VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
 
 
 def print_drill(drilled: Drilled) -> None:
@@ -29,15 +29,15 @@ def print_drill(drilled: Drilled) -> None:
 def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     """The whole drill, for a stream of this width and encoding."""
     width = min(max(width, NARROWEST), WIDEST)
-    rest = width - VERDICT - AFTER - NO_TORQUE - 5  # a space between two columns
-    name, end = max(LONGEST_NAME, rest // 3), max(SHORTEST_END, rest // 4)
+    text_width = width - VERDICT_WIDTH - AFTER_WIDTH - NO_TORQUE_WIDTH - 5  # a space between two columns
+    name_width, end_width = max(LEAST_NAME_WIDTH, text_width // 3), max(LEAST_END_WIDTH, text_width // 4)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column(width=VERDICT)
-    table.add_column("rehearsed", overflow="fold", width=name)
-    table.add_column("ended by", overflow="fold", width=rest - name - end)
-    table.add_column("after, s", justify="right", width=AFTER)
-    table.add_column("no torque, s", justify="right", width=NO_TORQUE)
-    table.add_column("end", overflow="fold", width=end)
+    table.add_column(width=VERDICT_WIDTH)
+    table.add_column("rehearsed", overflow="fold", width=name_width)
+    table.add_column("ended by", overflow="fold", width=text_width - name_width - end_width)
+    table.add_column("after, s", justify="right", width=AFTER_WIDTH)
+    table.add_column("no torque, s", justify="right", width=NO_TORQUE_WIDTH)
+    table.add_column("end", overflow="fold", width=end_width)
     for finding in drilled.findings:
         table.add_row("ok" if finding.held else "NOT", *_cells(finding))
     buffer = io.StringIO()
@@ -45,7 +45,9 @@ def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
     lines += ["", *(wrapped("NOT AS IT OUGHT:", [text], width) for text in _wrong(drilled))]
     lines += [wrapped("note:", [text], width) for text in _notes(drilled)]
-    lines += [wrapped("not rehearsed:", [f"{name}: {why}"], width) for name, why in drilled.left_out.items()]
+    lines += [
+        wrapped("not rehearsed:", [f"{name_width}: {why}"], width) for name_width, why in drilled.left_out.items()
+    ]
     lines.append(wrapped(summary(drilled), [], width))
     return encodable("\n".join(lines) + "\n", encoding)
 
@@ -78,12 +80,12 @@ def _notes(drilled: Drilled) -> list[str]:
 
 
 def _name(finding: Finding) -> str:
-    given = [
+    parameters = [
         f"{name} {value:g}" if isinstance(value, float) else f"0x{value:X}" if name == "code" else _word(name, value)
         for name, value in finding.parameters.items()
         if name != "unit"
     ]
-    return " ".join(filter(None, (finding.name, finding.on, *given)))
+    return " ".join(filter(None, (finding.name, finding.on, *parameters)))
 
 
 def _word(name: str, value: object) -> str:
@@ -101,12 +103,12 @@ def _cells(finding: Finding) -> tuple[str, ...]:
 
 
 def _end(finding: Finding) -> str:
-    on = [name for name, end in finding.devices.items() if end.without_power is False]
-    doubtful = [name for name, end in finding.devices.items() if not end.confirmed and name not in on]
+    powered = [name for name, end in finding.devices.items() if end.without_power is False]
+    doubtful = [name for name, end in finding.devices.items() if not end.confirmed and name not in powered]
     off = "off, " if finding.zero_torque_s is not None else ""
-    said = [f"{', '.join(on)} HAS POWER"] if on else []
-    said += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
-    return "; ".join(said) or "safe"
+    parts = [f"{', '.join(powered)} HAS POWER"] if powered else []
+    parts += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
+    return "; ".join(parts) or "safe"
 
 
 @contextmanager
@@ -117,8 +119,8 @@ def progress(console: Console | None = None) -> Iterator[Tell]:
     if not console.is_terminal:
 
         def tell(what: str, done: int, count: int) -> None:
-            left = f", about {(time.monotonic() - began) / done * (count - done):.0f} s left" if done else ""
-            print(f"{done + 1} of {count}: {what}{left}", file=console.file, flush=True)
+            remaining = f", about {(time.monotonic() - began) / done * (count - done):.0f} s left" if done else ""
+            print(f"{done + 1} of {count}: {what}{remaining}", file=console.file, flush=True)
 
         yield tell
         return

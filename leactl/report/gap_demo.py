@@ -14,8 +14,7 @@ from leactl.report.gap_words import (
     variable_words,
 )
 from leactl.report.html import Html, joined, table, tag
-from leactl.report.listing import row
-from leactl.report.terminal import aligned
+from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition
 
 FORMAT, VERSION = "leactl-gap-demo", 1
@@ -36,68 +35,84 @@ def files_of(folder: Path) -> Files:
     return Files(folder / "bench", folder / "key", folder / "answer.json", folder / "gap.html")
 
 
-def as_json(shown: Demonstration, seed: int, files: Files) -> dict[str, Any]:
+def demonstration_json(demonstration: Demonstration, seed: int, files: Files) -> dict[str, Any]:
     """The document for other programs."""
     return {
         "format": FORMAT,
         "format_version": VERSION,
         "seed": seed,
-        "planted": {"effect": shown.planted, "strength": shown.strength, "parameters": dict(shown.parameters)},
-        "outcome": shown.outcome,
-        "answer": shown.answer.as_json(),
+        "planted": {
+            "effect": demonstration.planted,
+            "strength": demonstration.strength,
+            "parameters": dict(demonstration.parameters),
+        },
+        "outcome": demonstration.outcome,
+        "answer": demonstration.answer.as_json(),
         "files": {name: str(path) for name, path in files._asdict().items()},
     }
 
 
-def verdict(shown: Demonstration) -> str:
+def verdict(demonstration: Demonstration) -> str:
     """Planted and named in one sentence."""
-    planted = f"Planted, at {shown.strength} strength: {shown.planted}"
-    if shown.cause is None:
-        others = listed([cause.effect for cause in shown.others])
+    planted = f"Planted, at {demonstration.strength} strength: {demonstration.planted}"
+    if demonstration.cause is None:
+        others = listed([cause.effect for cause in demonstration.others])
         return f"{planted}. Missed: {f'named was {others}' if others else 'nothing was named'}."
-    chance = probability(shown.cause.probability)
-    if not shown.others:
-        return f"{planted}. Named: {shown.planted}, with a probability {_of(chance)}, and nothing else."
-    alike = [c.effect for c in shown.others if c.effect in shown.cause.indistinguishable_from]
-    further = [c.effect for c in shown.others if c.effect not in shown.cause.indistinguishable_from]
-    told = f", which these runs cannot tell from {listed(alike)}" if alike else ""
+    chance = probability(demonstration.cause.probability)
+    if not demonstration.others:
+        return f"{planted}. Named: {demonstration.planted}, with a probability {_of(chance)}, and nothing else."
+    indistinguishable = [
+        c.effect for c in demonstration.others if c.effect in demonstration.cause.indistinguishable_from
+    ]
+    further = [c.effect for c in demonstration.others if c.effect not in demonstration.cause.indistinguishable_from]
+    confused = f", which these runs cannot tell from {listed(indistinguishable)}" if indistinguishable else ""
     beside = f"; named beside it, though not planted: {listed(further)}" if further else ""
-    return f"{planted}. Named: {shown.planted}{told}, with a probability {_of(chance)}{beside}."
+    return f"{planted}. Named: {demonstration.planted}{confused}, with a probability {_of(chance)}{beside}."
 
 
 def _of(chance: str) -> str:
     return f"of {chance}" if chance[0].isdigit() else chance
 
 
-def rows(shown: Demonstration) -> list[list[str]]:
+def parameter_rows(demonstration: Demonstration) -> list[list[str]]:
     """Each parameter as planted and as fitted."""
-    fitted = {} if shown.cause is None else {item.name: parameter_text(item) for item in shown.cause.parameters}
-    units = effect_definition(shown.planted).parameters
+    fitted = (
+        {}
+        if demonstration.cause is None
+        else {parameter.name: parameter_text(parameter) for parameter in demonstration.cause.parameters}
+    )
+    units = effect_definition(demonstration.planted).parameters
     return [
         [name, f"{value:.5g} {bare_units(units[name].units)}".rstrip(), fitted.get(name, "")]
-        for name, value in shown.parameters.items()
+        for name, value in demonstration.parameters.items()
     ]
 
 
-def lines(shown: Demonstration, seed: int, files: Files) -> list[str]:
+def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -> list[str]:
     """For the terminal."""
-    seen = shown.cause.picture if shown.cause is not None else None
-    picture = [f"over {variable_words(seen)}, held-out runs: {picture_words(seen)}"] if seen is not None else []
-    said = [verdict(shown), meaning(shown.planted), *picture]
+    shape = demonstration.cause.picture if demonstration.cause is not None else None
+    picture = [f"over {variable_words(shape)}, held-out runs: {picture_words(shape)}"] if shape is not None else []
+    sentences = [verdict(demonstration), meaning(demonstration.planted), *picture]
     written = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]
-    return [*(row("", text) for text in said), "", aligned(HEADINGS, rows(shown)), "", *written]
+    return [
+        *(list_line("", text) for text in sentences),
+        "",
+        aligned(HEADINGS, parameter_rows(demonstration)),
+        "",
+        *written,
+    ]
 
 
-def preface(shown: Demonstration, seed: int) -> Html:
+def demonstration_section(demonstration: Demonstration, seed: int) -> Html:
     """For the page: what the diagnosis was up against."""
     about = (
         "An effect, its size and the bench's parameters were drawn, ten runs were made on an emulated bench whose plant"
         " shares no equation with the diagnosis, and the key was opened after the answer was written."
         f" The same again: leactl gap demo --seed {seed}"
     )
-    parts = [tag("p", tag("strong", verdict(shown))), tag("p", meaning(shown.planted))]
+    parts = [tag("p", tag("strong", verdict(demonstration))), tag("p", meaning(demonstration.planted))]
     return tag(
         "section",
         tag("h2", "Planted and named"),
-        joined([*parts, table(HEADINGS, rows(shown), "figures"), tag("p", about, class_="about")]),
+        joined([*parts, table(HEADINGS, parameter_rows(demonstration), "figures"), tag("p", about, class_="about")]),
     )

@@ -21,7 +21,7 @@ from leactl.report.gap_words import (
 )
 from leactl.report.html import Html, tag
 
-SHOWN = 5  # channels
+MOST_CARDS = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
 PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs"
 WITHOUT_AND_WITH = ("before: calibrated without it", "after: with it")
@@ -29,30 +29,30 @@ LOGGED_AND_MENDED = ("before: as logged", "after: mended")
 LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
 
-def figures(answer: Diagnosis) -> list[Html]:
+def channel_cards(answer: Diagnosis) -> list[Html]:
     """A card for each of the channels with the largest gaps; a gap that calibration closed counts."""
-    traces = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("traces", ())}
-    profiles = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("profiles", ())}
+    traces = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("traces", ())}
+    profiles = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("profiles", ())}
     cards = []
     closed = sorted(
-        (one for one in answer.where if not open_gap(one)),
-        key=lambda one: -one.nominal_rms / max(one.floor_rms, 1e-300),
+        (entry for entry in answer.where if not open_gap(entry)),
+        key=lambda entry: -entry.nominal_rms / max(entry.floor_rms, 1e-300),
     )
-    for item in [*filter(open_gap, answer.where), *closed]:
-        key = (item.quantity, item.role, item.mechanical)
-        if key not in traces or max(item.nominal_rms, item.calibrated_rms) < NEAR_FLOOR * item.floor_rms:
+    for channel in [*filter(open_gap, answer.where), *closed]:
+        key = (channel.quantity, channel.role, channel.mechanical)
+        if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < NEAR_FLOOR * channel.floor_rms:
             continue
         charts = [over_time(traces[key])]
         if key in profiles and len(profiles[key].low):
-            charts.append(over_variable(profiles[key], item))
+            charts.append(over_variable(profiles[key], channel))
         heading = tag(
-            "h3", label(item, answer.where), tag("small", f"{floors(item)} its practical floor after calibration")
+            "h3", label(channel, answer.where), tag("small", f"{floors(channel)} its practical floor after calibration")
         )
         cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
-    return cards[:SHOWN]
+    return cards[:MOST_CARDS]
 
 
-def pictures(answer: Diagnosis) -> list[Html]:
+def effect_cards(answer: Diagnosis) -> list[Html]:
     """A card for each effect that is in the augmented model: what is left over, over the variable that it acts in."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
@@ -63,9 +63,9 @@ def pictures(answer: Diagnosis) -> list[Html]:
     ]
 
 
-def shapes_of(rest: Rest) -> list[Html]:
+def rest_cards(rest: Rest) -> list[Html]:
     """A card for each variable that a rest depends on."""
-    return [picture_card(variable_words(one), one, LEFT_AND_CLOSED, PICTURE) for one in rest.shapes]
+    return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in rest.shapes]
 
 
 def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Html:
@@ -76,14 +76,14 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
 
 def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
     """Means in bins with their intervals, before and after, which are given names."""
-    bins = [one for one in picture.bins if math.isfinite(one.before)]
-    low, high = (np.asarray([getattr(one, name) for one in bins]) for name in ("low", "high"))
+    drawn_bins = [each_bin for each_bin in picture.bins if math.isfinite(each_bin.before)]
+    low, high = (np.asarray([getattr(each_bin, name) for each_bin in drawn_bins]) for name in ("low", "high"))
     layers: list[Layer] = []
     for model, style, name in zip(("before", "after"), ("calibrated", "augmented"), names, strict=True):
-        mean = np.asarray([getattr(one, model) for one in bins])
-        spread = np.asarray([getattr(one, f"{model}_high") - getattr(one, model) for one in bins])
+        mean = np.asarray([getattr(each_bin, model) for each_bin in drawn_bins])
+        spread = np.asarray([getattr(each_bin, f"{model}_high") - getattr(each_bin, model) for each_bin in drawn_bins])
         layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
-    ends = np.asarray([low[0], high[-1]]) if len(bins) else np.zeros(0)
+    ends = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
     layers.append(LineMarks("", "zero", ends, np.zeros(len(ends)), whole=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
     over = with_units(variable_words(picture), picture.variable_units)
@@ -108,16 +108,16 @@ def over_time(trace: Trace) -> Html:
     )
 
 
-def over_variable(profile: Profile, item: Where) -> Html:
+def over_variable(profile: Profile, channel: Where) -> Html:
     """What the models leave over: mean and standard deviation in bins of the variable."""
     layers: list[Layer] = []
-    if item.region is not None:
-        layers.append(AxisRange("region", "region", item.region.low, item.region.high))
+    if channel.region is not None:
+        layers.append(AxisRange("region", "region", channel.region.low, channel.region.high))
     for name, words in before_and_after(not np.array_equal(profile.mean[1], profile.mean[2])):
         row = MODELS.index(name)
         layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
-    layers.append(AxisRange("± floor", "floor", -item.floor_rms, item.floor_rms, upright=False))
-    where = region_text(item.region, item.share)
+    layers.append(AxisRange("± floor", "floor", -channel.floor_rms, channel.floor_rms, upright=False))
+    where = region_text(channel.region, channel.share)
     return tag(
         "figure",
         tag("figcaption", f"Measured minus simulated: mean ± standard deviation in each bin; {where}"),

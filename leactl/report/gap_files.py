@@ -10,7 +10,7 @@ import yaml
 
 from leactl.gap.diagnosis import Diagnosis
 from leactl.model.nominal import as_mapping
-from leactl.report.outputs import check
+from leactl.report.outputs import check_files
 
 STDOUT = Path("-")
 
@@ -34,7 +34,7 @@ class Outputs:
         """
         files = [path for path in (self.json, self.html, self.model) if path is not None and path != STDOUT]
         to_stdout = STDOUT in (self.html, self.model)
-        check(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
+        check_files(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
     def write(self, answer: Diagnosis) -> None:
         """Write what was asked for, each file whole or not at all; JSON on stdout comes last."""

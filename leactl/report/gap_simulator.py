@@ -32,37 +32,47 @@ def summary(simulator: SimulatorAnswer, beyond: Sequence[str]) -> list[str]:
     beyond : effects that were named for the real runs.
     """
     ways = Counter(pair.paired_by for pair in simulator.runs)
-    told = listed([f"{count} {PAIRED[way]}" for way, count in ways.items()])
+    pairings = listed([f"{count} {PAIRED[way]}" for way, count in ways.items()])
     contains = [effect.effect for effect in simulator.effects]
-    said = [
-        f"The nominal is a simulator: its runs have the inputs of the real ones (paired: {told}).",
+    sentences = [
+        f"The nominal is a simulator: its runs have the inputs of the real ones (paired: {pairings}).",
         f"It contains {listed(contains)}." if contains else "It contains no effect beyond the model's plain form.",
     ]
     if simulator.verdict == "unknown":
-        said.append("It does something that no effect of the library explains, which counts as its floor.")
-    fresh = [name for name in beyond if name not in contains]
-    more = [f"{name} of another size" for name in beyond if name in contains]
-    less = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
-    differ = [item.parameter for item in simulator.parameters if item.differs]
-    said.append(f"The real runs have {listed([*fresh, *more]) or 'no effect'} beyond it.")
-    if less:
-        said.append(f"The real runs lack {listed(less)} of it.")
-    if differ:
-        said.append(f"Parameters differ beyond both uncertainties: {listed(differ)}.")
-    return said
+        sentences.append("It does something that no effect of the library explains, which counts as its floor.")
+    new_effects = [name for name in beyond if name not in contains]
+    resized = [f"{name} of another size" for name in beyond if name in contains]
+    lacking = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
+    differing = [parameter.parameter for parameter in simulator.parameters if parameter.differs]
+    sentences.append(f"The real runs have {listed([*new_effects, *resized]) or 'no effect'} beyond it.")
+    if lacking:
+        sentences.append(f"The real runs lack {listed(lacking)} of it.")
+    if differing:
+        sentences.append(f"Parameters differ beyond both uncertainties: {listed(differing)}.")
+    return sentences
+
+
+def tables(simulator: SimulatorAnswer) -> list[tuple[tuple[str, ...], list[list[str]]]]:
+    """Return headings and rows of the tables of parameters, effects and floors, without those that have no row."""
+    pairs = (
+        (PARAMETERS, parameter_rows(simulator)),
+        (EFFECTS, effect_rows(simulator)),
+        (FLOORS, floor_rows(simulator)),
+    )
+    return [(headings, rows) for headings, rows in pairs if rows]
 
 
 def parameter_rows(simulator: SimulatorAnswer) -> list[list[str]]:
     """Cells under `PARAMETERS`."""
     return [
         [
-            f"{item.parameter}{' (differs)' if item.differs else ''}",
-            f"{item.start:.6g}",
-            with_std(item.simulated, item.simulated_std),
-            "" if item.real is None else with_std(item.real, item.real_std or 0.0),
-            bare_units(item.units),
+            f"{parameter.parameter}{' (differs)' if parameter.differs else ''}",
+            f"{parameter.start:.6g}",
+            with_std(parameter.simulated, parameter.simulated_std),
+            "" if parameter.real is None else with_std(parameter.real, parameter.real_std or 0.0),
+            bare_units(parameter.units),
         ]
-        for item in simulator.parameters
+        for parameter in simulator.parameters
     ]
 
 
@@ -70,19 +80,31 @@ def effect_rows(simulator: SimulatorAnswer) -> list[list[str]]:
     """Cells under `EFFECTS`, a row for each parameter of an effect."""
     rows = []
     for effect in simulator.effects:
-        how = IN_REAL[effect.in_real]
-        for item in effect.parameters:
-            real = "" if item.real is None else with_std(item.real, item.real_std or 0.0, item.units)
-            rows.append(
-                [f"{effect.effect} {item.name}", with_std(item.simulated, item.simulated_std, item.units), real, how]
+        presence = IN_REAL[effect.in_real]
+        for parameter in effect.parameters:
+            real = (
+                "" if parameter.real is None else with_std(parameter.real, parameter.real_std or 0.0, parameter.units)
             )
-        rows += [] if effect.parameters else [[effect.effect, "", "", how]]
+            rows.append(
+                [
+                    f"{effect.effect} {parameter.name}",
+                    with_std(parameter.simulated, parameter.simulated_std, parameter.units),
+                    real,
+                    presence,
+                ]
+            )
+        rows += [] if effect.parameters else [[effect.effect, "", "", presence]]
     return rows
 
 
 def floor_rows(simulator: SimulatorAnswer) -> list[list[str]]:
     """Cells under `FLOORS`."""
     return [
-        [label(item, simulator.floors), figure(item.left_rms), figure(item.floor_rms), bare_units(item.units)]
-        for item in simulator.floors
+        [
+            label(channel, simulator.floors),
+            figure(channel.left_rms),
+            figure(channel.floor_rms),
+            bare_units(channel.units),
+        ]
+        for channel in simulator.floors
     ]

@@ -48,15 +48,15 @@ def sentence(answer: Diagnosis) -> str:
 
 def claims(causes: Sequence[Cause]) -> list[str]:
     """Causes that are said to act, each class once."""
-    found: list[str] = []
-    told: set[str] = set()
+    names: list[str] = []
+    claimed: set[str] = set()
     for cause in causes:
-        if cause.probability < PRESENT or cause.effect in told:
+        if cause.probability < PRESENT or cause.effect in claimed:
             continue
         members = [cause.effect, *cause.indistinguishable_from]
-        told.update(members)
-        found.append(cause.effect if len(members) == 1 else f"one of {' / '.join(members)}")
-    return found
+        claimed.update(members)
+        names.append(cause.effect if len(members) == 1 else f"one of {' / '.join(members)}")
+    return names
 
 
 def listed(items: Sequence[str]) -> str:
@@ -71,41 +71,49 @@ def meaning(effect: str) -> str:
     return setup_faults()[effect].meaning if effect in setup_faults() else ""
 
 
-def label(item: Channel | SimulatorFloor, among: Sequence[Channel | SimulatorFloor]) -> str:
+def label(channel: Channel | SimulatorFloor, channels: Sequence[Channel | SimulatorFloor]) -> str:
     """A channel's name; its role only where another of the same quantity and set-up stands beside it."""
-    roles = {other.role for other in among if (other.quantity, other.mechanical) == (item.quantity, item.mechanical)}
-    return ", ".join(filter(None, [item.quantity, item.mechanical, item.role if len(roles) > 1 else ""]))
+    roles = {
+        other.role for other in channels if (other.quantity, other.mechanical) == (channel.quantity, channel.mechanical)
+    }
+    return ", ".join(filter(None, [channel.quantity, channel.mechanical, channel.role if len(roles) > 1 else ""]))
 
 
-def open_gap(item: Channel) -> bool:
+def open_gap(channel: Channel) -> bool:
     """Whether the calibrated model leaves a gap in this channel."""
-    return item.calibrated_rms > 0.0 and item.calibrated_rms >= NEAR_FLOOR * item.floor_rms
+    return channel.calibrated_rms > 0.0 and channel.calibrated_rms >= NEAR_FLOOR * channel.floor_rms
 
 
-def largest_first(items: Sequence[Shrinkage]) -> list[Shrinkage]:
+def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Channels with a gap, by how many floors it is."""
-    return sorted(filter(open_gap, items), key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300))
+    return sorted(
+        filter(open_gap, channels), key=lambda channel: -channel.calibrated_rms / max(channel.floor_rms, 1e-300)
+    )
 
 
-def closed_by_calibration(items: Sequence[Shrinkage]) -> list[Shrinkage]:
+def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Channels whose gap is gone once the model's own parameters are fitted, the largest first."""
-    near = [item for item in items if not open_gap(item) and item.nominal_rms >= NEAR_FLOOR * item.floor_rms]
-    return sorted(near, key=lambda item: -item.nominal_rms / max(item.floor_rms, 1e-300))
+    closed = [
+        channel
+        for channel in channels
+        if not open_gap(channel) and channel.nominal_rms >= NEAR_FLOOR * channel.floor_rms
+    ]
+    return sorted(closed, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 
 
 def closes_nothing(answer: Diagnosis) -> bool:
     """Whether effects are claimed, and no gap of held-out runs shrinks with them beyond chance."""
-    shrinks = any(item.closed_low is not None and item.closed_low > 0.0 for item in answer.shrinkage)
+    shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
     effects = claims([cause for cause in answer.causes if cause.family != "setup"])  # faults are mended before
     return bool(effects) and bool(answer.shrinkage) and not shrinks
 
 
-def counted(items: Sequence[Shrinkage]) -> str:
+def counted(channels: Sequence[Shrinkage]) -> str:
     """How many channels have no gap, and how many of them owe it to calibration."""
-    rest = sum(not open_gap(item) for item in items)
-    by_calibration = len(closed_by_calibration(items))
+    at_floor = sum(not open_gap(channel) for channel in channels)
+    by_calibration = len(closed_by_calibration(channels))
     owed = f", {by_calibration} of them by calibration" if by_calibration else ""
-    return f"{rest} of {len(items)} channels are within 1.1 times their floor{owed}"
+    return f"{at_floor} of {len(channels)} channels are within 1.1 times their floor{owed}"
 
 
 def figure(value: float) -> str:
@@ -138,23 +146,23 @@ def parameter_text(parameter: EffectParameter) -> str:
     return with_std(parameter.value, parameter.std, parameter.units)
 
 
-def change(item: CalibratedParameter) -> str:
+def change(parameter: CalibratedParameter) -> str:
     """What calibration changed, in percent; an offset from zero has none."""
-    if item.not_told_by_these_runs:
+    if parameter.not_told_by_these_runs:
         return "not told by these runs"
-    if item.nominal == 0.0 or not math.isfinite(item.fitted):
+    if parameter.nominal == 0.0 or not math.isfinite(parameter.fitted):
         return ""
-    return f"{100.0 * (item.fitted / item.nominal - 1.0):+.2f} %"
+    return f"{100.0 * (parameter.fitted / parameter.nominal - 1.0):+.2f} %"
 
 
-def closed_text(item: Shrinkage) -> str:
+def closed_text(channel: Shrinkage) -> str:
     """Share closed with its interval, in percent."""
-    if item.closed is None:
+    if channel.closed is None:
         return "no gap"
-    if item.closed_low is None or item.closed_high is None:
-        return percent(item.closed)
-    low, high = (percent(share).removesuffix(" %") for share in (item.closed_low, item.closed_high))
-    return f"{percent(item.closed)} ({low} .. {high})"
+    if channel.closed_low is None or channel.closed_high is None:
+        return percent(channel.closed)
+    low, high = (percent(share).removesuffix(" %") for share in (channel.closed_low, channel.closed_high))
+    return f"{percent(channel.closed)} ({low} .. {high})"
 
 
 def probability(value: float) -> str:
@@ -169,9 +177,9 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %".replace("-0 %", "0 %") if math.isfinite(share) else "not known"
 
 
-def floors(item: Channel) -> str:
+def floors(channel: Channel) -> str:
     """The calibrated gap as a multiple of the floor."""
-    return f"{figure(item.calibrated_rms / item.floor_rms)} x" if item.floor_rms > 0.0 else "no floor"
+    return f"{figure(channel.calibrated_rms / channel.floor_rms)} x" if channel.floor_rms > 0.0 else "no floor"
 
 
 def region_text(region: Region | None, share: float) -> str:

@@ -16,27 +16,29 @@ class Html(str):
     __slots__ = ()
 
 
-def text(words: str) -> Html:
+def escaped(words: str) -> Html:
     """Words made safe, for a body or for an attribute."""
-    return words if isinstance(words, Html) else Html(escape(fit(words), quote=True))
+    return words if isinstance(words, Html) else Html(escape(without_control_characters(words), quote=True))
 
 
-def fit(words: str) -> str:
+def without_control_characters(words: str) -> str:
     """Words without what a page or a terminal cannot take."""
     return UNFIT.sub("\ufffd", words)
 
 
 def tag(name: str, *children: str, **attributes: str) -> Html:
     """One element; an attribute's trailing underscore is dropped and others become hyphens."""
-    own = "".join(f' {key.rstrip("_").replace("_", "-")}="{text(value)}"' for key, value in attributes.items())
+    attribute_text = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{escaped(value)}"' for key, value in attributes.items()
+    )
     if name in VOID:
-        return Html(f"<{name}{own}/>")
-    return Html(f"<{name}{own}>{''.join(text(child) for child in children)}</{name}>")
+        return Html(f"<{name}{attribute_text}/>")
+    return Html(f"<{name}{attribute_text}>{''.join(escaped(child) for child in children)}</{name}>")
 
 
 def joined(parts: list[Html], by: str = "") -> Html:
     """Elements one after the other."""
-    return Html(text(by).join(parts))
+    return Html(escaped(by).join(parts))
 
 
 def table(headings: list[str], rows: list[list[str]], class_: str = "") -> Html:

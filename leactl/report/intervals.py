@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.report.chart import FULL, TICKS, across, axis, legend, short
+from leactl.report.chart import DRAWING_SIZE, TICKS, across, axis, legend, tick_text
 from leactl.report.html import Html, tag
 from leactl.report.plot import PlotAxis
 
-HIGH = 20.0  # units of the drawing of one row, down
+STRIP_HEIGHT = 20.0  # units of the drawing of one row, down
 
 
 @dataclass(frozen=True)
@@ -30,39 +30,39 @@ def intervals(rows: Sequence[Interval], x_label: str) -> Html:
     """A strip for each row over one axis with ticks."""
     marks = [paper_value(row.paper) for row in rows]
     x = axis([np.array([row.value, row.low, row.high, mark]) for row, mark in zip(rows, marks, strict=True)], TICKS[0])
-    ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
+    ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
     strips: list[Html] = []
     for row, mark in zip(rows, marks, strict=True):
         strips += [tag("span", row.label, class_="strip-label"), strip(row, mark, x, list(ticks))]
     keys = [("line", "95 % interval")] + ([("paper", "LEA in the paper")] if np.isfinite(marks).any() else [])
-    below = tag("div", *(tag("span", words, style=f"left:{at / 10:.4g}%") for at, words in ticks.items()), class_="x")
+    below = tag("div", *(tag("span", tick, style=f"left:{at / 10:.4g}%") for at, tick in ticks.items()), class_="x")
     return tag("div", legend(keys), *strips, below, tag("div", x_label, class_="x-label"), class_="chart strips")
 
 
 def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> Html:
     """One row's drawing."""
-    middle = HIGH / 2.0
-    drawn = [tag("path", d="".join(f"M{at} 0V{HIGH:g}" for at in ticks), class_="grid")]
+    middle = STRIP_HEIGHT / 2.0
+    paths = [tag("path", d="".join(f"M{at} 0V{STRIP_HEIGHT:g}" for at in ticks), class_="grid")]
     if math.isfinite(mark):
-        drawn.append(tag("path", d=f"M{across(x, mark)} 0V{HIGH:g}", class_="curve paper"))
+        paths.append(tag("path", d=f"M{across(x, mark)} 0V{STRIP_HEIGHT:g}", class_="curve paper"))
     if math.isfinite(row.low) and math.isfinite(row.high):
         whisker = f"M{across(x, row.low)} {middle:g}H{across(x, row.high)}"
-        drawn.append(tag("path", d=whisker, class_=f"curve line {row.style}"))
+        paths.append(tag("path", d=whisker, class_=f"curve line {row.style}"))
     if math.isfinite(row.value):
-        drawn.append(tag("path", d=f"M{across(x, row.value)} {middle:g}h0", class_=f"marks {row.style}"))
-    told = f"{row.value:.6g}, 95 % from {row.low:.6g} to {row.high:.6g}" if math.isfinite(row.value) else "not known"
+        paths.append(tag("path", d=f"M{across(x, row.value)} {middle:g}h0", class_=f"marks {row.style}"))
+    reading = f"{row.value:.6g}, 95 % from {row.low:.6g} to {row.high:.6g}" if math.isfinite(row.value) else "not known"
     return tag(
         "svg",
-        *drawn,
-        viewBox=f"0 0 {FULL:g} {HIGH:g}",
+        *paths,
+        viewBox=f"0 0 {DRAWING_SIZE:g} {STRIP_HEIGHT:g}",
         preserveAspectRatio="none",
         role="img",
-        aria_label=f"{row.label}: {told}",
+        aria_label=f"{row.label}: {reading}",
         class_="strip",
     )
 
 
 def paper_value(text: str) -> float:
     """The number that a figure of the paper begins with; NaN for a bound or for none."""
-    found = re.match(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?", text)
-    return float(found[0]) if found else math.nan
+    match = re.match(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?", text)
+    return float(match[0]) if match else math.nan

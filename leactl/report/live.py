@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.text import Text
 
 from leactl.quantities import ChannelSpec
-from leactl.report.html import fit
-from leactl.report.terminal import encodable, encoding_of, shows_all
+from leactl.report.html import without_control_characters
+from leactl.report.terminal import duration, encodable, encoding_of, shows_all
 from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
@@ -64,12 +64,12 @@ def _shown(
     ended: threading.Event,
 ) -> None:
     try:
-        show(progress, _apart(console), ended.wait)
+        show(progress, _own_console(console), ended.wait)
     except Exception as error:  # noqa: BLE001 (nothing in a view is worth a run)
         progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _apart(console: Console) -> Console:
+def _own_console(console: Console) -> Console:
     """The same terminal by a descriptor of its own: a write that never ends holds no lock that the run's end needs."""
     encoding = encoding_of(console.file)
     try:
@@ -124,7 +124,7 @@ def _write(progress: Progress, console: Console, wait: Callable[[float], bool]) 
     passed = 0.0
     while not wait(pause := min(max(FIRST_LINE_S, passed / LINES_A_DECADE), SLOWEST_LINE_S)):
         passed += pause
-        text = encodable(fit(log_line(progress)), console.encoding)
+        text = encodable(without_control_characters(log_line(progress)), console.encoding)
         console.file.write(f"{text}\n")
         console.file.flush()
 
@@ -157,13 +157,6 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
     return [*head, *_table(_values(progress), across, room - len(head), encoding), *foot]
 
 
-def duration(seconds: float) -> str:
-    """`75` as `1:15`, `4000` as `1:06:40`."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
 def _how_far(progress: Progress) -> str:
     remaining = progress.left_s
     return f"{progress.share:.0%}" + (f", {duration(remaining)} left" if math.isfinite(remaining) else "")
@@ -193,7 +186,7 @@ def _beside(name: str, value: str, width: int, encoding: str, style: str = "") -
 
 
 def _plain(text: str, encoding: str) -> str:
-    return encodable(fit(" ".join(text.split())), encoding)
+    return encodable(without_control_characters(" ".join(text.split())), encoding)
 
 
 def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: str) -> list[Text]:

@@ -25,72 +25,79 @@ ENERGIES = {
 }
 
 
-def scaled_text(motor: MotorSheet, found: Sequence[Scaled], radius: float) -> str:
+def scaled_text(motor: MotorSheet, figures: Sequence[Scaled], radius: float) -> str:
     """Figures of a motor of another air-gap radius beside those it was scaled from."""
     table = [
-        (f"{one.name} [{one.units}]", cell(one.known), cell(one.scaled), f"r^{one.power:g}")
-        for one in found
-        if one.known is not None
+        (f"{figure.name} [{figure.units}]", cell(figure.known), cell(figure.scaled), f"r^{figure.power:g}")
+        for figure in figures
+        if figure.known is not None
     ]
     lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), table)]
-    kept = f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"
-    lines.append(wrapped(kept, [], WIDTH))
+    assumption = f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"
+    lines.append(wrapped(assumption, [], WIDTH))
     return "\n".join(lines)
 
 
-def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], found: Sequence[Stride], notes: Sequence[str]) -> str:
+def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[Stride], notes: Sequence[str]) -> str:
     """One cycle by several motors: a column each, energies in J."""
-    rows = [("ratio", *(f"{one.ratio:.4g}" for one in found))]
-    rows += [(f"{words} [J]", *(cell(getattr(one, name)) for one in found)) for name, words in ENERGIES.items()]
-    rows.append(("winding in the end [degC]", *(cell(one.winding_temperature) for one in found)))
-    rows.append(("largest line current [A]", *(cell(one.peak_line_current) for one in found)))
+    rows = [("ratio", *(f"{stride.ratio:.4g}" for stride in strides))]
+    rows += [(f"{words} [J]", *(cell(getattr(stride, name)) for stride in strides)) for name, words in ENERGIES.items()]
+    rows.append(("winding in the end [degC]", *(cell(stride.winding_temperature) for stride in strides)))
+    rows.append(("largest line current [A]", *(cell(stride.peak_line_current) for stride in strides)))
     rows.append(
-        ("largest voltage, of what there is", *(f"{one.peak_voltage / one.voltage_ceiling:.0%}" for one in found))
+        (
+            "largest voltage, of what there is",
+            *(f"{stride.peak_voltage / stride.voltage_ceiling:.0%}" for stride in strides),
+        )
     )
-    rows.append(("feasible", *("yes" if one.feasible else "no" for one in found)))
+    rows.append(("feasible", *("yes" if stride.feasible else "no" for stride in strides)))
     head = (
         f"{cycle.name}: {cycle.period:g} s, angle over {_degrees(cycle):.3g} deg, torque up to"
         f" {abs(cycle.torque).max():.3g} N*m"
     )
-    beyond = [f"{motor.name}: {words}" for motor, one in zip(motors, found, strict=True) for words in beyond_of(one)]
+    beyond = [
+        f"{motor.name}: {words}"
+        for motor, stride in zip(motors, strides, strict=True)
+        for words in ceilings_passed(stride)
+    ]
     table = aligned(("", *(motor.name for motor in motors)), rows)
     return "\n".join([head, table, *(wrapped("note:", [note], WIDTH) for note in [*beyond, *notes])])
 
 
-def beyond_of(one: Stride) -> list[str]:
+def ceilings_passed(stride: Stride) -> list[str]:
     """Which ceilings a cycle passes, and where first."""
-    found = []
-    if one.over_voltage or one.over_current:
-        what = [f"{one.over_voltage} by voltage"] * (one.over_voltage > 0)
-        what += [f"{one.over_current} by current"] * (one.over_current > 0)
-        found.append(f"points out of reach: {' and '.join(what)}, the first at {one.first_beyond_percent:.1f} %")
-    if one.too_hot:
-        found.append("cycle after cycle the winding passes its limit")
-    return found
+    lines = []
+    if stride.over_voltage or stride.over_current:
+        causes = [f"{stride.over_voltage} by voltage"] * (stride.over_voltage > 0)
+        causes += [f"{stride.over_current} by current"] * (stride.over_current > 0)
+        lines.append(f"points out of reach: {' and '.join(causes)}, the first at {stride.first_beyond_percent:.1f} %")
+    if stride.too_hot:
+        lines.append("cycle after cycle the winding passes its limit")
+    return lines
 
 
-def stride_json(motor: MotorSheet, one: Stride, notes: Sequence[str]) -> dict[str, Any]:
+def stride_json(motor: MotorSheet, stride: Stride, notes: Sequence[str]) -> dict[str, Any]:
     """One motor over one cycle."""
-    energies = {name: getattr(one, name) for name in (*ENERGIES, "joule")}
+    energies = {name: getattr(stride, name) for name in (*ENERGIES, "joule")}
     return {
         "motor": motor.name,
-        "ratio": one.ratio,
-        "feasible": one.feasible,
+        "ratio": stride.ratio,
+        "feasible": stride.feasible,
         "energies_J": {name: _finite(value) for name, value in energies.items()},
-        "winding_temperature_degC": _finite(one.winding_temperature),
-        "peak_line_current_A": one.peak_line_current,
-        "peak_voltage_V": _finite(one.peak_voltage),
-        "voltage_ceiling_V": one.voltage_ceiling,
-        "points_over_voltage": one.over_voltage,
-        "points_over_current": one.over_current,
-        "too_hot": one.too_hot,
-        "first_beyond_percent": one.first_beyond_percent,
+        "winding_temperature_degC": _finite(stride.winding_temperature),
+        "peak_line_current_A": stride.peak_line_current,
+        "peak_voltage_V": _finite(stride.peak_voltage),
+        "voltage_ceiling_V": stride.voltage_ceiling,
+        "points_over_voltage": stride.over_voltage,
+        "points_over_current": stride.over_current,
+        "too_hot": stride.too_hot,
+        "first_beyond_percent": stride.first_beyond_percent,
         "notes": list(notes),
     }
 
 
 def preload_text(
-    bearings: Bearings, found: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
+    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
 ) -> str:
     """Preloads at some gaps under each reading of the two told points, and whether they contradict each other."""
     lines = [
@@ -102,7 +109,7 @@ def preload_text(
             WIDTH,
         )
     ]
-    for reading, loads, most in found:
+    for reading, preloads, static_gap in readings:
         lines += [
             "",
             f"{reading.name}: {reading.stiffness / 1e3:.0f} N/mm, at rest up to {1e3 * reading.rest_gap:g} mm",
@@ -113,22 +120,22 @@ def preload_text(
         )
         rows = [
             (
-                f"  {1e3 * one.gap:g}",
-                f"{1e3 * one.deflection:.3g}",
-                f"{one.force:.0f}",
-                f"{one.side:.0f}",
-                f"{one.share:.0%}",
-                "" if one.holds else "over the static load",
+                f"  {1e3 * preload.gap:g}",
+                f"{1e3 * preload.deflection:.3g}",
+                f"{preload.force:.0f}",
+                f"{preload.side:.0f}",
+                f"{preload.share:.0%}",
+                "" if preload.holds else "over the static load",
             )
-            for one in loads
+            for preload in preloads
         ]
         lines.append(aligned(("  gap [mm]", "deflection", "each [N]", "a side [N]", "of static load", ""), rows))
-        lines.append(f"  the static load is reached at a gap of {1e3 * most:.3g} mm")
+        lines.append(f"  the static load is reached at a gap of {1e3 * static_gap:.3g} mm")
     return "\n".join(lines)
 
 
 def preload_json(
-    bearings: Bearings, found: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
+    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
 ) -> dict[str, Any]:
     """The same for a script."""
     return {
@@ -139,20 +146,20 @@ def preload_json(
                 "stiffness_N_per_m": reading.stiffness,
                 "rest_gap_mm": 1e3 * reading.rest_gap,
                 "off_what_is_told": misses[reading.name],
-                "gap_at_static_load_mm": 1e3 * most,
+                "gap_at_static_load_mm": 1e3 * static_gap,
                 "gaps": [
                     {
-                        "gap_mm": 1e3 * one.gap,
-                        "deflection_mm": 1e3 * one.deflection,
-                        "preload_N": one.force,
-                        "side_N": one.side,
-                        "share_of_static_load": one.share,
-                        "holds": one.holds,
+                        "gap_mm": 1e3 * preload.gap,
+                        "deflection_mm": 1e3 * preload.deflection,
+                        "preload_N": preload.force,
+                        "side_N": preload.side,
+                        "share_of_static_load": preload.share,
+                        "holds": preload.holds,
                     }
-                    for one in loads
+                    for preload in preloads
                 ],
             }
-            for reading, loads, most in found
+            for reading, preloads, static_gap in readings
         ],
     }
 

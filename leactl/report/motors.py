@@ -20,14 +20,16 @@ from leactl.model.motor_schema import LoopFigures, MotorSheet
 from leactl.report.terminal import aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
-PEAK_S = 20.0  # as the paper tells it
-SLOW_WINDING_S = 0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
-TWINS_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
+PEAK_DURATION_S = 20.0  # as the paper tells it
+LONGEST_TIME_CONSTANT_S = (
+    0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
+)
+SAME_CONSTANT_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
 WIDTH = 80
 
 
 @dataclass(frozen=True)
-class Setting:
+class OperatingConditions:
     """What figures of motors depend on beside the motors."""
 
     ambient: float = 25.0  # degC
@@ -35,13 +37,13 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class KnownFigure:
+class ComparedMotor:
     """One motor with what follows from it; `carried` is None where its file lacks what that takes."""
 
     sheet: MotorSheet
     carried: Nominal | None
     lacks: tuple[str, ...]  # of what moving it takes
-    setting: Setting
+    setting: OperatingConditions
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,11 @@ class FigureRow:
     of_frame: bool  # whether it depends on the winding's own frame
 
 
-Figure = tuple[str, str, Callable[[KnownFigure], float | str | None]]
-IN_ITS_FRAME = {"torque_constant", "phase_resistance", "phase_inductance", "continuous_current", "network_current"}
+Figure = tuple[str, str, Callable[[ComparedMotor], float | str | None]]
+FRAME_DEPENDENT = {"torque_constant", "phase_resistance", "phase_inductance", "continuous_current", "network_current"}
 
 
-def known(name_or_path: str, setting: Setting) -> KnownFigure:
+def compared_motor(name_or_path: str, setting: OperatingConditions) -> ComparedMotor:
     """Read a motor, and work out what it carries where its file tells enough.
 
     Raises
@@ -67,8 +69,8 @@ def known(name_or_path: str, setting: Setting) -> KnownFigure:
     """
     sheet, document = load_sheet(name_or_path)
     motor, lacks = _movable(document)
-    carried = nominal(motor, setting.ambient, [PEAK_S]) if motor is not None else None
-    return KnownFigure(sheet, carried, lacks, setting)
+    carried = nominal(motor, setting.ambient, [PEAK_DURATION_S]) if motor is not None else None
+    return ComparedMotor(sheet, carried, lacks, setting)
 
 
 def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
@@ -79,96 +81,97 @@ def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]
     return motor, () if motor.tolerances is not None else ("tolerances",)
 
 
-def rows(motors: Sequence[KnownFigure]) -> list[FigureRow]:
+def figure_rows(motors: Sequence[ComparedMotor]) -> list[FigureRow]:
     """Every figure of these motors."""
     return [
-        FigureRow(name, units, tuple(of(one) for one in motors), name in IN_ITS_FRAME) for name, units, of in FIGURES
+        FigureRow(name, units, tuple(figure_of(motor) for motor in motors), name in FRAME_DEPENDENT)
+        for name, units, figure_of in FIGURES
     ]
 
 
-def comparison(motors: Sequence[KnownFigure]) -> dict[str, Any]:
+def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
     """All of it as JSON takes it."""
     return {
-        "motors": [one.sheet.name for one in motors],
+        "motors": [motor.sheet.name for motor in motors],
         "ambient_degC": motors[0].setting.ambient,
         "bus_voltage_V": motors[0].setting.bus_voltage,
         "rows": [
             {"name": row.name, "units": row.units, "values": list(row.values), "depends_on_frame": row.of_frame}
-            for row in rows(motors)
+            for row in figure_rows(motors)
         ],
-        "notes": remarks(motors),
+        "notes": comparison_notes(motors),
     }
 
 
-def comparison_text(motors: Sequence[KnownFigure]) -> str:
+def comparison_text(motors: Sequence[ComparedMotor]) -> str:
     """A table with a column a motor; what depends on a frame is left out where frames differ."""
-    differ = len({one.sheet.winding for one in motors}) > 1
+    differ = len({motor.sheet.winding for motor in motors}) > 1
     shown = [
         (f"{row.name} [{row.units}]" if row.units else row.name, *(cell(value) for value in row.values))
-        for row in rows(motors)
+        for row in figure_rows(motors)
         if any(value is not None for value in row.values) and not (differ and row.of_frame)
     ]
-    parts = [aligned(("", *(one.sheet.name for one in motors)), shown)]
-    return "\n".join([*parts, *(wrapped("note:", [note], WIDTH) for note in remarks(motors))])
+    parts = [aligned(("", *(motor.sheet.name for motor in motors)), shown)]
+    return "\n".join([*parts, *(wrapped("note:", [note], WIDTH) for note in comparison_notes(motors))])
 
 
-def remarks(motors: Sequence[KnownFigure]) -> list[str]:
+def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
     """What a reader of the table must know."""
-    found = []
-    if len({one.sheet.winding for one in motors}) > 1:
-        found.append(
+    notes = []
+    if len({motor.sheet.winding for motor in motors}) > 1:
+        notes.append(
             "windings differ: ampere, ohm and N*m/A of a q axis are not alike; compare torque, motor constant and"
             " figures between the leads"
         )
-    found += [
-        f"{one.sheet.name} is not to be moved by its file, which lacks {', '.join(one.lacks)}"
-        for one in motors
-        if one.lacks
+    notes += [
+        f"{motor.sheet.name} is not to be moved by its file, which lacks {', '.join(motor.lacks)}"
+        for motor in motors
+        if motor.lacks
     ]
-    found += [
-        f"{one.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(lacking)}"
-        for one in motors
-        if one.sheet.back_emf_constant is not None and (lacking := without_friction(one.sheet))
+    notes += [
+        f"{motor.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(lacking)}"
+        for motor in motors
+        if motor.sheet.back_emf_constant is not None and (lacking := without_friction(motor.sheet))
     ]
-    for one in motors:
-        found += [f"{one.sheet.name}: {note}" for note in (*against_print(one), *against_itself(one.sheet))]
-    return list(dict.fromkeys(found))
+    for motor in motors:
+        notes += [f"{motor.sheet.name}: {note}" for note in (*against_print(motor), *against_itself(motor.sheet))]
+    return list(dict.fromkeys(notes))
 
 
 def against_itself(sheet: MotorSheet) -> list[str]:
     """Where two values of one file cannot both be."""
-    found = []
+    contradictions = []
     torque, voltage = sheet.torque_constant, sheet.back_emf_constant
     # what a winding takes of electrical power it gives as mechanical
-    if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > TWINS_WITHIN:
-        found.append(
+    if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > SAME_CONSTANT_WITHIN:
+        contradictions.append(
             f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
         )
     inductance, resistance = sheet.phase_inductance, sheet.phase_resistance
-    if inductance is not None and resistance is not None and inductance / resistance > SLOW_WINDING_S:
-        found.append(
+    if inductance is not None and resistance is not None and inductance / resistance > LONGEST_TIME_CONSTANT_S:
+        contradictions.append(
             f"phase inductance {inductance:.3g} H over phase resistance {resistance:.3g} ohm is"
             f" {inductance / resistance:.3g} s, of most actuators below 0.02 s: is it in H?"
         )
-    return found
+    return contradictions
 
 
-def against_print(one: KnownFigure) -> list[str]:
+def against_print(motor: ComparedMotor) -> list[str]:
     """Where the source's own print does not follow from its values."""
-    sheet, printed = one.sheet, one.sheet.printed
-    torques = continuous_torques(sheet, one.setting.ambient)
+    sheet, printed = motor.sheet, motor.sheet.printed
+    torques = continuous_torques(sheet, motor.setting.ambient)
     pairs = [
         ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
         ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
         ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
-        ("continuous current", "A", sheet.continuous_current, network_current(sheet, one.setting.ambient), 0.02),
+        ("continuous current", "A", sheet.continuous_current, network_current(sheet, motor.setting.ambient), 0.02),
         ("nominal torque", "N*m", printed.nominal_torque, torques.stated, 0.02),
-        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, _carried(lambda held: held.peaks[0])(one), 0.02),
+        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, _carried(lambda held: held.peaks[0])(motor), 0.02),
     ]
     return [
-        f"{what} printed as {told:.3g} {units}, {found:.3g} {units} here"
-        for what, units, told, found, within in pairs
-        if told is not None and found is not None and abs(found / told - 1.0) > within
+        f"{quantity} printed as {printed_value:.3g} {units}, {derived:.3g} {units} here"
+        for quantity, units, printed_value, derived, within in pairs
+        if printed_value is not None and derived is not None and abs(derived / printed_value - 1.0) > within
     ]
 
 
@@ -183,28 +186,30 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _carried(current: Callable[[Nominal], float]) -> Callable[[KnownFigure], float | None]:
+def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
     """Torque of a current that the winding carries [N*m]."""
 
-    def torque(one: KnownFigure) -> float | None:
-        held = None if one.carried is None else current(one.carried)
-        return None if held is None or not math.isfinite(held) else _scaled(one.sheet.torque_constant, held)
+    def torque(motor: ComparedMotor) -> float | None:
+        held = None if motor.carried is None else current(motor.carried)
+        return None if held is None or not math.isfinite(held) else _scaled(motor.sheet.torque_constant, held)
 
     return torque
 
 
-def _torque(name: str) -> Callable[[KnownFigure], float | None]:
-    return lambda one: getattr(continuous_torques(one.sheet, one.setting.ambient), name)
+def _torque(name: str) -> Callable[[ComparedMotor], float | None]:
+    return lambda motor: getattr(continuous_torques(motor.sheet, motor.setting.ambient), name)
 
 
-def _loop(loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float) -> Callable[[KnownFigure], float | None]:
-    return lambda one: _scaled(getattr(loop(one.sheet), name), factor)
+def _loop(
+    loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float
+) -> Callable[[ComparedMotor], float | None]:
+    return lambda motor: _scaled(getattr(loop(motor.sheet), name), factor)
 
 
-def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[KnownFigure], float | str | None]:
-    def shown(one: KnownFigure) -> float | str | None:
-        found = loop(one.sheet)
-        return found.bandwidth if found.bandwidth_at_least is None else f"> {found.bandwidth_at_least:g}"
+def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[ComparedMotor], float | str | None]:
+    def shown(motor: ComparedMotor) -> float | str | None:
+        figures = loop(motor.sheet)
+        return figures.bandwidth if figures.bandwidth_at_least is None else f"> {figures.bandwidth_at_least:g}"
 
     return shown
 
@@ -219,43 +224,43 @@ def _loop_rows(prefix: str, loop: Callable[[MotorSheet], LoopFigures]) -> list[F
     ]
 
 
-def _own(name: str, factor: float = 1.0) -> Callable[[KnownFigure], float | None]:
-    return lambda one: _scaled(getattr(one.sheet, name), factor)
+def _of_sheet(name: str, factor: float = 1.0) -> Callable[[ComparedMotor], float | None]:
+    return lambda motor: _scaled(getattr(motor.sheet, name), factor)
 
 
-def _body(name: str, factor: float) -> Callable[[KnownFigure], float | None]:
-    return lambda one: _scaled(getattr(one.sheet.body, name), factor)
+def _of_body(name: str, factor: float) -> Callable[[ComparedMotor], float | None]:
+    return lambda motor: _scaled(getattr(motor.sheet.body, name), factor)
 
 
-def _thermal(name: str) -> Callable[[KnownFigure], float | None]:
-    return lambda one: None if one.sheet.thermal is None else getattr(one.sheet.thermal, name)
+def _of_network(name: str) -> Callable[[ComparedMotor], float | None]:
+    return lambda motor: None if motor.sheet.thermal is None else getattr(motor.sheet.thermal, name)
 
 
 FIGURES: list[Figure] = [
     ("winding", "", lambda one: one.sheet.winding),
-    ("pole_pairs", "", _own("pole_pairs")),
-    ("mass", "g", _body("mass", 1e3)),
-    ("outer_diameter", "mm", _body("outer_diameter", 1e3)),
-    ("inner_diameter", "mm", _body("inner_diameter", 1e3)),
-    ("length", "mm", _body("length", 1e3)),
-    ("encoder_lines", "", _own("encoder_lines")),
-    ("rotor_inertia", "g*m^2", _own("rotor_inertia", 1e3)),
-    ("viscous_damping", "mN*m*s/rad", _own("viscous_damping", 1e3)),
-    ("coulomb_friction", "mN*m", _own("coulomb_friction", 1e3)),
-    ("torque_constant", "N*m/A", _own("torque_constant")),
-    ("phase_resistance", "mohm", _own("phase_resistance", 1e3)),
-    ("phase_inductance", "uH", _own("phase_inductance", 1e6)),
+    ("pole_pairs", "", _of_sheet("pole_pairs")),
+    ("mass", "g", _of_body("mass", 1e3)),
+    ("outer_diameter", "mm", _of_body("outer_diameter", 1e3)),
+    ("inner_diameter", "mm", _of_body("inner_diameter", 1e3)),
+    ("length", "mm", _of_body("length", 1e3)),
+    ("encoder_lines", "", _of_sheet("encoder_lines")),
+    ("rotor_inertia", "g*m^2", _of_sheet("rotor_inertia", 1e3)),
+    ("viscous_damping", "mN*m*s/rad", _of_sheet("viscous_damping", 1e3)),
+    ("coulomb_friction", "mN*m", _of_sheet("coulomb_friction", 1e3)),
+    ("torque_constant", "N*m/A", _of_sheet("torque_constant")),
+    ("phase_resistance", "mohm", _of_sheet("phase_resistance", 1e3)),
+    ("phase_inductance", "uH", _of_sheet("phase_inductance", 1e6)),
     ("line_to_line_resistance", "mohm", lambda one: _scaled(electrical(one.sheet).line_to_line().resistance, 1e3)),
     ("line_to_line_inductance", "uH", lambda one: _scaled(electrical(one.sheet).line_to_line().inductance, 1e6)),
     ("torque_per_line_ampere", "N*m/A", lambda one: electrical(one.sheet).per_line_amplitude()),
     ("motor_constant", "N*m/sqrt(W)", lambda one: motor_constant(one.sheet)),
     ("no_load_speed", "rad/s", lambda one: no_load_speed(one.sheet, one.setting.bus_voltage)),
-    ("winding_ambient_resistance", "K/W", _thermal("winding_ambient_resistance")),
-    ("winding_housing_resistance", "K/W", _thermal("winding_housing_resistance")),
-    ("housing_ambient_resistance", "K/W", _thermal("housing_ambient_resistance")),
-    ("winding_capacitance", "J/K", _thermal("winding_capacitance")),
-    ("housing_capacitance", "J/K", _thermal("housing_capacitance")),
-    ("continuous_current", "A", _own("continuous_current")),
+    ("winding_ambient_resistance", "K/W", _of_network("winding_ambient_resistance")),
+    ("winding_housing_resistance", "K/W", _of_network("winding_housing_resistance")),
+    ("housing_ambient_resistance", "K/W", _of_network("housing_ambient_resistance")),
+    ("winding_capacitance", "J/K", _of_network("winding_capacitance")),
+    ("housing_capacitance", "J/K", _of_network("housing_capacitance")),
+    ("continuous_current", "A", _of_sheet("continuous_current")),
     ("network_current", "A", lambda one: network_current(one.sheet, one.setting.ambient)),
     ("continuous_torque", "N*m", lambda one: continuous_torques(one.sheet, one.setting.ambient).stated),
     ("torque_density", "N*m/kg", lambda one: continuous_torques(one.sheet, one.setting.ambient).stated_density),

@@ -4,7 +4,7 @@ from html import escape
 
 from leactl.analysis.estimate import Result
 from leactl.report.chart import chart
-from leactl.report.datasheet.figures import alone, plain, pretty, subject
+from leactl.report.datasheet.figures import plain, plot_layers, pretty, subject
 from leactl.report.datasheet.style import STYLE
 from leactl.report.html import Html, document, joined, table, tag
 from leactl.report.terminal import interval_text, value_text
@@ -21,19 +21,24 @@ def analysis_page(result: Result) -> str:
     """Results, plots and notes of one experiment."""
     parts = [tag("h1", f"{result.experiment}, {len(result.runs)} run{'s' if len(result.runs) != 1 else ''}")]
     for actuator, condition in result.groups:
-        of = ", ".join(filter(None, (actuator, condition)))
+        title = ", ".join(filter(None, (actuator, condition)))
         rows = [
-            [plain(item.name), value_text(item), interval_text(item), "" if item.units == "1" else pretty(item.units)]
-            for item in result.results
-            if (item.actuator, item.condition) == (actuator, condition)
+            [
+                plain(estimate.name),
+                value_text(estimate),
+                interval_text(estimate),
+                "" if estimate.units == "1" else pretty(estimate.units),
+            ]
+            for estimate in result.results
+            if (estimate.actuator, estimate.condition) == (actuator, condition)
         ]
-        heading = [tag("h2", of)] if of else []
+        heading = [tag("h2", title)] if title else []
         parts += [*heading, table(["result", "value ± std", "95 % interval", "units"], rows)]
     figures = [
         tag(
             "figure",
             tag("figcaption", ", ".join(filter(None, (subject(plot), plot.actuator, plot.condition)))),
-            chart(alone(plot), pretty(plot.x_label), pretty(plot.y_label), x_log=plot.x_log),
+            chart(plot_layers(plot), pretty(plot.x_label), pretty(plot.y_label), x_log=plot.x_log),
         )
         for plot in result.plots
     ]

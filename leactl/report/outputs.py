@@ -8,7 +8,7 @@ from pathlib import Path
 from leactl.errors import InputError
 
 
-def check(files: Sequence[Path], inputs: Sequence[Path], also: Sequence[str] = ()) -> None:
+def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Sequence[str] = ()) -> None:
     """Refuse what could not be written; an earlier answer of the same name is replaced, what was read never is.
 
     Parameters
@@ -19,14 +19,14 @@ def check(files: Sequence[Path], inputs: Sequence[Path], also: Sequence[str] = (
     ------
     InputError : a file is an input or no plain file, its folder does not exist or takes none, or one is named twice.
     """
-    read = {path.resolve() for path in inputs}
-    faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in read]
+    read_files = {path.resolve() for path in inputs}
+    faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in read_files]
     faults += [f"{path}: is no plain file" for path in files if path.exists() and not path.is_file()]
     faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
-    faults += [f"{path}: cannot be written: {why}" for path in files if (why := refusal(path.parent))]
+    faults += [f"{path}: cannot be written: {reason}" for path in files if (reason := refusal(path.parent))]
     twice = {path for path in files if sum(path.resolve() == other.resolve() for other in files) > 1}
     faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(twice)]
-    faults += also
+    faults += other_faults
     if faults:
         raise InputError(faults)
 
@@ -38,9 +38,9 @@ def check_folder(folder: Path) -> None:
     ------
     InputError : with the part of its path that is why.
     """
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
-    if why := refusal(there) if there.is_dir() else "not a folder":
-        raise InputError(f"{folder}: cannot be made or written to: {there}: {why}; choose another --out")
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if reason := refusal(existing) if existing.is_dir() else "not a folder":
+        raise InputError(f"{folder}: cannot be made or written to: {existing}: {reason}; choose another --out")
 
 
 def refusal(folder: Path) -> str:

@@ -28,9 +28,11 @@ LONGEST_S = 120.0
 
 def examine() -> HostFinding:
     """Whether a page can be printed on this machine."""
-    found = installed()
-    told = found or "none in PATH; `leactl report --pdf` prints by one"
-    return HostFinding("Chromium", found is not None, False, told, "" if found else "sudo apt install chromium")
+    browser_path = installed()
+    text = browser_path or "none in PATH; `leactl report --pdf` prints by one"
+    return HostFinding(
+        "Chromium", browser_path is not None, False, text, "" if browser_path else "sudo apt install chromium"
+    )
 
 
 def installed() -> str | None:
@@ -45,13 +47,13 @@ def browser() -> str:
     ------
     InputError : there is none.
     """
-    found = installed()
-    if found is None:
+    browser_path = installed()
+    if browser_path is None:
         raise InputError(
             f"--pdf: needs a Chromium to print with, and none of {', '.join(BROWSERS)} is in PATH; install one"
             " (sudo apt install chromium), or print the page from any browser"
         )
-    return found
+    return browser_path
 
 
 def print_pdf(html: Path, out: Path) -> None:

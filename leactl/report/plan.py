@@ -7,6 +7,7 @@ from typing import Any
 
 from leactl.protocol.plan import Plan
 from leactl.quantities import UNITS
+from leactl.report.terminal import duration
 from leactl.runfile.write.description import new_run_id
 from leactl.runner.session import Rehearsal, Request
 from leactl.safety.limits import Limits
@@ -21,7 +22,7 @@ def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
         times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
         lines.append(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
     most = "at most " if plan.adaptive else ""
-    lines.append(f"duration {most}{duration(plan.duration_s)} ({plan.duration_s:.3f} s)")
+    lines.append(f"duration {most}{duration(plan.duration_s, always_hours=True)} ({plan.duration_s:.3f} s)")
     for peak in peaks(plan, limits):
         low, high = peak.get("limits") or (-math.inf, math.inf)
         within = f", limits {low:g} to {high:g} {peak['unit']}" if math.isfinite(high - low) else ""
@@ -37,8 +38,8 @@ def head(plan: Plan) -> dict[str, Any]:
 
 def searches(plan: Plan) -> list[str]:
     """One line for each search: its trials, its bounds, and how long it takes at the most."""
-    told = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
-    return [f"{line}{f', {told.count(line)} times' * (told.count(line) > 1)}" for line in dict.fromkeys(told)]
+    lines = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
+    return [f"{text}{f', {lines.count(text)} times' * (lines.count(text) > 1)}" for text in dict.fromkeys(lines)]
 
 
 def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
@@ -48,13 +49,6 @@ def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
         | ({} if limits is None else {"limits": limits.of(quantity)})
         for (role, quantity), value in plan.peaks().items()
     ]
-
-
-def duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"
 
 
 def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:

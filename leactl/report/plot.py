@@ -61,9 +61,9 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
     shown = [series for series in plot.points if any(True for _ in pairs(series))]
     if not shown:
         return []
-    every = [pair for series in (*shown, *plot.lines) for pair in pairs(series)]
-    x = PlotAxis([pair[0] for pair in every], TICKS[0], plot.x_log)
-    y = PlotAxis([pair[1] for pair in every], TICKS[1])
+    pairs_shown = [pair for series in (*shown, *plot.lines) for pair in pairs(series)]
+    x = PlotAxis([pair[0] for pair in pairs_shown], TICKS[0], plot.x_log)
+    y = PlotAxis([pair[1] for pair in pairs_shown], TICKS[1])
     gutter = max(len(text) for text in y.ticks.values())
     columns = max(width - gutter - 2, 10)
     canvas = Canvas(columns, height, x, y, ascii_only)
@@ -107,8 +107,8 @@ def pairs(series: Series) -> Iterator[tuple[float, float]]:
 def tick_line(ticks: dict[int, str], columns: int) -> str:
     """Tick texts below their places, those left out that would touch the one before."""
     text = ""
-    for place, label in sorted(ticks.items()):
-        start = min(max(place - len(label) // 2, 0), columns - len(label))
+    for column, label in sorted(ticks.items()):
+        start = min(max(column - len(label) // 2, 0), columns - len(label))
         if start >= len(text) + (1 if text else 0):
             text = text.ljust(start) + label
     return text
@@ -127,21 +127,21 @@ class Canvas:
 
     def column(self, value: float) -> int:
         """The column of a value along x."""
-        return place(self.x.share(value), self.columns)
+        return cell_index(self.x.share(value), self.columns)
 
     def row(self, value: float) -> int:
         """The row of a value along y."""
-        return place(1.0 - self.y.share(value), self.rows)
+        return cell_index(1.0 - self.y.share(value), self.rows)
 
     def points(self, mark: str, points: Sequence[tuple[float, float]]) -> None:
         """Set a mark at each point."""
         for x, y in points:
             row, column = self.row(y), self.column(x)
             if self._marked.setdefault((row, column), mark) != mark:
-                self.overlaps, mark_here = True, SEVERAL
+                self.overlaps, shown_mark = True, SEVERAL
             else:
-                mark_here = mark
-            self.cells[row][column] = mark_here
+                shown_mark = mark
+            self.cells[row][column] = shown_mark
 
     def line(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw from point to point in the finest dots there are."""
@@ -164,6 +164,6 @@ class Canvas:
         self.cells[row][column] = chr(0x2800 + bits)
 
 
-def place(share: float, count: int) -> int:
+def cell_index(share: float, count: int) -> int:
     """The cell of a share of the way, from 0 to count - 1."""
     return min(max(int(share * count), 0), count - 1)

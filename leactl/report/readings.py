@@ -29,8 +29,8 @@ def readings(run: Run) -> list[ChannelSummary]:
     wanted = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
     channels = [channel for quantity, role in wanted for channel in run.channels(quantity, role)]
     end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=math.nan)
-    found = [_reading(channel, end) for channel in channels]
-    return [reading for reading in found if reading.samples or not reading.quantity.endswith("_reference")]
+    summaries = [_reading(channel, end) for channel in channels]
+    return [summary for summary in summaries if summary.samples or not summary.quantity.endswith("_reference")]
 
 
 def _reading(channel: Channel, end: float) -> ChannelSummary:
@@ -49,14 +49,14 @@ def _reading(channel: Channel, end: float) -> ChannelSummary:
     )
 
 
-def table(found: Sequence[ChannelSummary]) -> str:
+def table(channels: Sequence[ChannelSummary]) -> str:
     """The readings as lines of text."""
     lines = [f"{'quantity':<26} {'role':<6} {'mean':>12} {'std':>12} {'unit':<6} {'age/s':>7}  device"]
-    for item in found:
-        numbers = f"{_shown(item.mean):>12} {_shown(item.standard_deviation):>12}"
-        age = "-" if item.age_s is None else f"{item.age_s:.3f}"
-        place = f"{item.device} {item.location}".rstrip()
-        lines.append(f"{item.quantity:<26} {item.role:<6} {numbers} {item.unit:<6} {age:>7}  {place}")
+    for channel in channels:
+        numbers = f"{_shown(channel.mean):>12} {_shown(channel.standard_deviation):>12}"
+        age = "-" if channel.age_s is None else f"{channel.age_s:.3f}"
+        source = f"{channel.device} {channel.location}".rstrip()
+        lines.append(f"{channel.quantity:<26} {channel.role:<6} {numbers} {channel.unit:<6} {age:>7}  {source}")
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from leactl.report.terminal import duration
 from leactl.runfile.catalog.selection import differing
 from leactl.runfile.summary import Summary
 
@@ -13,7 +14,7 @@ WIDEST_NAME = 50  # characters; `20261120T101530Z-torque-sensor-calibration-7f3a
 INDENT = "    "
 
 
-def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collection[str]) -> str:
+def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Collection[str]) -> str:
     """The runs shown: file, status, duration, actuator, condition, and parameters.
 
     Parameters
@@ -23,15 +24,15 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
     """
     columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
     width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)
-    varied = differing(every)
+    varied = differing(all_runs)
     lines = []
     for run in shown:
         if run.fault:
-            lines += _fitted(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
+            lines += _wrapped_entry(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
             continue
         wanted = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
         protocol = "" if run.protocol in run.file else run.protocol
-        told = [
+        details = [
             protocol,
             run.actuator,
             run.condition,
@@ -40,11 +41,11 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
             *([f"tags={','.join(run.tags)}"] if run.tags else []),
         ]
         head = f"{run.file:<{width}}  {run.status:<9} {_time(run.duration):>8}"
-        lines += _fitted(head, "  ".join(filter(None, told)), columns)
+        lines += _wrapped_entry(head, "  ".join(filter(None, details)), columns)
     return "".join(f"{line}\n" for line in lines)
 
 
-def _fitted(head: str, tail: str, columns: int) -> list[str]:
+def _wrapped_entry(head: str, tail: str, columns: int) -> list[str]:
     line = f"{head}  {tail}".rstrip()
     if not columns or len(line) <= columns:
         return [line]
@@ -59,9 +60,7 @@ def _text(value: Any) -> str:
 
 
 def _time(seconds: float) -> str:
-    """Seconds below a minute, then minutes and hours."""
+    """Return a time [s]: in seconds below a minute, then as minutes and hours."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    return duration(seconds)

@@ -98,7 +98,7 @@ def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, 
     channel = traces[-1].channel
     quantity = channel.quantity.removesuffix("_reference").replace("_", " ") or traces[-1].name
     units = channel.units if channel.units not in ("", "1") else "no unit"
-    told = [
+    bin_notes = [
         f"{trace.name}: the range of about {trace.samples_per_bin:.0f} samples at each point"
         for trace in traces
         if trace.samples_per_bin > 1
@@ -107,6 +107,6 @@ def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, 
         "figure",
         tag("h3", f"{quantity}, {channel.role}" if channel.role else quantity, tag("small", channel.long_name)),
         chart(layers, "time in s", f"{quantity} in {units}", beside=[whole]),
-        tag("figcaption", "; ".join(told)),
+        tag("figcaption", "; ".join(bin_notes)),
         class_="card",
     )

@@ -5,24 +5,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.report.html import fit
+from leactl.report.html import without_control_characters
 from leactl.report.plot import Canvas, PlotAxis, floor_with_axis, rows_with_axis
 from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
 from leactl.runfile.read.reader import Step
 from leactl.runfile.read.traces import ChannelTrace
 
 TICKS = (6, 4)  # at most about so many along time and value: a panel has few rows
-ROWS_ABOUT = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
+ROWS_BESIDE_CANVAS = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
 LOWEST, HIGHEST = 5, 16  # rows of a panel
 SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
 
 
-def text(
+def panels_text(
     traces: Sequence[ChannelTrace], steps: Sequence[Step], part: tuple[float, float], width: int, screen_rows: int
 ) -> str:
     """Return the panels of a part of a run (start and stop [s]) for stdout: up to three fill the screen."""
     encoding = encoding_of_stdout()
-    height = min(max(screen_rows // max(len(traces), 1) - ROWS_ABOUT, LOWEST), HIGHEST)
+    height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LOWEST), HIGHEST)
     lines = panels(traces, steps, part, width, height, not shows_all(encoding))
     return encodable("\n".join(lines) + "\n", encoding)
 
@@ -42,14 +42,14 @@ def panels(
     start, stop = part
     time = PlotAxis([start, stop], TICKS[0])
     axes = [value_axis(trace) for trace in traces]
-    labels = [text for axis in axes if axis for text in axis.ticks.values()]
+    labels = [panels_text for axis in axes if axis for panels_text in axis.ticks.values()]
     gutter = max(map(len, labels), default=0)
     columns = max(width - gutter - 2, 10)
     lines: list[str] = []
     for trace, axis in zip(traces, axes, strict=True):
         channel = trace.channel
         title = f"{trace.name}: {channel.quantity or 'quantity not given'} of {channel.role or 'no role'}"
-        lines.append(fit(f"{title} [{channel.units}]")[:width])
+        lines.append(without_control_characters(f"{title} [{channel.units}]")[:width])
         if axis is None:
             lines += ["  no value in this part of the run", ""]
             continue
@@ -87,5 +87,5 @@ def step_ruler(steps: Sequence[Step], canvas: Canvas, start: float, stop: float)
         shade = SHADE[canvas.ascii_only] if index % 2 else " "
         cells[first:last] = [shade] * (last - first)
         if len(step.name) < last - first:
-            cells[first : first + len(step.name)] = fit(step.name)
+            cells[first : first + len(step.name)] = without_control_characters(step.name)
     return "".join(cells).rstrip()

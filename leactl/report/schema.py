@@ -47,8 +47,8 @@ def _protocol() -> JsonSchema:
     blocks: JsonSchema = whole.setdefault("$defs", {})
     steps: dict[str, JsonSchema] = {}
     for kind, adapter in KINDS.items():
-        steps[kind] = _taken_in(adapter.json_schema(), blocks)
-    signals = [_taken_in(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
+        steps[kind] = _moved_to_blocks(adapter.json_schema(), blocks)
+    signals = [_moved_to_blocks(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
     steps["signal"] = {"oneOf": signals}
     blocks[STEP] = {
         "description": "One step: a mapping of one key.",
@@ -81,7 +81,7 @@ def _or_parameter(value: JsonSchema) -> JsonSchema:
     return {"anyOf": [value, REFERENCE]} | ({"default": value["default"]} if "default" in value else {})
 
 
-def _taken_in(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
+def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
     """Move a model's schema, and those that it needs, among the blocks; returns the reference to it."""
     blocks.update(block.pop("$defs", {}))
     if "properties" not in block:
@@ -173,7 +173,7 @@ def _with_choices(whole: JsonSchema) -> JsonSchema:
 
     def written_out(part: Any) -> Any:
         if isinstance(part, list):
-            return [written_out(item) for item in part]
+            return [written_out(part_of_list) for part_of_list in part]
         if not isinstance(part, dict):
             return part
         name = str(part.get("$ref", "")).rpartition("/")[2]
@@ -219,8 +219,8 @@ def _accepted(value: JsonSchema) -> str:
     """What may stand there, in few words."""
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
-        told = [_accepted(choice) for choice in choices if choice.get("type") != "null" and choice != REFERENCE]
-        return " or ".join(dict.fromkeys(told))
+        alternatives = [_accepted(choice) for choice in choices if choice.get("type") != "null" and choice != REFERENCE]
+        return " or ".join(dict.fromkeys(alternatives))
     if "$ref" in value:
         return value["$ref"].rpartition("/")[2]  # type: ignore[no-any-return]
     if "enum" in value or "const" in value:

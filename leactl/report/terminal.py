@@ -22,6 +22,7 @@ from leactl.report.plot import draw
 ASCII = str.maketrans({"±": "+-", "…": "..."})
 WIDEST = 100  # characters; a plot gains nothing beyond
 SMALLEST = 40
+FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stays on one line
 
 
 def print_result(result: Result, plot: bool = True) -> None:
@@ -49,8 +50,8 @@ def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool 
     for group in result.groups:
         title = ", ".join(filter(None, group))
         parts.append("\n".join(filter(None, (title, table(result, group)))))
-        drawn = [item for item in result.plots if plot and (item.actuator, item.condition) == group]
-        parts += ["\n".join(draw(item, width, ascii_only=not unicode)) for item in drawn]
+        drawn = [figure for figure in result.plots if plot and (figure.actuator, figure.condition) == group]
+        parts += ["\n".join(draw(figure, width, ascii_only=not unicode)) for figure in drawn]
     if result.notes:
         parts.append("\n".join(wrapped("note:", [note], width) for note in result.notes))
     return encodable("\n\n".join(part for part in parts if part) + "\n", encoding)
@@ -72,17 +73,19 @@ def shows_all(encoding: str) -> bool:
 
 def table(result: Result, group: tuple[str, str]) -> str:
     """Estimates of one actuator under one condition; below each the paper's figure where there is one."""
-    known = figures(result.experiment, group[1])
+    paper = paper_figures(result.experiment, group[1])
     rows, parent = [], ""
-    for item in result.results:
-        if (item.actuator, item.condition) != group:
+    for estimate in result.results:
+        if (estimate.actuator, estimate.condition) != group:
             continue
-        child = bool(parent) and item.name.startswith(f"{parent}_")
-        parent = parent if child else item.name
-        name = f"  {item.name.removeprefix(parent + '_')}" if child else item.name
-        rows.append((name, value_text(item), interval_text(item), item.units if item.units != "1" else ""))
-        if item.name in known:
-            rows.append(("  paper", known[item.name], "", ""))
+        child = bool(parent) and estimate.name.startswith(f"{parent}_")
+        parent = parent if child else estimate.name
+        name = f"  {estimate.name.removeprefix(parent + '_')}" if child else estimate.name
+        rows.append(
+            (name, value_text(estimate), interval_text(estimate), estimate.units if estimate.units != "1" else "")
+        )
+        if estimate.name in paper:
+            rows.append(("  paper", paper[estimate.name], "", ""))
     return aligned(("", "value ± std", "95 % interval", "units"), rows)
 
 
@@ -90,12 +93,19 @@ def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
     """Print some estimates of several experiments, a table for each with a row for each condition."""
     tables = []
     for name in names:
-        found = [(result.experiment, item) for result in results for item in result.results if item.name == name]
-        rows = [
-            (item.condition, value_text(item), interval_text(item), figures(experiment, item.condition).get(name, ""))
-            for experiment, item in found
+        estimates = [
+            (result.experiment, estimate) for result in results for estimate in result.results if estimate.name == name
         ]
-        head = f"{name} [{found[0][1].units}]"
+        rows = [
+            (
+                estimate.condition,
+                value_text(estimate),
+                interval_text(estimate),
+                paper_figures(experiment, estimate.condition).get(name, ""),
+            )
+            for experiment, estimate in estimates
+        ]
+        head = f"{name} [{estimates[0][1].units}]"
         tables.append(f"{head}\n{aligned(('', 'value ± std', '95 % interval', 'paper'), rows)}\n")
     sys.stdout.write(encodable("\n".join(tables), encoding_of_stdout()))
 
@@ -106,21 +116,21 @@ def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     What nothing follows in its row takes no width of its column.
     """
     widths = [
-        max(len(row[place]) for row in (headings, *rows) if row is headings or any(row[place + 1 :]))
-        for place in range(len(headings))
+        max(len(row[column]) for row in (headings, *rows) if row is headings or any(row[column + 1 :]))
+        for column in range(len(headings))
     ]
     lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in (headings, *rows))
     return "\n".join(line.rstrip() for line in lines)
 
 
-def figures(experiment: str, condition: str) -> Mapping[str, str]:
+def paper_figures(experiment: str, condition: str) -> Mapping[str, str]:
     """The paper's figures of an experiment under a condition; empty where it has none."""
-    by_condition = printed(experiment)
+    by_condition = figures_by_condition(experiment)
     return {**by_condition.get("any", {}), **by_condition.get(condition, {})}
 
 
 @cache
-def printed(experiment: str) -> Mapping[str, Mapping[str, str]]:
+def figures_by_condition(experiment: str) -> Mapping[str, Mapping[str, str]]:
     """The paper's figures of an experiment by condition; `any` are those under every one."""
     entry = resources.files("leactl.report") / "paper" / f"{experiment}.yaml"
     if not entry.is_file():
@@ -135,20 +145,20 @@ def units_in_paper() -> Mapping[str, str]:
     return yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data  # type: ignore[no-any-return]
 
 
-def value_text(item: Estimate) -> str:
+def value_text(estimate: Estimate) -> str:
     """Value and standard uncertainty, both to the second significant digit of the uncertainty (GUM, 7.2.6)."""
-    if not math.isfinite(item.std):
-        return bare(item.value)
-    return f"{number(item.value, item.std)} ± {number(item.std, item.std)}"
+    if not math.isfinite(estimate.std):
+        return without_uncertainty(estimate.value)
+    return f"{number(estimate.value, estimate.std)} ± {number(estimate.std, estimate.std)}"
 
 
-def interval_text(item: Estimate) -> str:
+def interval_text(estimate: Estimate) -> str:
     """The 95 % interval to the digits of the value, a bound where one side is open; empty where there is none."""
-    if item.low > 0.0 and math.isinf(item.high):
-        return f"> {item.low:.6g}"
-    if not (math.isfinite(item.low) and math.isfinite(item.high)):
+    if estimate.low > 0.0 and math.isinf(estimate.high):
+        return f"> {estimate.low:.6g}"
+    if not (math.isfinite(estimate.low) and math.isfinite(estimate.high)):
         return ""
-    return f"{number(item.low, item.std)} .. {number(item.high, item.std)}"
+    return f"{number(estimate.low, estimate.std)} .. {number(estimate.high, estimate.std)}"
 
 
 def number(value: float, std: float) -> str:
@@ -161,7 +171,7 @@ def number(value: float, std: float) -> str:
     return f"{round(value, 1 - exponent) + 0.0:.{max(1 - exponent, 0)}f}"  # no negative zero
 
 
-def bare(value: float) -> str:
+def without_uncertainty(value: float) -> str:
     """A value without uncertainty: four decimals, or as many as tell it from one."""
     if not math.isfinite(value):
         return "not known"
@@ -173,3 +183,34 @@ def wrapped(head: str, items: Any, width: int) -> str:
     """Items after a head, on as many lines as they need; long words such as paths stay whole."""
     text = f"{head} {', '.join(items)}"
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def list_line(head: str, text: str) -> str:
+    """Return one entry of a list: a single line into a pipe; in a terminal, text that is too long is wrapped.
+
+    Wrapped text is indented by the length of `head`.
+    """
+    line = f"{head}{text}".rstrip()
+    if not sys.stdout.isatty():
+        return line
+    width = shutil.get_terminal_size((80, 24)).columns
+    if len(line) <= width or width < len(head) + FEWEST_COLUMNS:
+        return line
+    return textwrap.fill(
+        text,
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def duration(seconds: float, always_hours: bool = False) -> str:
+    """Return a time [s] as minutes and seconds, with hours from one hour on: `75` as `1:15`, `4000` as `1:06:40`.
+
+    With `always_hours`, 75 s are `0:01:15`.
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours or always_hours else f"{minutes}:{rest:02d}"

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
 
 WIDTH = 80
-CORRELATIONS = 3  # told, the largest
+MOST_CORRELATIONS = 3  # told, the largest
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
-def limits_text(motor: Motor, ambient: float, held: Sequence[Held], short: Sequence[Peak]) -> str:
+def limits_text(motor: Motor, ambient: float, continuous: Sequence[Held], peaks: Sequence[Peak]) -> str:
     """Continuous and peak figures of one motor."""
     lines = [
         f"{motor.name}: hottest phase at {motor.limits.winding_temperature:g} degC, ambient {ambient:g} degC",
@@ -24,9 +24,9 @@ def limits_text(motor: Motor, ambient: float, held: Sequence[Held], short: Seque
         "",
         HEAD,
     ]
-    for one in held:
-        lines += [_row(f"continuous, {one.motion} [A]", one.current), _row("    [N*m]", one.torque)]
-    for peak in short:
+    for state in continuous:
+        lines += [_row(f"continuous, {state.motion} [A]", state.current), _row("    [N*m]", state.torque)]
+    for peak in peaks:
         lines += [_row(f"{peak.duration_s:g} s at standstill [A]", peak.current), _row("    [N*m]", peak.torque)]
     return "\n".join(lines)
 
@@ -37,7 +37,7 @@ def _row(label: str, values: Carried) -> str:
 
 def fit_text(fitted: ActuatorFit) -> str:
     """Parameters with standard errors, their largest correlations, a `tolerances:` block, and notes."""
-    found = fitted.fit
+    fit = fitted.fit
     lines = [
         wrapped(
             f"{fitted.actuator or 'actuator not told'}, {len(fitted.runs)} run{'s' * (len(fitted.runs) > 1)}:",
@@ -47,16 +47,16 @@ def fit_text(fitted: ActuatorFit) -> str:
     ]
     lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
     lines += [
-        f"{one.parameter:<36}{one.nominal:11.5g}{one.fitted:11.5g}{one.std:10.2g}  {one.units}"
-        for one in found.parameters
+        f"{row.parameter:<36}{row.nominal:11.5g}{row.fitted:11.5g}{row.std:10.2g}  {row.units}"
+        for row in fit.parameters
     ]
-    size = len(found.parameters)
-    pairs = [(abs(found.correlation[i, k]), i, k) for i in range(size) for k in range(i)]
-    for _, i, k in sorted(pairs, reverse=True)[:CORRELATIONS]:
-        first, second = (found.parameters[n].parameter.removeprefix("thermal.") for n in (k, i))
-        lines.append(f"  correlation {found.correlation[i, k]:+.2f} of {first} and {second}")
+    size = len(fit.parameters)
+    pairs = [(abs(fit.correlation[i, k]), i, k) for i in range(size) for k in range(i)]
+    for _, i, k in sorted(pairs, reverse=True)[:MOST_CORRELATIONS]:
+        first, second = (fit.parameters[n].parameter.removeprefix("thermal.") for n in (k, i))
+        lines.append(f"  correlation {fit.correlation[i, k]:+.2f} of {first} and {second}")
     lines += ["tolerances:  # of the motor file, three standard errors; others as they were"]
-    lines += [f"  {name}: {value:g}" for name, value in found.tolerances.items()]
+    lines += [f"  {name}: {value:g}" for name, value in fit.tolerances.items()]
     lines += [wrapped("note:", [note], WIDTH) for note in fitted.notes]
     return "\n".join(lines)
 
@@ -88,22 +88,22 @@ def forecast_text(body: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def commissioned_body(found: "Commissioned", protocol: str, actuator: str) -> dict[str, Any]:
+def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str) -> dict[str, Any]:
     """How far the commissioning of an actuator came, as `--json` has it; temperatures are the bound's [degC]."""
-    tolerances = found.motor.tolerances
-    passing = found.forecast.passing
+    tolerances = commissioned.motor.tolerances
+    passing = commissioned.forecast.passing
     return {
         "protocol": protocol,
         "actuator": actuator,
-        "admitted": found.admitted,
-        "done": any(heat.whole for heat in found.heats),
-        "peak_degC": round(found.forecast.peaks["test"], 2),
-        "limit_degC": round(found.limit, 2),
+        "admitted": commissioned.admitted,
+        "done": any(heat.whole for heat in commissioned.heats),
+        "peak_degC": round(commissioned.forecast.peaks["test"], 2),
+        "limit_degC": round(commissioned.limit, 2),
         "passes_after_s": None if passing is None else round(passing.time_s, 2),
-        "runs": [{"run": str(one.path), "heating_s": one.heating_s, "whole": one.whole} for one in found.heats],
-        "next_heating_s": found.next_heating_s,
-        "motor_file": None if found.file is None else str(found.file),
-        "load_motor": found.load_motor,
+        "runs": [{"run": str(one.path), "heating_s": one.heating_s, "whole": one.whole} for one in commissioned.heats],
+        "next_heating_s": commissioned.next_heating_s,
+        "motor_file": None if commissioned.file is None else str(commissioned.file),
+        "load_motor": commissioned.load_motor,
         "tolerances": {} if tolerances is None else tolerances.model_dump(exclude_none=True),
     }
 
@@ -112,7 +112,7 @@ def commissioned_text(body: Mapping[str, Any]) -> str:
     """What was heated, what the motor file has now, and what to do with it."""
     state = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
     lines = [f"{body['actuator']}: protocol '{body['protocol']}' {state}"]
-    lines += [f"  {one['heating_s']:6.0f} s of heating  {one['run']}" for one in body["runs"]]
+    lines += [f"  {run['heating_s']:6.0f} s of heating  {run['run']}" for run in body["runs"]]
     if body["next_heating_s"] is not None:
         lines += [f"  {body['next_heating_s']:6.0f} s of heating come next"]
     lines += [f"  bound {body['peak_degC']:.1f} degC, limit {body['limit_degC']:.1f} degC"]
@@ -120,5 +120,5 @@ def commissioned_text(body: Mapping[str, Any]) -> str:
         return "\n".join([*lines, "by the bench's own motor file"])
     lines += [f"tolerances in {body['motor_file']}:"]
     lines += [f"  {name}: {value:g}" for name, value in body["tolerances"].items()]
-    told = f"name it in the bench file: motors: {{test: {body['motor_file']}, load: {body['load_motor']}}}"
-    return "\n".join([*lines, told])
+    instruction = f"name it in the bench file: motors: {{test: {body['motor_file']}, load: {body['load_motor']}}}"
+    return "\n".join([*lines, instruction])

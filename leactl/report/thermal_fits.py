@@ -29,14 +29,14 @@ class ActuatorFit:
         return {
             "actuator": self.actuator,
             "runs": list(self.runs),
-            "parameters": [asdict(one) for one in self.fit.parameters],
+            "parameters": [asdict(parameter) for parameter in self.fit.parameters],
             "correlation": [[round(float(value), 4) for value in row] for row in self.fit.correlation],
             "tolerances": self.fit.tolerances,
             "notes": list(self.notes),
         }
 
 
-def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit], list[str]]:
+def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit], list[str]]:
     """Fit the network of each actuator to its runs.
 
     Returns
@@ -48,27 +48,27 @@ def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
     InputError : a file that was named and cannot be read, a run that is there twice or is not as it was closed, no run
         that tells of a network, or a channel that it needs and that cannot be believed.
     """
-    inside = {file for path in given if path.is_dir() for file in run_files([path])}
+    in_folders = {file for path in paths if path.is_dir() for file in run_files([path])}
     left_out: list[str] = []
     faults: list[str] = []
-    telling: list[Run] = []
+    usable: list[Run] = []
     with ExitStack() as opened:
-        for path in run_files(given):
+        for path in run_files(paths):
             try:
                 run = opened.enter_context(Run.open(path))
             except InputError as error:
-                (left_out if path in inside else faults).extend(error.faults)
+                (left_out if path in in_folders else faults).extend(error.faults)
                 continue
             if missing := lacking(run):
                 left_out.append(f"{path}: has no {', no '.join(missing)}; a thermal network needs it")
             else:
-                telling.append(run)
-        if faults or not telling:
+                usable.append(run)
+        if faults or not usable:
             raise InputError(faults or left_out)
-        refuse_repeated(telling)
-        refuse_altered(telling)
+        refuse_repeated(usable)
+        refuse_altered(usable)
         groups: dict[str, list[Run]] = {}
-        for run in telling:
+        for run in usable:
             groups.setdefault(str(run.attributes.get("actuator", "")), []).append(run)
         return [fitted(actuator, runs, motor) for actuator, runs in groups.items()], left_out
 

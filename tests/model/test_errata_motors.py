@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from leactl.model.derived_quantities import continuous_torques, electrical, motor_constant, network_current
 from leactl.model.flexures import bearings_of, disagreement, readings
 from leactl.model.motor import load_motor, load_sheet
-from leactl.report.motors import Setting, comparison, known
+from leactl.report.motors import OperatingConditions, compared_motor, comparison_json
 
 LEA, U8, MAXON = (load_sheet(name)[0] for name in ("lea", "u8-kv100", "ec-4pole-30"))
 AMBIENT, LIMIT = 25.0, 130.0
@@ -60,7 +60,7 @@ def test_20_s_torque_by_the_network_is_15_7_and_not_16_3():
     """Both printed torques are 1.036 to 1.04 times what the network and the torque constant give."""
     peak = LEA.torque_constant * for_20_s(LEA, 4e-3)
     assert peak == pytest.approx(15.7, abs=0.1)
-    carried = known("lea", Setting()).carried
+    carried = compared_motor("lea", OperatingConditions()).carried
     assert LEA.torque_constant * carried.peaks[0] == pytest.approx(peak, rel=0.01)
     assert carried.standing_peaks[0] < 0.75 * carried.peaks[0]  # one phase takes two thirds of the heat
     assert LEA.printed.peak_torque_20_s / peak == pytest.approx(1.036, abs=0.005)
@@ -95,7 +95,12 @@ def test_delta_and_wye_torque_constants_are_not_to_be_compared():
     """Printed 3.5 fold; what an ampere in the leads makes is 6 fold."""
     assert LEA.torque_constant / U8.torque_constant == pytest.approx(3.5)
     assert electrical(LEA).per_line_amplitude() / electrical(U8).per_line_amplitude() == pytest.approx(6.06, abs=0.01)
-    rows = {row["name"]: row for row in comparison([known("lea", Setting()), known("u8-kv100", Setting())])["rows"]}
+    rows = {
+        row["name"]: row
+        for row in comparison_json(
+            [compared_motor("lea", OperatingConditions()), compared_motor("u8-kv100", OperatingConditions())]
+        )["rows"]
+    }
     assert rows["torque_constant"]["depends_on_frame"]
     assert not rows["continuous_torque"]["depends_on_frame"]
     assert rows["continuous_torque"]["values"] == [pytest.approx(6.713), pytest.approx(1.064)]

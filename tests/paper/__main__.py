@@ -12,7 +12,7 @@ from pathlib import Path
 
 from leactl.analysis.analyze import analyze_runs, experiment_of
 from leactl.analysis.estimate import Estimate, Result
-from leactl.report.terminal import figures, interval_text, value_text
+from leactl.report.terminal import interval_text, paper_figures, value_text
 from leactl.runfile.read.reader import Run
 
 from .truths import truths
@@ -128,7 +128,7 @@ def beside(result: Result) -> list[Row]:
     for item in result.results:
         true = known[item.condition].get(item.name)
         if true is not None:
-            printed = figures(result.experiment, item.condition).get(item.name, "")
+            printed = paper_figures(result.experiment, item.condition).get(item.name, "")
             found.append(Row(result.experiment, item, printed, true))
     return found
 

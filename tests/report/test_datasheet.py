@@ -25,7 +25,7 @@ from leactl.report.datasheet.make import Wanted, make, refuse_shared
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet, read_runs, refuse_untaken
 from leactl.report.datasheet.sheet import Datasheet
-from leactl.report.terminal import interval_text, printed, units_in_paper, value_text
+from leactl.report.terminal import figures_by_condition, interval_text, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
 from tests.report.browser import dumped, look, needs_chromium
 from tests.runfile.specimen import unseal
@@ -502,7 +502,7 @@ def test_a_sentence_comes_with_what_it_holds_for_in_words(campaign, sheet):
 
 
 def test_every_figure_of_the_paper_has_the_unit_that_a_measured_one_has(sheet):
-    of_paper = {name for each in experiments() for figures in printed(each).values() for name in figures}
+    of_paper = {name for each in experiments() for figures in figures_by_condition(each).values() for name in figures}
     assert of_paper == units_in_paper().keys()
     for one in (one for own in sheet.sections[0].rows.values() for one in own if one.name in of_paper):
         for item in (cell.estimate for cell in one.cells if cell.estimate is not None):

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from leactl.gap.blind.demonstration import Demonstration
-from leactl.report.gap_demo import as_json, files_of, lines, preface, verdict
+from leactl.report.gap_demo import demonstration_json, demonstration_lines, demonstration_section, files_of, verdict
 from leactl.report.gap_page import page
 from tests.report.answers import answer
 
@@ -34,7 +34,7 @@ def test_the_planted_effect_stands_beside_what_was_named(planted, said, outcome,
     assert shown.outcome == outcome
     assert verdict(shown).startswith(f"Planted, at plain strength: {planted}. ")
     assert words in verdict(shown)
-    assert as_json(shown, 7, FILES)["outcome"] == outcome
+    assert demonstration_json(shown, 7, FILES)["outcome"] == outcome
 
 
 def test_a_cause_beside_the_planted_one_is_said_not_to_be_there():
@@ -44,7 +44,7 @@ def test_a_cause_beside_the_planted_one_is_said_not_to_be_there():
 
 def test_parameters_stand_as_planted_and_as_fitted():
     shown = demonstrated("saturation", loss=0.183)
-    text = "\n".join(lines(shown, 7, FILES))
+    text = "\n".join(demonstration_lines(shown, 7, FILES))
     assert "loss       0.183" in text
     assert "over q-axis current, held-out runs: 0.413 N*m before, 0.00130 N*m after" in text
     assert "wrote out/gap.html" in text
@@ -53,10 +53,10 @@ def test_parameters_stand_as_planted_and_as_fitted():
 
 def test_the_page_says_what_was_planted_and_the_document_is_json():
     shown = demonstrated("saturation")
-    root = ElementTree.fromstring(page(shown.answer, preface(shown, 7)))
+    root = ElementTree.fromstring(page(shown.answer, demonstration_section(shown, 7)))
     headings = ["".join(h.itertext()) for h in root.iter("h2")]
     assert headings[:3] == ["Planted and named", "Causes", "What each effect explains"]
-    said = json.loads(json.dumps(as_json(shown, 7, FILES), allow_nan=False))
+    said = json.loads(json.dumps(demonstration_json(shown, 7, FILES), allow_nan=False))
     assert said["planted"] == {
         "effect": "saturation",
         "strength": "plain",

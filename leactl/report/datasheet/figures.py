@@ -38,70 +38,73 @@ class Figure:
 
 def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link: Link) -> Html:
     """Every plot of one experiment; where there are two sets, each plot of both on the same axes."""
-    every = [
-        [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
-        for own, motor in zip(sets, motors, strict=True)
-    ]
-    measured = {one.condition for own in every for one in own}
-    order = [one for one in ordered_conditions([one for own in every for one in own]) if one in measured]
+    answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
+    all_answers = [answer for answers in answers_by_set for answer in answers]
+    measured = {answer.condition for answer in all_answers}
+    order = [condition for condition in ordered_conditions(all_answers) if condition in measured]
     colours = {condition: f"s{k % COLOURS}" for k, condition in enumerate(order)}
-    every = [sorted(own, key=lambda one: order.index(one.condition)) for own in every]
-    count = max((len(answer.result.plots) for own in every for answer in own), default=0)
+    answers_by_set = [sorted(answers, key=lambda answer: order.index(answer.condition)) for answers in answers_by_set]
+    count = max((len(answer.result.plots) for answer in all_answers), default=0)
     cards = []
     for index in range(count):
-        drawn = [figures_of(answers, index, colours) for answers in every]
-        for k, own in enumerate(drawn):
-            others = [layer for other in drawn[:k] + drawn[k + 1 :] for one in other for layer in one.layers]
+        drawn = [figures_of(answers, index, colours) for answers in answers_by_set]
+        for k, drawings in enumerate(drawn):
+            other_drawings = [drawing for other in drawn[:k] + drawn[k + 1 :] for drawing in other]
+            other_layers = [layer for drawing in other_drawings for layer in drawing.layers]
             whose = f"{sets[k].name}: " if len(sets) > 1 else ""
-            cards += [figure(one, others, whose, link) for one in own]
+            cards += [figure(drawing, other_layers, whose, link) for drawing in drawings]
     return tag("div", *cards, class_="pair") if cards else Html("")
 
 
-def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html:
+def figure(drawing: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html:
     """A chart with its caption and links to its runs."""
-    said = tag("figcaption", f"{whose}{one.caption}; ", link(one.entries))
-    labels = pretty(one.plot.x_label), pretty(one.plot.y_label)
-    return tag("figure", said, chart(one.layers, *labels, beside, one.keys, one.plot.x_log))
+    caption = tag("figcaption", f"{whose}{drawing.caption}; ", link(drawing.entries))
+    labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
+    return tag("figure", caption, chart(drawing.layers, *labels, beside, drawing.keys, drawing.plot.x_log))
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
     """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
-    own = [answer for answer in answers if index < len(answer.result.plots)]
-    found = []
-    for actuator in dict.fromkeys(answer.actuator for answer in own):
-        of_it = [answer for answer in own if answer.actuator == actuator]
-        kinds = {series.label for answer in of_it for series in answer.result.plots[index].points}
-        labels = {(answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in of_it}
-        together = len(kinds) <= MOST_KINDS and len(labels) == 1 and 1 < len(of_it) <= COLOURS
-        for group in [of_it] if together else [[answer] for answer in of_it]:
+    drawable = [answer for answer in answers if index < len(answer.result.plots)]
+    drawn = []
+    for actuator in dict.fromkeys(answer.actuator for answer in drawable):
+        of_actuator = [answer for answer in drawable if answer.actuator == actuator]
+        kinds = {series.label for answer in of_actuator for series in answer.result.plots[index].points}
+        labels = {(answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in of_actuator}
+        together = len(kinds) <= MOST_KINDS and len(labels) == 1 and 1 < len(of_actuator) <= COLOURS
+        for group in [of_actuator] if together else [[answer] for answer in of_actuator]:
             plots = [answer.result.plots[index] for answer in group]
             entries = tuple(entry for answer in group for entry in answer.entries)
-            layers, keys = over_each_other(group, plots, colours) if together else (alone(plots[0]), [])
-            said = (subject(plots[0]), actuator, "" if together else group[0].condition)
-            found.append(Figure(", ".join(filter(None, said)), plots[0], tuple(layers), tuple(keys), entries))
-    return found
+            layers, keys = overlaid_layers(group, plots, colours) if together else (plot_layers(plots[0]), [])
+            caption = (subject(plots[0]), actuator, "" if together else group[0].condition)
+            drawn.append(Figure(", ".join(filter(None, caption)), plots[0], tuple(layers), tuple(keys), entries))
+    return drawn
 
 
-def alone(plot: Plot) -> list[Layer]:
+def plot_layers(plot: Plot) -> list[Layer]:
     """A colour for each kind of points and for the lines through them; lines of their own, as contours, are grey."""
     if plot.bands:
         return map_layers(plot)
     colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
     marks = {series.label: MARKS[k % len(MARKS)] for k, series in enumerate(plot.points)}
     layers: list[Layer] = []
-    told = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
+    many_names = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
-        layers.append(LineMarks(line.label, style, *arrays(line), whole=True, told=told and not kind))
-    layers += [points(one, one.label, colours[one.label], marks[one.label], plot) for one in plot.points]
+        layers.append(LineMarks(line.label, style, *arrays(line), whole=True, labelled=many_names and not kind))
+    layers += [
+        point_layer(series, series.label, colours[series.label], marks[series.label], plot) for series in plot.points
+    ]
     return points_first(layers)
 
 
 def map_layers(plot: Plot) -> list[Layer]:
     """A map's bands in their colours, contours with their levels on them, and where it was measured."""
-    bands: list[Layer] = [Area(one.label, f"b{k}", one.polygons) for k, one in enumerate(plot.bands) if one.polygons]
-    contours = [LineMarks(line.label, "contour", *arrays(line), whole=True, told=True) for line in plot.lines]
+    bands: list[Layer] = [
+        Area(band.label, f"b{k}", band.polygons) for k, band in enumerate(plot.bands) if band.polygons
+    ]
+    contours = [LineMarks(line.label, "contour", *arrays(line), whole=True, labelled=True) for line in plot.lines]
     x, y = (np.concatenate([arrays(series)[k] for series in plot.points]) for k in (0, 1))
     return [*bands, *contours, PointMarks("measured", "fine other", x, y)]
 
@@ -111,7 +114,7 @@ def subject(plot: Plot) -> str:
     return f"{plot.y_label.partition(' [')[0]} over {plot.x_label.partition(' [')[0]}"
 
 
-def over_each_other(
+def overlaid_layers(
     answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
     """A colour for each condition, the same with every actuator; a mark for each kind of points."""
@@ -120,20 +123,21 @@ def over_each_other(
     for answer, plot in zip(answers, plots, strict=True):
         colour = colours[answer.condition]
         for line in plot.lines:
-            own = kind_of(line, dict.fromkeys(kinds)) == line.label
+            is_fit = kind_of(line, dict.fromkeys(kinds)) == line.label
             layers.append(
                 LineMarks(
-                    answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line), whole=True
+                    answer.condition, f"line {colour}" if is_fit else f"line thin {colour}", *arrays(line), whole=True
                 )
             )
-        marks = [MARKS[kinds.index(one.label)] for one in plot.points]
-        layers += [points(one, one.label, colour, mark, plot) for one, mark in zip(plot.points, marks, strict=True)]
+        layers += [
+            point_layer(series, series.label, colour, MARKS[kinds.index(series.label)], plot) for series in plot.points
+        ]
     keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
     keys += [(f"{MARKS[k]} other", kind) for k, kind in enumerate(kinds)] if len(kinds) > 1 else []
     return points_first(layers), keys
 
 
-def points(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
+def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
     """Marks, fine ones where a kind of the plot has many, or a line where many follow each other and none was fitted.
 
     A level line is no fit: it marks a threshold or a mean.
@@ -142,7 +146,7 @@ def points(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Lay
     fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
     if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
         return LineMarks(name, f"line {colour}", x, y)
-    dense = max(len(one.x) for one in plot.points) > DENSE
+    dense = max(len(drawn.x) for drawn in plot.points) > DENSE
     return PointMarks(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
 
 
@@ -165,7 +169,7 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Htm
     """A strip of intervals for each result that has several rows or sets."""
     charts = []
     for name in dict.fromkeys(row.name for row in rows):
-        own = [row for row in rows if row.name == name]
+        same_result = [row for row in rows if row.name == name]
         strips = [
             Interval(
                 ", ".join(
@@ -178,12 +182,12 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Htm
                 cell.estimate.high,
                 row.paper,
             )
-            for row in own
+            for row in same_result
             for k, cell in enumerate(row.cells)
             if cell.estimate is not None and np.isfinite(cell.estimate.std)
         ]
         if len(strips) > 1:
-            label = pretty(f"{plain(name)} [{own[0].units}]")
+            label = pretty(f"{plain(name)} [{same_result[0].units}]")
             charts.append(tag("figure", tag("figcaption", plain(name)), intervals(strips, label)))
     return tag("div", *charts, class_="pair") if charts else joined([])
 
@@ -203,4 +207,4 @@ def heading(name: str) -> str:
 def pretty(words: str) -> str:
     """Words with units as they are printed: a dot for a product, raised powers, and none for a ratio."""
     printed = words.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
-    return UNIT.sub(lambda found: PRINTED[found[0]], printed)
+    return UNIT.sub(lambda match: PRINTED[match[0]], printed)

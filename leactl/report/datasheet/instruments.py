@@ -28,25 +28,25 @@ class InstrumentUse:
 
     def as_json(self) -> dict[str, Any]:
         """What is known of it, and its runs by their labels."""
-        of = {"runs": [one.label for one in self.entries], "overdue": [one.label for one in self.overdue]}
-        return {"device": self.device, **self.known, **of}
+        runs = {"runs": [entry.label for entry in self.entries], "overdue": [entry.label for entry in self.overdue]}
+        return {"device": self.device, **self.known, **runs}
 
 
-def instruments_of(own: RunSet) -> list[InstrumentUse]:
+def instruments_of(run_set: RunSet) -> list[InstrumentUse]:
     """The instruments of a set of runs; one that was changed or calibrated between runs stands once for each state."""
     used: dict[tuple[str, tuple[tuple[str, str], ...]], list[RunEntry]] = {}
-    for entry in own.entries:
+    for entry in run_set.entries:
         for device, facts in entry.instruments.items():
             used.setdefault((device, tuple(facts.items())), []).append(entry)
-    return [InstrumentUse(*key, tuple(entries)) for key, entries in sorted(used.items(), key=lambda item: item[0])]
+    return [InstrumentUse(*key, tuple(entries)) for key, entries in sorted(used.items(), key=lambda pair: pair[0])]
 
 
 def warnings_of(sets: Sequence[RunSet]) -> list[str]:
     """A line for each instrument whose calibration had run out when runs were recorded."""
     return [
-        f"{one.device}: calibration was due {one.known['calibration_due']}, before"
-        f" {', '.join(entry.label for entry in one.overdue)}"
-        for own in sets
-        for one in instruments_of(own)
-        if one.overdue
+        f"{use.device}: calibration was due {use.known['calibration_due']}, before"
+        f" {', '.join(entry.label for entry in use.overdue)}"
+        for run_set in sets
+        for use in instruments_of(run_set)
+        if use.overdue
     ]

@@ -10,7 +10,7 @@ from leactl.report.datasheet.instruments import warnings_of
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import RunSet, read_runs, refuse_untaken
 from leactl.report.datasheet.sheet import Datasheet
-from leactl.report.outputs import check
+from leactl.report.outputs import check_files
 from leactl.report.pdf import browser, print_pdf
 from leactl.report.steps import Steps
 from leactl.runfile.publish import replacement
@@ -40,7 +40,7 @@ class Wanted:
             raise InputError("--html OUT.html: where the datasheet goes is missing; --json alone prints its table")
         if self.html is not None and self.html.suffix.lower() not in (".html", ".htm"):
             raise InputError(f"--html {self.html}: a name that ends in .html was expected")
-        check([path for path in (self.html, self.printed) if path is not None], inputs)
+        check_files([path for path in (self.html, self.printed) if path is not None], inputs)
         if self.pdf:
             browser()
 
@@ -57,10 +57,10 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
     wanted.refuse([*runs, *compared])
     with Steps() as step:
         prefixes = ("A", "B") if compared else ("R",)
-        given = (runs, compared) if compared else (runs,)
-        sets = tuple(read_runs(paths, prefix, options, step) for paths, prefix in zip(given, prefixes, strict=True))
+        groups = (runs, compared) if compared else (runs,)
+        sets = tuple(read_runs(paths, prefix, options, step) for paths, prefix in zip(groups, prefixes, strict=True))
         refuse_shared(sets)
-        sheet = Datasheet(told_apart(sets))
+        sheet = Datasheet(with_distinct_names(sets))
         sheet.refuse_empty()
         step("writing")
         if wanted.html is not None:
@@ -70,7 +70,7 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
                 print_pdf(wanted.html, wanted.printed)
     for line in warnings_of(sheet.sets):
         print(f"leactl: warning: {line}", file=sys.stderr)
-    for entry in (entry for own in sheet.sets for entry in own.entries if entry.fault):
+    for entry in (entry for run_set in sheet.sets for entry in run_set.entries if entry.fault):
         print(f"leactl: not analysed: {entry.path}: {entry.fault}", file=sys.stderr)
     return sheet
 
@@ -84,8 +84,8 @@ def refuse_shared(sets: Sequence[RunSet]) -> None:
     """
     seen: dict[str, tuple[int, Path]] = {}
     faults = []
-    for number, own in enumerate(sets):
-        for entry in own.entries:
+    for number, run_set in enumerate(sets):
+        for entry in run_set.entries:
             where, first = seen.setdefault(entry.identity, (number, entry.path))
             if where != number:
                 faults.append(f"{entry.path}: the same run as {first} of the other set; give each run once")
@@ -93,8 +93,8 @@ def refuse_shared(sets: Sequence[RunSet]) -> None:
         raise InputError(faults)
 
 
-def told_apart(sets: tuple[RunSet, ...]) -> tuple[RunSet, ...]:
+def with_distinct_names(sets: tuple[RunSet, ...]) -> tuple[RunSet, ...]:
     """Sets with names that differ."""
-    if len({own.name for own in sets}) == len(sets):
+    if len({run_set.name for run_set in sets}) == len(sets):
         return sets
-    return tuple(replace(own, name=f"{own.name} {'AB'[k]}") for k, own in enumerate(sets))
+    return tuple(replace(run_set, name=f"{run_set.name} {'AB'[k]}") for k, run_set in enumerate(sets))

@@ -9,7 +9,7 @@ from leactl.analysis.analyze import names
 from leactl.analysis.anova.pooled import difference, over_actuators, widest
 from leactl.analysis.estimate import Estimate
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
-from leactl.report.terminal import figures, printed, units_in_paper
+from leactl.report.terminal import figures_by_condition, paper_figures, units_in_paper
 
 NOT_MEASURED = "not measured"
 
@@ -51,14 +51,14 @@ class DatasheetRow:
     def difference(self) -> Estimate | None:
         """The second set less the first; None where either is not known."""
         known = [cell.estimate for cell in self.cells if cell.estimate is not None]
-        if len(known) < 2 or not all(math.isfinite(one.value) for one in known):
+        if len(known) < 2 or not all(math.isfinite(estimate.value) for estimate in known):
             return None
         return difference(known[0], known[1])
 
     def as_json(self, sets: Sequence[RunSet]) -> dict[str, Any]:
         """The row for a script; what is not known is null."""
-        found = self.difference if len(self.cells) > 1 else None
-        told = {
+        difference = self.difference if len(self.cells) > 1 else None
+        row = {
             "experiment": self.experiment,
             "name": self.name,
             "condition": self.condition,
@@ -67,19 +67,19 @@ class DatasheetRow:
             "paper": self.paper or None,
             "values": [
                 {
-                    "set": one.name,
+                    "set": run_set.name,
                     "runs": [entry.label for entry in cell.entries],
                     "actuators": list(cell.actuators),
                     "lacks": cell.lacks or None,
                 }
-                | numbers(cell.estimate)
-                for one, cell in zip(sets, self.cells, strict=True)
+                | estimate_json(cell.estimate)
+                for run_set, cell in zip(sets, self.cells, strict=True)
             ],
         }
-        return told | ({"difference": numbers(found)} if len(self.cells) > 1 else {})
+        return row | ({"difference": estimate_json(difference)} if len(self.cells) > 1 else {})
 
 
-def numbers(estimate: Estimate | None) -> dict[str, float | None]:
+def estimate_json(estimate: Estimate | None) -> dict[str, float | None]:
     """Value, std and interval as JSON takes them."""
     row = {} if estimate is None else estimate.as_json()
     return {key: row.get(key) for key in ("value", "std", "low", "high")}
@@ -91,33 +91,33 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
     One set has a row for each actuator, and one for all where several know the result; of two sets only what all of
     each know together is side by side.
     """
-    answers = [
-        [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
-        for own, motor in zip(sets, motors, strict=True)
-    ]
+    answers = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     faulty = [
-        [one for one in own.entries if one.fault and (one.motor, one.experiment) == (motor, experiment)]
-        for own, motor in zip(sets, motors, strict=True)
+        [entry for entry in run_set.entries if entry.fault and (entry.motor, entry.experiment) == (motor, experiment)]
+        for run_set, motor in zip(sets, motors, strict=True)
     ]
-    every = [one for own in answers for one in own]
-    found = []
-    for name in result_names(experiment, every):
-        for condition in conditions(experiment, every, name):
-            paper = figures(experiment, condition).get(name, "")
-            cells = [cells_of(own, lost, name, condition) for own, lost in zip(answers, faulty, strict=True)]
+    all_answers = [answer for answers_of_set in answers for answer in answers_of_set]
+    table_rows = []
+    for name in result_names(experiment, all_answers):
+        for condition in conditions(experiment, all_answers, name):
+            paper = paper_figures(experiment, condition).get(name, "")
+            cells = [
+                cells_of(answers_of_set, entries, name, condition)
+                for answers_of_set, entries in zip(answers, faulty, strict=True)
+            ]
             shown: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
-                whole = together(cells[0])
+                whole = pooled_cell(cells[0])
                 shown = [(cell,) for cell in [*cells[0], *([whole] if len(whole.actuators) > 1 else [])]]
             else:
                 shown = [
                     tuple(
-                        attributed(together(of_set), own, motor)
-                        for of_set, own, motor in zip(cells, sets, motors, strict=True)
+                        with_actuator_names(pooled_cell(cells_of_set), run_set, motor)
+                        for cells_of_set, run_set, motor in zip(cells, sets, motors, strict=True)
                     )
                 ]
-            found += [DatasheetRow(experiment, name, condition, who(row), row, paper) for row in shown]
-    return found
+            table_rows += [DatasheetRow(experiment, name, condition, shared_actuator(row), row, paper) for row in shown]
+    return table_rows
 
 
 def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
@@ -125,30 +125,34 @@ def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
 
     A result that is a part of another, such as that of one direction alone, is left to the list of all results.
     """
-    in_paper = dict.fromkeys(name for figures_ in printed(experiment).values() for name in figures_)
+    in_paper = dict.fromkeys(name for paper_row in figures_by_condition(experiment).values() for name in paper_row)
     if in_paper:
         return list(in_paper)
     known: dict[str, None] = {}
     for answer in answers:
         parents: list[str] = []
-        for item in answer.result.results:
-            part = any(item.name.startswith(f"{parent}_") for parent in parents)
-            parents += [] if part else [item.name]
-            if not part and not math.isnan(item.low):
-                known[item.name] = None
+        for estimate in answer.result.results:
+            part = any(estimate.name.startswith(f"{parent}_") for parent in parents)
+            parents += [] if part else [estimate.name]
+            if not part and not math.isnan(estimate.low):
+                known[estimate.name] = None
     return list(known)
 
 
 def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
     """Conditions of a result: those of the paper in its order, then others; one without a name where there is none."""
-    own = [label for label, figures_ in printed(experiment).items() if label != "any" and name in figures_]
-    measured = {answer.condition for answer in answers} | set(own)
+    in_paper = [
+        label
+        for label, paper_values in figures_by_condition(experiment).items()
+        if label != "any" and name in paper_values
+    ]
+    measured = {answer.condition for answer in answers} | set(in_paper)
     return [label for label in ordered_conditions(answers) if label in measured] or [""]
 
 
 def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
     """Conditions of the paper in its order, then others: the same for every set of runs, however theirs was drawn."""
-    papers = [label for each in names() for label in printed(each) if label != "any"]
+    papers = [label for each in names() for label in figures_by_condition(each) if label != "any"]
     return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
 
 
@@ -156,44 +160,49 @@ def cells_of(
     answers: Sequence[GroupResult], faulty: Sequence[RunEntry], name: str, condition: str
 ) -> list[DatasheetCell]:
     """A cell for each actuator that was measured; an empty one where none was."""
-    own = [answer for answer in answers if answer.condition == condition]
-    found = [(answer, item) for answer in own for item in answer.result.results if item.name == name]
-    if not found:
-        lost = tuple(one for one in faulty if condition in ("", one.group[1]))
+    of_condition = [answer for answer in answers if answer.condition == condition]
+    estimates = [
+        (answer, estimate) for answer in of_condition for estimate in answer.result.results if estimate.name == name
+    ]
+    if not estimates:
+        lost = tuple(entry for entry in faulty if condition in ("", entry.group[1]))
         return [DatasheetCell(None, lost, "not analysed" if lost else NOT_MEASURED)]
-    return [DatasheetCell(item, answer.entries, actuators=(answer.actuator,)) for answer, item in found]
+    return [DatasheetCell(estimate, answer.entries, actuators=(answer.actuator,)) for answer, estimate in estimates]
 
 
-def together(cells: Sequence[DatasheetCell]) -> DatasheetCell:
+def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
     """What actuators say together: the mean of those that know a value, or else the bounds that hold for all."""
     pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
-    valued = [(cell, item) for cell, item in pairs if math.isfinite(item.value)]
-    bounded = [(cell, item) for cell, item in pairs if not (math.isnan(item.low) and math.isnan(item.high))]
-    told = valued or bounded or pairs
-    if len(told) < 2:
-        return told[0][0] if told else cells[0]
-    estimate = (over_actuators if valued else widest)([item for _, item in told])
-    entries = tuple(entry for cell, _ in told for entry in cell.entries)
-    return DatasheetCell(estimate, entries, actuators=tuple(name for cell, _ in told for name in cell.actuators))
+    valued = [(cell, known) for cell, known in pairs if math.isfinite(known.value)]
+    bounded = [(cell, known) for cell, known in pairs if not (math.isnan(known.low) and math.isnan(known.high))]
+    chosen = valued or bounded or pairs
+    if len(chosen) < 2:
+        return chosen[0][0] if chosen else cells[0]
+    estimate = (over_actuators if valued else widest)([known for _, known in chosen])
+    entries = tuple(entry for cell, _ in chosen for entry in cell.entries)
+    return DatasheetCell(estimate, entries, actuators=tuple(name for cell, _ in chosen for name in cell.actuators))
 
 
-def attributed(cell: DatasheetCell, own: RunSet, motor: str) -> DatasheetCell:
+def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> DatasheetCell:
     """The cell with the names of its actuators where its set has others besides."""
-    every = {entry.group[0] for entry in own.entries if entry.experiment and entry.motor == motor}
-    if not cell.actuators or every <= set(cell.actuators):
+    actuators = {entry.group[0] for entry in run_set.entries if entry.experiment and entry.motor == motor}
+    if not cell.actuators or actuators <= set(cell.actuators):
         return cell
     return replace(cell, whose=f"of {', '.join(name or 'one without a name' for name in cell.actuators)} alone")
 
 
-def who(cells: Sequence[DatasheetCell]) -> str:
+def shared_actuator(cells: Sequence[DatasheetCell]) -> str:
     """The actuator of a row, where its cells have the same one."""
-    told = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
-    return next(iter(told)) if len(told) == 1 else ""
+    actuators = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
+    return next(iter(actuators)) if len(actuators) == 1 else ""
 
 
 def unlisted(sets: Sequence[RunSet], motors: Sequence[str]) -> list[str]:
     """Experiments without a run and without a figure in the paper."""
     measured = {
-        one.experiment for own, motor in zip(sets, motors, strict=True) for one in own.entries if one.motor == motor
+        entry.experiment
+        for run_set, motor in zip(sets, motors, strict=True)
+        for entry in run_set.entries
+        if entry.motor == motor
     }
-    return [name for name in names() if name not in measured and not printed(name)]
+    return [name for name in names() if name not in measured and not figures_by_condition(name)]

@@ -17,7 +17,7 @@ from leactl.runfile.catalog.summaries import run_files
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import altered
 
-ABOUT = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
+DESCRIBING_ATTRIBUTES = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
 MOST_NAMED = 3  # folders in the name of a set of runs
 Tell = Callable[[str], None]
 
@@ -63,7 +63,7 @@ class GroupResult:
 class ConditionVerdict:
     """Whether the results of an experiment differ between conditions; `refused` says why some were not compared."""
 
-    found: tuple[Comparison, ...]
+    comparisons: tuple[Comparison, ...]
     refused: tuple[str, ...]
 
 
@@ -79,10 +79,14 @@ class RunSet:
     @property
     def motors(self) -> list[str]:
         """Motors of its runs, in order; a run that tells none has an empty name."""
-        return list(dict.fromkeys(one.motor for one in self.entries if one.experiment))
+        return list(dict.fromkeys(entry.motor for entry in self.entries if entry.experiment))
+
+    def answers_of(self, motor: str, experiment: str) -> list[GroupResult]:
+        """Return the results of one experiment with one motor, one for each actuator and condition."""
+        return [answer for answer in self.answers if (answer.motor, answer.experiment) == (motor, experiment)]
 
 
-def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], tell: Tell) -> RunSet:
+def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], tell: Tell) -> RunSet:
     """Read runs and folders of runs and analyse what can be: repeats combined, by actuator and condition.
 
     Parameters
@@ -96,39 +100,46 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     InputError : nothing was given, a path that is not there, or a folder without runs.
     """
     tell("reading")
-    entries = [entry_of(path) for path in run_files(given)]
-    entries.sort(key=order)
+    entries = [entry_of(path) for path in run_files(paths)]
+    entries.sort(key=order_key)
     copies = Counter(entry.identity for entry in entries)
     seen: dict[str, RunEntry] = {}
     for number, entry in enumerate(entries, start=1):
         entry.label = f"{prefix}{number}"
         if copies[entry.identity] > 1 and not entry.fault:
-            entry.fault = damage(entry.path)
+            entry.fault = checksum_fault(entry.path)
         first = entry if entry.fault else seen.setdefault(entry.identity, entry)
         if first is not entry:
             entry.fault = f"the same run as {first.label}"
     answers: list[GroupResult] = []
     verdicts: dict[tuple[str, str], ConditionVerdict] = {}
-    usable = sorted((one for one in entries if not one.fault), key=lambda one: (one.motor, one.experiment))
-    for (motor, experiment), alike in groupby(usable, key=lambda one: (one.motor, one.experiment)):
+    usable = sorted(
+        (usable_entry for usable_entry in entries if not usable_entry.fault),
+        key=lambda usable_entry: (usable_entry.motor, usable_entry.experiment),
+    )
+    for (motor, experiment), alike in groupby(
+        usable, key=lambda usable_entry: (usable_entry.motor, usable_entry.experiment)
+    ):
         tell(experiment)
         members = list(alike)
-        own = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
-        answers += own
-        if len({answer.condition for answer in own}) > 1:
-            verdicts[motor, experiment] = compared([one for answer in own for one in answer.entries], options)
-    return RunSet(named(given), tuple(entries), tuple(answers), verdicts)
+        group_results = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
+        answers += group_results
+        if len({answer.condition for answer in group_results}) > 1:
+            verdicts[motor, experiment] = condition_verdict(
+                [usable_entry for answer in group_results for usable_entry in answer.entries], options
+            )
+    return RunSet(name_of_runs(paths), tuple(entries), tuple(answers), verdicts)
 
 
-def order(entry: RunEntry) -> tuple[bool, str, bool, str]:
+def order_key(entry: RunEntry) -> tuple[bool, str, bool, str]:
     """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
     run_id = entry.about.get("run_id", "")
     return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
 
 
-def named(given: Sequence[Path]) -> str:
+def name_of_runs(paths: Sequence[Path]) -> str:
     """What to call the runs: by their folders."""
-    folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in given)
+    folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in paths)
     return listed((folder.name for folder in folders), MOST_NAMED)
 
 
@@ -138,7 +149,7 @@ def entry_of(path: Path) -> RunEntry:
         with Run.open(path) as run:
             model = run.source("model") or ""
             entry = RunEntry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
-            entry.about = {name: str(run.attributes.get(name, "")) for name in ABOUT}
+            entry.about = {name: str(run.attributes.get(name, "")) for name in DESCRIBING_ATTRIBUTES}
             entry.about["mechanical"] = run.mechanical
             entry.instruments = run.instruments
     except InputError as fault:
@@ -149,7 +160,7 @@ def entry_of(path: Path) -> RunEntry:
     return entry
 
 
-def damage(path: Path) -> str:
+def checksum_fault(path: Path) -> str:
     """Why a copy of a run is not the one to take; empty where its values are those of its checksums."""
     try:
         return fault_text(InputError(altered(path)), path)
@@ -183,18 +194,18 @@ def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
 def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
     """What runs of one experiment, actuator and condition give; a run that spoils it is left out with its reason."""
     first = entries[0]
-    taken = options_of(first.experiment, options)
+    accepted = options_of(first.experiment, options)
     try:
-        result = analyze_runs([one.path for one in entries], **taken)
-    except InputError as together:
-        for one in entries:
-            one.fault = fault_of(one, taken) if len(entries) > 1 else fault_text(together, one.path)
-        good = [one for one in entries if not one.fault]
-        if len(good) == len(entries):
-            for one in entries:
-                one.fault = fault_text(together, one.path)
-            good = []
-        return answer_of(good, options) if good else None
+        result = analyze_runs([entry.path for entry in entries], **accepted)
+    except InputError as joint_fault:
+        for entry in entries:
+            entry.fault = fault_of(entry, accepted) if len(entries) > 1 else fault_text(joint_fault, entry.path)
+        sound = [entry for entry in entries if not entry.fault]
+        if len(sound) == len(entries):
+            for entry in entries:
+                entry.fault = fault_text(joint_fault, entry.path)
+            sound = []
+        return answer_of(sound, options) if sound else None
     return GroupResult(first.motor, first.experiment, *first.group, result, tuple(entries))
 
 
@@ -212,20 +223,20 @@ def fault_text(fault: InputError, path: Path) -> str:
     return "; ".join(line.removeprefix(f"{path}: ") for line in fault.faults)
 
 
-def compared(entries: Sequence[RunEntry], options: Mapping[str, float]) -> ConditionVerdict:
+def condition_verdict(entries: Sequence[RunEntry], options: Mapping[str, float]) -> ConditionVerdict:
     """The results of an experiment over its conditions, as `leactl stats` has them."""
-    taken = options_of(entries[0].experiment, options)
+    accepted = options_of(entries[0].experiment, options)
     try:
-        _, found, refused = compare_all([one.path for one in entries], **taken)
+        _, comparisons, refused = compare_all([entry.path for entry in entries], **accepted)
     except InputError as fault:
         return ConditionVerdict((), tuple(fault.faults))
-    return ConditionVerdict(tuple(found), tuple(refused))
+    return ConditionVerdict(tuple(comparisons), tuple(refused))
 
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
     """Those options that the analysis of an experiment takes."""
-    known = taken_by(analysis_of(experiment, experiment))
-    return {name: value for name, value in options.items() if name in known}
+    accepted = taken_by(analysis_of(experiment, experiment))
+    return {name: value for name, value in options.items() if name in accepted}
 
 
 def refuse_untaken(options: Mapping[str, float]) -> None:
@@ -235,6 +246,6 @@ def refuse_untaken(options: Mapping[str, float]) -> None:
     ------
     InputError : one line for each.
     """
-    taken = {name for experiment in names() for name in options_of(experiment, options)}
-    if left := [name for name in options if name not in taken]:
-        raise InputError([f"--set {name}: no analysis takes it" for name in left])
+    accepted = {name for experiment in names() for name in options_of(experiment, options)}
+    if unknown := [name for name in options if name not in accepted]:
+        raise InputError([f"--set {name}: no analysis takes it" for name in unknown])

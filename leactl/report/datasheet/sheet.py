@@ -10,7 +10,7 @@ from leactl.errors import InputError
 from leactl.report.datasheet.instruments import instruments_of, warnings_of
 from leactl.report.datasheet.rows import NOT_MEASURED, DatasheetRow, rows, unlisted
 from leactl.report.datasheet.runset import RunSet
-from leactl.report.terminal import printed
+from leactl.report.terminal import figures_by_condition
 
 NO_MOTOR = "motor not told"
 
@@ -38,39 +38,42 @@ class Datasheet:
     @cached_property
     def sections(self) -> list[Section]:
         """A section for each motor; two sets of one motor each are compared even where the motors differ."""
-        own = [one.motors for one in self.sets]
-        if all(len(motors) == 1 for motors in own):
-            pairs = [tuple(motors[0] for motors in own)]
+        motors_of_sets = [run_set.motors for run_set in self.sets]
+        if all(len(motors) == 1 for motors in motors_of_sets):
+            pairs = [tuple(motors[0] for motors in motors_of_sets)]
         else:
-            pairs = [(motor,) * len(own) for motor in dict.fromkeys(motor for motors in own for motor in motors)]
+            pairs = [
+                (motor,) * len(motors_of_sets)
+                for motor in dict.fromkeys(motor for motors in motors_of_sets for motor in motors)
+            ]
         return [section_of(self.sets, motors) for motors in pairs]
 
     @property
     def notes(self) -> list[str]:
         """What a reader of the whole must know."""
-        found = []
-        motors = list(dict.fromkeys(motor or NO_MOTOR for one in self.sets for motor in one.motors))
+        notes = []
+        motors = list(dict.fromkeys(motor or NO_MOTOR for run_set in self.sets for motor in run_set.motors))
         if len(motors) > 1:
-            found.append(
+            notes.append(
                 f"runs are of {len(motors)} motors: {', '.join(motors)}; figures of one say nothing of another"
             )
-        entries = [entry for one in self.sets for entry in one.entries]
+        entries = [entry for run_set in self.sets for entry in run_set.entries]
         emulated = sum(entry.simulated for entry in entries)
         if emulated:
-            found.append(
+            notes.append(
                 f"{emulated} of {len(entries)} runs are from an emulated bench: no machine was measured in these"
             )
-        lost = [entry for entry in entries if entry.fault]
-        found += warnings_of(self.sets)
-        if lost:
-            found.append(f"nothing came of {', '.join(entry.label for entry in lost)}: see the list of runs")
+        faulty = [entry for entry in entries if entry.fault]
+        notes += warnings_of(self.sets)
+        if faulty:
+            notes.append(f"nothing came of {', '.join(entry.label for entry in faulty)}: see the list of runs")
         if len(self.sets) > 1:
-            found.append(
+            notes.append(
                 f"difference: {self.sets[1].name} less {self.sets[0].name}, the two taken as independent; an error that"
                 " their instruments have in common is not in a difference, which is then known better than told here"
             )
-            found += [line for section in self.sections for line in without_common_condition(self.sets, section)]
-        return found
+            notes += [line for section in self.sections for line in without_common_condition(self.sets, section)]
+        return notes
 
     def refuse_empty(self) -> None:
         """Refuse a sheet without a figure.
@@ -79,42 +82,47 @@ class Datasheet:
         ------
         InputError : why nothing came of each run, one line each.
         """
-        if not any(one.answers for one in self.sets):
-            raise InputError([f"{one.path}: {one.fault}" for own in self.sets for one in own.entries])
+        if not any(entry.answers for entry in self.sets):
+            raise InputError([f"{entry.path}: {entry.fault}" for run_set in self.sets for entry in run_set.entries])
 
     def as_json(self) -> dict[str, Any]:
         """The whole table with runs and notes."""
         return {
             "sets": [
                 {
-                    "name": own.name,
+                    "name": run_set.name,
                     "runs": [
                         {
-                            "label": one.label,
-                            "path": str(one.path),
-                            "motor": one.motor,
-                            "experiment": one.experiment,
-                            "simulated": one.simulated,
-                            **one.about,
-                            "fault": one.fault or None,
+                            "label": entry.label,
+                            "path": str(entry.path),
+                            "motor": entry.motor,
+                            "experiment": entry.experiment,
+                            "simulated": entry.simulated,
+                            **entry.about,
+                            "fault": entry.fault or None,
                         }
-                        for one in own.entries
+                        for entry in run_set.entries
                     ],
-                    "instruments": [one.as_json() for one in instruments_of(own)],
+                    "instruments": [use.as_json() for use in instruments_of(run_set)],
                 }
-                for own in self.sets
+                for run_set in self.sets
             ],
             "sections": [
                 {
                     "motors": list(section.motors),
-                    "rows": [row.as_json(self.sets) for own in section.rows.values() for row in own],
+                    "rows": [row.as_json(self.sets) for table_rows in section.rows.values() for row in table_rows],
                     "not_measured": section.unlisted,
                     "verdicts": [
-                        {"set": own.name, "experiment": experiment, "name": found.name, "sentence": found.sentence}
-                        for own, motor in zip(self.sets, section.motors, strict=True)
-                        for (of, experiment), verdict in own.verdicts.items()
-                        if of == motor
-                        for found in verdict.found
+                        {
+                            "set": run_set.name,
+                            "experiment": experiment,
+                            "name": comparison.name,
+                            "sentence": comparison.sentence,
+                        }
+                        for run_set, motor in zip(self.sets, section.motors, strict=True)
+                        for (compared_motor, experiment), verdict in run_set.verdicts.items()
+                        if compared_motor == motor
+                        for comparison in verdict.comparisons
                     ],
                 }
                 for section in self.sections
@@ -128,15 +136,14 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
     lines = []
     for experiment in section.rows:
         measured = [
-            dict.fromkeys(
-                answer.condition or "no condition"
-                for answer in own.answers
-                if (answer.motor, answer.experiment) == (motor, experiment)
-            )
-            for own, motor in zip(sets, section.motors, strict=True)
+            dict.fromkeys(answer.condition or "no condition" for answer in run_set.answers_of(motor, experiment))
+            for run_set, motor in zip(sets, section.motors, strict=True)
         ]
         if all(measured) and not set.intersection(*map(set, measured)):
-            each = " and ".join(f"{own.name} under {', '.join(of)}" for own, of in zip(sets, measured, strict=True))
+            each = " and ".join(
+                f"{run_set.name} under {', '.join(conditions)}"
+                for run_set, conditions in zip(sets, measured, strict=True)
+            )
             lines.append(f"{experiment}: not compared, measured in {each}; `leactl run --condition` names a condition")
     return lines
 
@@ -146,11 +153,11 @@ def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
 
     What is known comes first, then what runs did not tell, then what was not measured; of each the paper's first.
     """
-    in_order = sorted(names(), key=lambda one: (not printed(one), one))
+    in_order = sorted(names(), key=lambda name: (not figures_by_condition(name), name))
     by_experiment = {name: sorted(rows(sets, motors, name), key=_unknown) for name in in_order}
-    measured = {name: own for name, own in by_experiment.items() if own}
+    measured = {name: table_rows for name, table_rows in by_experiment.items() if table_rows}
     return Section(
-        motors, dict(sorted(measured.items(), key=lambda item: min(map(_unknown, item[1])))), unlisted(sets, motors)
+        motors, dict(sorted(measured.items(), key=lambda pair: min(map(_unknown, pair[1])))), unlisted(sets, motors)
     )
 
 

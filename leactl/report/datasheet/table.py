@@ -8,35 +8,35 @@ from leactl.report.datasheet.figures import heading, plain, pretty
 from leactl.report.datasheet.rows import DatasheetCell, DatasheetRow
 from leactl.report.datasheet.runset import RunEntry, RunSet
 from leactl.report.datasheet.sheet import Section
-from leactl.report.html import Html, joined, tag, text
+from leactl.report.html import Html, escaped, joined, tag
 from leactl.report.terminal import interval_text, value_text
 
 
-def rows_table(sets: Sequence[RunSet], section: Section, place: str) -> Html:
+def rows_table(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
     """All rows; the name of an experiment that was measured leads to its figures."""
     several = len(sets) > 1
     headings = ["quantity", "condition"] + ([] if several else ["actuator"])
-    headings += [*(own.name for own in sets), "difference"] if several else ["value ± std", "95 % interval"]
+    headings += [*(run_set.name for run_set in sets), "difference"] if several else ["value ± std", "95 % interval"]
     headings += ["units", "LEA in the paper", "from"]
     head = tag("thead", tag("tr", *(tag("th", heading, scope="col") for heading in headings)))
     bodies = []
     for experiment, own_rows in section.rows.items():
         measured = any(cell.estimate is not None for row in own_rows for cell in row.cells)
         name = heading(experiment)
-        title = tag("a", name, href=f"#{place}-{experiment}") if measured else name
+        title = tag("a", name, href=f"#{anchor}-{experiment}") if measured else name
         opening = tag("tr", tag("th", title, scope="rowgroup", colspan=str(len(headings))), class_="group")
-        bodies.append(tag("tbody", opening, *(row_of(row, several, headings) for row in own_rows)))
+        bodies.append(tag("tbody", opening, *(table_row(row, several, headings) for row in own_rows)))
     return tag("div", tag("table", head, *bodies, class_="datasheet"), class_="scroll", tabindex="0")
 
 
-def row_of(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html:
+def table_row(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html:
     """One result; each cell carries its heading, which a narrow screen shows beside it."""
     cells: list[str] = [row.condition] + ([] if several else [row.actuator])
     if several:
-        cells += [in_lines(*shown(cell), cell.whose) for cell in row.cells]
+        cells += [in_lines(*value_and_interval(cell), cell.whose) for cell in row.cells]
         cells.append(difference_cell(row.difference))
     else:
-        cells += shown(row.cells[0])
+        cells += value_and_interval(row.cells[0])
     sources = [entry for cell in row.cells for entry in cell.entries]
     cells += ["" if row.units == "1" else pretty(row.units), row.paper, links(sources)]
     lacking = all(cell.estimate is None for cell in row.cells)
@@ -48,7 +48,7 @@ def row_of(row: DatasheetRow, several: bool, headings: Sequence[str]) -> Html:
     return tag("tr", tag("th", plain(row.name), scope="row"), *data, class_="lacking" if lacking else "known")
 
 
-def shown(cell: DatasheetCell) -> list[str]:
+def value_and_interval(cell: DatasheetCell) -> list[str]:
     """Value and interval, or why there is none."""
     if cell.estimate is None:
         return [cell.lacks, ""]
@@ -57,19 +57,19 @@ def shown(cell: DatasheetCell) -> list[str]:
 
 def in_lines(first: str, *others: str) -> Html:
     """One below the other, those that say something, for tables that need the width."""
-    return joined([text(first), *(tag("span", other, class_="second") for other in others if other)])
+    return joined([escaped(first), *(tag("span", other, class_="second") for other in others if other)])
 
 
-def difference_cell(found: Estimate | None) -> Html:
+def difference_cell(difference: Estimate | None) -> Html:
     """The difference of two sets, strong where its interval does not hold zero; none without an uncertainty."""
-    if found is None or not math.isfinite(found.std):
+    if difference is None or not math.isfinite(difference.std):
         return Html("")
-    cell = in_lines(value_text(found), interval_text(found))
-    return tag("strong", cell) if found.low > 0.0 or found.high < 0.0 else cell
+    cell = in_lines(value_text(difference), interval_text(difference))
+    return tag("strong", cell) if difference.low > 0.0 or difference.high < 0.0 else cell
 
 
 def links(entries: Sequence[RunEntry]) -> Html:
     """Short names of runs, each a link to where it is listed."""
     return joined(
-        [tag("a", one.label, href=f"#{one.label}", title=one.about.get("run_id", "")) for one in entries], ", "
+        [tag("a", entry.label, href=f"#{entry.label}", title=entry.about.get("run_id", "")) for entry in entries], ", "
     )
