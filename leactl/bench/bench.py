@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from leactl import yamlfile
-from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, SerialBus
+from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, LineBus
 from leactl.bench.provenance import Provenance
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
@@ -212,6 +212,6 @@ def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -
 def _port(name: str, bus: Bus, wiring: Wiring) -> CanPort | I2cPort | SerialPort:
     if isinstance(bus, CanBus):
         return CanPort(wiring.can(name, bus), wiring.clock, name)
-    if isinstance(bus, SerialBus):
+    if isinstance(bus, LineBus):
         return SerialPort(wiring.serial(name, bus), wiring.clock, name)
     return I2cPort(wiring.i2c(name, bus), name)

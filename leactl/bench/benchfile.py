@@ -1,11 +1,13 @@
 """Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
 
 import os
+import re
 from collections.abc import Collection, Mapping, Sequence
+from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from leactl import yamlfile
 from leactl.driver import registry
@@ -59,7 +61,57 @@ class SerialBus(Block):
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baudrate
 
 
-Bus = CanBus | I2cBus | SerialBus
+SOCKET_RESOURCE = re.compile(r"TCPIP\d{0,4}::([^:]*)::(\d{1,5})::SOCKET", re.IGNORECASE | re.ASCII)
+
+
+def _socket_address(resource: str) -> tuple[str, int]:
+    """IPv4 address and port of a VISA resource name.
+
+    Raises
+    ------
+    ValueError : it is not the name of a raw socket, or has no address or port that an instrument can have.
+    """
+    match = SOCKET_RESOURCE.fullmatch(resource)
+    if match is None:
+        raise ValueError(
+            "not the name of a raw socket; TCPIP::ADDRESS::PORT::SOCKET was expected, with the instrument's IPv4"
+            " address and port, mostly 5025 or 5555"
+        )
+    try:
+        host = IPv4Address(match[1])
+    except AddressValueError:
+        raise ValueError(
+            f"{match[1]!r} is not an IPv4 address; one was expected, because to look up a name may take longer than"
+            " a safe state has"
+        ) from None
+    if host.is_unspecified or host.is_multicast or host.is_reserved:
+        raise ValueError(f"{host} is not the address of one instrument")
+    port = int(match[2])
+    if not 1 <= port <= 65535:
+        raise ValueError(f"port {port}; 1 to 65535 was expected")
+    return str(host), port
+
+
+def _socket_resource(resource: str) -> str:
+    _socket_address(resource)
+    return resource
+
+
+class VisaBus(Block):
+    """The raw socket of one instrument on the network; an emulated bench replaces it."""
+
+    kind: Literal["visa"]
+    resource: Annotated[str, AfterValidator(_socket_resource)]
+    byte_s: ClassVar[float] = 8e-8  # duration of one byte on the line [s], 100 Mbit/s
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """IPv4 address and port."""
+        return _socket_address(self.resource)
+
+
+LineBus = SerialBus | VisaBus
+Bus = CanBus | I2cBus | LineBus
 
 
 class Device(Instrument):
@@ -205,14 +257,14 @@ def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
     return {device.name: device.settings.host_silence_s for device in devices}
 
 
-def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
-    """Buses changed by words `NAME=INTERFACE:CHANNEL` (CAN) or `NAME=serial:PORT`, by name.
+def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | LineBus]:
+    """Buses changed by words `NAME=INTERFACE:CHANNEL` (CAN), `NAME=serial:PORT` or `NAME=visa:RESOURCE`, by name.
 
     Raises
     ------
-    InputError : a word has another form, or names no CAN bus or serial line of the bench.
+    InputError : a word has another form, or names no such bus of the bench.
     """
-    changed: dict[str, CanBus | SerialBus] = {}
+    changed: dict[str, CanBus | LineBus] = {}
     for word in words:
         name, _, target = word.partition("=")
         interface, _, channel = target.partition(":")
@@ -220,11 +272,18 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
         if isinstance(bus, SerialBus) and interface == "serial" and channel:
             changed[name] = bus.model_copy(update={"port": channel})
             continue
+        if isinstance(bus, VisaBus) and interface == "visa":
+            try:
+                _socket_address(channel)
+            except ValueError as error:
+                raise InputError(f"--bus {word}: {error}") from None
+            changed[name] = bus.model_copy(update={"resource": channel})
+            continue
         if not isinstance(bus, CanBus) or not interface:
             known = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
             raise InputError(
-                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, or NAME=serial:PORT,"
-                f" with a serial line of it ({known})"
+                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, NAME=visa:RESOURCE,"
+                f" with a raw socket of it, or NAME=serial:PORT, with a serial line of it ({known})"
             )
         changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
     return changed
@@ -252,12 +311,14 @@ def _shared_addresses(
     faults = []
     for device in devices:
         bus, address = device.entry.bus, device.settings.bus_address
-        line = bus is not None and isinstance(buses.get(bus), SerialBus)  # its devices have addresses, or it has one
+        wire = buses.get(bus or "")
+        line = isinstance(wire, LineBus)  # its devices have addresses, or it has one
         if bus is None or (address is None and not line):
             continue
-        holder = first.setdefault((bus, address), device.name)
+        socket = "{} port {}".format(*wire.address) if isinstance(wire, VisaBus) else ""  # two names are one instrument
+        holder = first.setdefault((socket or bus, address), device.name)
         if holder != device.name:
-            where = f"bus '{bus}'" if address is None else f"address {address} on bus '{bus}'"
+            where = (socket or f"bus '{bus}'") if address is None else f"address {address} on bus '{bus}'"
             message = f"{where} is that of {holder}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
     return faults
@@ -316,10 +377,11 @@ def _check(
         faults.append(document.fault((*keys, "driver"), str(error)))
         return None
     bus = bench.buses.get(entry.bus) if entry.bus else None
-    if driver.transport != "none" and (bus is None or bus.kind != driver.transport):
+    kinds = (driver.transport, *driver.further_transports)
+    if driver.transport != "none" and (bus is None or bus.kind not in kinds):
         stated = "no bus" if entry.bus is None else f"'{entry.bus}'"
-        choices = [key for key, value in bench.buses.items() if value.kind == driver.transport]
-        expected = ", ".join(choices) or f"a bus of kind {driver.transport} under buses"
+        choices = [key for key, value in bench.buses.items() if value.kind in kinds]
+        expected = ", ".join(choices) or f"a bus of kind {' or '.join(kinds)} under buses"
         faults.append(document.fault((*keys, "bus"), f"{stated}: {entry.driver} needs {expected}"))
     try:
         settings = driver.Settings.model_validate(entry.settings)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from leactl.bench.bench import Bench
-from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, LineBus
 from leactl.bench.wire_trace import (
     CALLED,
     ENDED,
@@ -175,7 +175,7 @@ class ReplayWiring:
         """Connect to a bus of the trace."""
         return lambda: _I2cSide(self._wires[name])
 
-    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+    def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """Connect to a line of the trace."""
         return lambda: _LineSide(self._wires[name])
 

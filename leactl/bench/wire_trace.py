@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
+from leactl.bench.benchfile import CanBus, I2cBus, LineBus
 from leactl.bench.wiring import Wiring
 from leactl.driver.contract import Confirmation
 from leactl.driver.i2c_port import SmBus, swapped
@@ -204,7 +204,7 @@ class TracedWiring:
         connect = self._wiring.i2c(name, bus)
         return lambda: TracedI2c(connect(), name, self._trace)
 
-    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+    def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """Function that connects to a serial line."""
         connect = self._wiring.serial(name, bus)
         return lambda: TracedLine(connect(), name, self._trace)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Protocol
 
-from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
+from leactl.bench.benchfile import CanBus, I2cBus, LineBus, VisaBus
 from leactl.driver.clock import Clock, MonotonicClock
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
@@ -53,7 +53,7 @@ class Wiring(Protocol):
     def hang(self, torque: float) -> None:
         """Apply the torque [N*m] of weights on the torque sensor from now on."""
 
-    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+    def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """Function that connects to a serial line."""
 
 
@@ -99,10 +99,14 @@ class MachineWiring:
     def hang(self, torque: float) -> None:
         """Do nothing: the operator hangs the weights."""
 
-    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
-        """Function that connects to a serial device."""
+    def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
+        """Function that connects to a serial device, or to the raw socket of an instrument."""
 
         def connect() -> SerialLine:
+            if isinstance(bus, VisaBus):
+                from leactl.bench.instrument_socket import InstrumentSocket
+
+                return InstrumentSocket(*bus.address)
             from leactl.bench.tty import Tty
 
             return Tty(bus)

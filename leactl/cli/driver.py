@@ -46,12 +46,12 @@ def info(name: str = NAME, as_json: bool = AS_JSON) -> None:
     from leactl.driver import registry
 
     driver = registry.load(name)
-    schema = driver.Settings.model_json_schema()
+    schema, kinds = driver.Settings.model_json_schema(), (driver.transport, *driver.further_transports)
     if as_json:
         described = {"name": name, "transport": driver.transport, "summary": driver.summary, "settings": schema}
         typer.echo(json.dumps(described))
         return
-    typer.echo(f"{name}: {driver.summary} (bus: {driver.transport})")
+    typer.echo(f"{name}: {driver.summary} (bus: {' or '.join(kinds)})")
     for field, body in schema["properties"].items():
         needed = "required" if field in schema.get("required", ()) else f"default {body.get('default')}"
         kind = body.get("type") or body.get("$ref", "").rpartition("/")[2] or "choice"

@@ -27,11 +27,11 @@ class RealAndSimulatedRuns(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put `-` behind a `--json` that no file to write follows, and `--simulated` before each of its runs.
 
-        A model may be left out where there are simulated runs.
+        A model may be left out where there are simulated runs, and its help does not call it required.
         """
         for parameter in self.params:
             if parameter.name == "model":
-                parameter.required = SIMULATED not in args
+                parameter.required = not {SIMULATED, *ctx.help_option_names} & set(args)
         return super().parse_args(ctx, completed(repeated(args)))
 
 
@@ -70,7 +70,7 @@ def completed(args: list[str]) -> list[str]:
 def diagnose_runs(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files to learn from."),
     model: Path | None = typer.Option(
-        None, "--model", help="Nominal model, a .yaml; may be left out where simulated runs carry one."
+        None, "--model", help="Nominal model, a .yaml; needed unless simulated runs carry one."
     ),
     held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
     simulated: list[Path] = typer.Option(

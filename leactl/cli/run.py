@@ -34,7 +34,9 @@ def run(
     realtime: bool = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench."),
     served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
     bus: list[str] = typer.Option(
-        [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; NAME=serial:PORT a serial line."
+        [],
+        metavar="NAME=INTERFACE:CHANNEL",
+        help="Put a bus elsewhere; NAME=serial:PORT a serial line, NAME=visa:RESOURCE a raw socket.",
     ),
     cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),

@@ -463,7 +463,7 @@ def tail(
     rows: int = typer.Option(10, "--rows", min=0, help="How many of each stream are printed first."),
     follow: bool = typer.Option(False, "--follow", help="Go on with what is added, until the run ends or Ctrl-C."),
     every: float = typer.Option(
-        0.0, "--every", min=0.0, metavar="SECONDS", help="At most one row of a stream in this."
+        0.0, "--every", min=0.0, metavar="SECONDS", help="At most one row of a stream in this time.", callback=finite
     ),
     as_json: bool = typer.Option(False, "--json", help="Print a line of JSON for each row on stdout."),
 ) -> None:

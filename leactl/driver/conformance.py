@@ -35,6 +35,8 @@ def faults_of(driver: type[Driver]) -> list[str]:
         return faults
     if driver.transport not in ("can", "i2c", "serial", "none"):
         faults.append(f"transport '{driver.transport}' is none of can, i2c, serial, none")
+    if driver.further_transports and (driver.transport, driver.further_transports) != ("serial", ("visa",)):
+        faults.append("further_transports is only known as ('visa',), of a driver over serial")
     if not issubclass(driver.Settings, DriverSettings):
         return [*faults, "Settings does not derive from DriverSettings"]
     config = driver.Settings.model_config

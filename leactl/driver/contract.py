@@ -142,6 +142,8 @@ class Driver(ABC):
 
     Settings: ClassVar[type[DriverSettings]]
     transport: ClassVar[str]  # kind of bus: "can", "i2c", "serial", or "none" for the maker's own library
+    # kinds of bus that give it the same port: "visa" for a driver over "serial" whose messages fit a socket as well
+    further_transports: ClassVar[tuple[str, ...]] = ()
     summary: ClassVar[str]  # one line for `leactl driver list`
     example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` tries driver and emulator
     baudrate: ClassVar[int] = 9600  # of the serial line that `leactl driver check` uses

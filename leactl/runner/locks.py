@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
+from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus, VisaBus
 from leactl.driver.batch import RecordSettings
 from leactl.errors import DeviceError, InputError
 from leactl.runner import lock_holders, state
@@ -133,6 +133,9 @@ def _place(bus: Bus) -> tuple[str, str]:
         return f"i2c-{bus.number}", f"i2c-{bus.number}"
     if isinstance(bus, SerialBus):
         return _device(bus.port)
+    if isinstance(bus, VisaBus):
+        shown = "tcp-{}-{}".format(*bus.address)
+        return shown, shown
     channel = str(bus.channel)
     # slcan takes /dev/ttyACM0@115200, and pyserial spy:///dev/ttyACM0?file=...
     path = re.sub(r"^[a-z0-9]+://(?=/)", "", channel).partition("?")[0].partition("@")[0]

@@ -22,6 +22,7 @@ from .transports import (
     I2cInProcess,
     SerialElsewhere,
     SerialInProcess,
+    SocketElsewhere,
     can_place,
 )
 from .transports import i2c_place as place_of_stub
@@ -36,6 +37,8 @@ def far_end_process(tmp_path_factory):
         if (kind, transport) not in running:
             if kind == "serial":
                 place = {"link": str(tmp_path_factory.mktemp("serial") / "line")}
+            elif kind == "tcp":
+                place = {"resource_file": str(tmp_path_factory.mktemp("tcp") / "resource")}
             else:
                 place = place_of_stub() if kind == "i2c" else can_place(transport)
             if transport == "udp_multicast":
@@ -83,14 +86,18 @@ def make_adc(request, far_end_process):
         bench.adc.close()
 
 
-@pytest.fixture(params=SERIAL)
-def make_serial(request, far_end_process):
-    """Make a bench of this kind with these settings at a serial line; it is let go at the end."""
+@pytest.fixture
+def make_at_line(far_end_process):
+    """Make a bench of this kind with these settings at this line; it is let go at the end."""
     made = []
 
-    def make(kind, **settings):
-        name = request.param
-        wire = SerialInProcess() if name == "in_process" else SerialElsewhere(*far_end_process("serial", name))
+    def make(kind, line, **settings):
+        if line == "in_process":
+            wire = SerialInProcess()
+        elif line == "tcp":
+            wire = SocketElsewhere(*far_end_process("tcp", line))
+        else:
+            wire = SerialElsewhere(*far_end_process("serial", line))
         made.append(kind(wire=wire, **settings))
         return made[-1]
 
@@ -99,16 +106,16 @@ def make_serial(request, far_end_process):
         bench.supply.close()
 
 
-@pytest.fixture
-def make_supply(make_serial):
+@pytest.fixture(params=SERIAL)
+def make_supply(request, make_at_line):
     """Make a supply that speaks SCPI, with these settings."""
-    return partial(make_serial, SupplyBench)
+    return partial(make_at_line, SupplyBench, request.param)
 
 
-@pytest.fixture
-def make_bk1688b(make_serial):
+@pytest.fixture(params=SERIAL)
+def make_bk1688b(request, make_at_line):
     """Make a supply of the 168xB family, with these settings."""
-    return partial(make_serial, Bk1688bBench)
+    return partial(make_at_line, Bk1688bBench, request.param)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A far end in a process of its own, on a real bus: `python -m tests.driver.far_end_process can|i2c|serial PLACE`.
+"""A far end in a process of its own, on a real bus: `python -m tests.driver.far_end_process can|i2c|serial|tcp PLACE`.
 
 Requests come as lines of JSON on stdin, [name, arguments], and each is answered by one line; the end of stdin ends it.
 """
@@ -15,7 +15,7 @@ from leactl.bench.wiring import MachineWiring
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire
 from leactl.emulation.wires.serial import SerialWire
-from leactl.emulation.wires.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
+from leactl.emulation.wires.serving import CanBridge, SerialBridge, SocketBridge, StubChip, serve, stub_bus
 from tests.driver.failing import SERIAL_ENDS, FailingConverter, FailingDrive
 
 CHIP = 0x48
@@ -85,8 +85,12 @@ def serve_converter(place):
 def serve_line(place):
     clock = EmulatedClock()
     wire = SerialWire(clock, 10 / 115200)
-    bridge = SerialBridge(wire)
-    Path(place["link"]).symlink_to(bridge.place.split()[-1])
+    if "resource_file" in place:
+        bridge = SocketBridge(wire)
+        Path(place["resource_file"]).write_text(bridge.place.split()[-1])
+    else:
+        bridge = SerialBridge(wire)
+        Path(place["link"]).symlink_to(bridge.place.split()[-1])
 
     def make(kind, *arguments):
         wire.device = SERIAL_ENDS[kind](*arguments)
@@ -100,4 +104,5 @@ def serve_line(place):
 
 
 if __name__ == "__main__":
-    {"can": serve_drive, "i2c": serve_converter, "serial": serve_line}[sys.argv[1]](json.loads(sys.argv[2]))
+    serve_end = {"can": serve_drive, "i2c": serve_converter, "serial": serve_line, "tcp": serve_line}[sys.argv[1]]
+    serve_end(json.loads(sys.argv[2]))

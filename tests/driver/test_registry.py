@@ -33,6 +33,12 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
         assert words in faults
 
 
+@pytest.mark.parametrize(("name", "further"), [("scpi_supply", ("can",)), ("ads1115", ("visa",))])
+def test_a_driver_over_a_further_bus_that_gives_it_another_port_breaks_the_contract(name, further):
+    driver = type("Elsewhere", (registry.load(name),), {"further_transports": further, "__doc__": "Elsewhere."})
+    assert conformance.faults_of(driver) == ["further_transports is only known as ('visa',), of a driver over serial"]
+
+
 def test_a_supply_that_cannot_be_cut_at_once_breaks_the_contract():
     supply = registry.load("scpi_supply")
 

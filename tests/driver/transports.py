@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
+from leactl.bench.benchfile import CanBus, I2cBus, SerialBus, VisaBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
 from leactl.emulation.clock import EmulatedClock
@@ -133,6 +133,23 @@ class SerialElsewhere(SerialToLine):
 
     def __init__(self, process, place):
         super().__init__(place["link"])
+        self._process = process
+
+    def device(self, kind, *arguments):
+        self._process.ask("new", kind, *arguments)
+        return FarEnd(self._process)
+
+
+class SocketElsewhere:
+    """A TCP server, and what is behind it in another process."""
+
+    exact = False
+    settings = SerialToLine.settings
+
+    def __init__(self, process, place):
+        self.clock = MonotonicClock()
+        self.resource = Path(place["resource_file"]).read_text()
+        self.connect = MachineWiring().serial("supply0", VisaBus(kind="visa", resource=self.resource))
         self._process = process
 
     def device(self, kind, *arguments):

@@ -88,4 +88,6 @@ def test_a_line_that_is_none_cannot_be_cut(bench):
     file, devices, _document = benchfile.load(bench())
     standing = Standing(file, {device.name: device for device in devices})
     fault = find_fault("cut_line").model_validate({"fault": "cut_line", "at_s": 1, "bus": "i2c1"})
-    assert fault.misfits(standing) == {"bus": "'i2c1' is no serial line of the bench; it has line_test, line_load"}
+    assert fault.misfits(standing) == {
+        "bus": "'i2c1' is no serial line or raw socket of the bench; it has line_test, line_load"
+    }

@@ -8,7 +8,7 @@ from typing import Any
 import can
 import numpy as np
 
-from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, LineBus
 from leactl.driver import registry
 from leactl.driver.far_end import BuslessEmulator, Numbered, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
@@ -127,7 +127,7 @@ class EmulatedBench:
         }
         self.bus_of = {device.name: device.entry.bus or "" for device in devices}
         self.serial_wires = {
-            name: SerialWire(self.time, bus.byte_s) for name, bus in file.buses.items() if isinstance(bus, SerialBus)
+            name: SerialWire(self.time, bus.byte_s) for name, bus in file.buses.items() if isinstance(bus, LineBus)
         }
         self.far_ends: dict[str, Any] = {}
         self.signals: dict[str, Signals] = {}
@@ -158,7 +158,7 @@ class EmulatedBench:
         """Let weights act on the torque sensor [N*m]."""
         self.rig.hung_torque = torque
 
-    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+    def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """How to connect to an emulated serial line."""
         return lambda: EmulatedSerialLine(self.serial_wires[name])
 

@@ -1,19 +1,19 @@
-"""A serial line whose cable is out."""
+"""A serial line or a network whose cable is out."""
 
 from collections.abc import Sequence
 
 from pydantic import Field
 
-from leactl.bench.benchfile import BenchFile, SerialBus
+from leactl.bench.benchfile import BenchFile, LineBus
 from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, Standing, Undo
 
 
 class CutLine(LastingFault):
-    """The cable of a serial line comes off, or a wire of it breaks: nothing arrives any more, on either side."""
+    """The cable of a serial line or of a raw socket comes off, or breaks: nothing arrives any more, on either side."""
 
     example = "{fault: cut_line, at_s: 2, bus: line_test}"
 
-    bus: str = Field(description="name of the serial line")
+    bus: str = Field(description="name of the serial line or raw socket")
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
@@ -21,10 +21,10 @@ class CutLine(LastingFault):
         return (Drill({}, 0.1, "cyclic_age_s"),)
 
     def misfits(self, standing: Standing) -> dict[str, str]:
-        """A bus that is none, or no serial line."""
-        lines = [name for name, bus in standing.file.buses.items() if isinstance(bus, SerialBus)]
-        known = f"it has {', '.join(lines) or 'none'}"
-        return {} if self.bus in lines else {"bus": f"'{self.bus}' is no serial line of the bench; {known}"}
+        """A bus that is none, or no line."""
+        lines = [name for name, bus in standing.file.buses.items() if isinstance(bus, LineBus)]
+        known = f"no serial line or raw socket of the bench; it has {', '.join(lines) or 'none'}"
+        return {} if self.bus in lines else {"bus": f"'{self.bus}' is {known}"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Take the cable out."""

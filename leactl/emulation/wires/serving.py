@@ -1,7 +1,8 @@
 """An emulated bench for drivers in other processes: its far ends answer on real buses, by the wall clock.
 
 CAN goes over any of python-can's interfaces (`udp_multicast`, SocketCAN) or an slcan adapter on a pseudo terminal; I2C
-goes through the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal.
+goes through the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal,
+the raw socket of an instrument a TCP server.
 """
 
 import select
@@ -13,13 +14,14 @@ from typing import Protocol
 
 import can
 
-from leactl.bench.benchfile import BenchFile, CanBus, I2cBus, SerialBus
+from leactl.bench.benchfile import BenchFile, CanBus, I2cBus, SerialBus, VisaBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.far_end import StoreKeeper
 from leactl.driver.i2c_port import SmBus, swapped
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, message_of
+from leactl.emulation.wires.listening_socket import ListeningSocket
 from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires.slcan import SlcanAdapter
@@ -119,6 +121,32 @@ class SerialBridge:
         self._terminal.close()
 
 
+class SocketBridge:
+    """A TCP server, where it is, and the emulated line behind it."""
+
+    def __init__(self, wire: SerialWire) -> None:
+        self._server, self._wire = ListeningSocket(), wire
+        self.place = f"visa on {self._server.resource}"
+        self._inner = EmulatedSerialLine(wire)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._server.fileno()
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side; answers for a client before the present one are dropped."""
+        if self._server.accept():
+            self._inner = EmulatedSerialLine(self._wire)
+        self._inner.write(self._server.read())
+        if answer := self._inner.read(0.0):
+            self._server.write(answer)
+
+    def close(self) -> None:
+        """Let both sides go."""
+        self._inner.close()
+        self._server.close()
+
+
 class StubChip:
     """One chip of i2c-stub, whose registers a device's far end keeps."""
 
@@ -143,7 +171,7 @@ class StubChip:
 def bridged(
     file: BenchFile, wires: Mapping[str, CanWire], serial_wires: Mapping[str, SerialWire]
 ) -> Iterator[dict[str, Bridge]]:
-    """Bridge every CAN bus and serial line of the file to its wire until the block is left.
+    """Bridge every CAN bus, serial line and raw socket of the file to its wire until the block is left.
 
     Raises
     ------
@@ -158,6 +186,8 @@ def bridged(
                 bridges[name] = CanBridge(place, real, wires[name])
             elif isinstance(bus, SerialBus):
                 bridges[name] = SerialBridge(serial_wires[name])
+            elif isinstance(bus, VisaBus):
+                bridges[name] = SocketBridge(serial_wires[name])
             else:
                 continue
             opened.callback(bridges[name].close)

@@ -112,14 +112,14 @@ def current(record: Record, s: Signals) -> Equation | None:
     if moved_by_a_servo(clock):
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
         mask &= ~settling(swift, settles, s.interval)
-    if moved_by_a_servo(clock) or not clock.setpoints_held:
+    channels = [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")]
+    on_time = not any(channel in clock.unstamped for channel in channels)  # else stamps are late by more than this
+    if moved_by_a_servo(clock) or (on_time and not clock.setpoints_held):
         # a servo inside the drive moves the reference between samples, or whatever sets it may: when in the interval is
         # not recorded. Beside its slope stands what the sample before says, free of a swift change that follows
         nuisance[BETWEEN_SAMPLES] = (-change, 0.5 * s.interval)
         nuisance["reference_before"] = (neighbour(s.following, -1) - s.following, 0.5)
-    shared = stamp_columns(
-        "current", clock, [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")], s.following
-    )
+    shared = stamp_columns("current", clock, channels, s.following)
     following = s.following
     if clock.setpoints_between and not moved_by_a_servo(clock):
         earlier = neighbour(s.following, -1) - s.following

@@ -1,4 +1,4 @@
-"""Programmable DC supply over a serial line: switched off at `open` and `close`, and every setting is read back.
+"""Programmable DC supply over a serial line or LAN: switched off at `open` and `close`, every setting is read back.
 
 The instrument takes tens of milliseconds for an answer, and nothing waits for one within the loop.
 """
@@ -25,7 +25,8 @@ class ScpiSupply(Driver):
 
     Settings = ScpiSupplySettings
     transport = "serial"
-    summary = "DC supply over a serial line (SCPI; Keysight E3632A to E3634A, Rigol DP811)"
+    further_transports = ("visa",)
+    summary = "DC supply over a serial line or LAN (SCPI; Keysight E3632A to E3634A, Rigol DP811)"
     example: ClassVar[Mapping[str, Any]] = {
         "dialect": "e36xx",
         "model": "E3633A",

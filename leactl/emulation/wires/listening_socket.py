@@ -1,0 +1,69 @@
+"""The far side of an instrument's raw socket: a TCP server on this machine."""
+
+import select
+import socket
+from contextlib import suppress
+
+MOST_BYTES = 4096
+WAITING = 8  # connections that are not accepted yet
+
+
+class ListeningSocket:
+    """A TCP server on a free port of the loopback interface; the client that has connected last is served."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=WAITING)
+        self._listener.setblocking(False)
+        self._client: socket.socket | None = None
+        self._events = select.epoll()  # one descriptor to wait for, whichever of the two sockets is ready
+        self._events.register(self._listener, select.EPOLLIN)
+        self.resource = "TCPIP::{}::{}::SOCKET".format(*self._listener.getsockname())
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._events.fileno()
+
+    def accept(self) -> bool:
+        """Whether a client has connected since the last call; it takes the place of the one before."""
+        accepted = False
+        with suppress(BlockingIOError):
+            while True:
+                client, _ = self._listener.accept()
+                self._drop()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._events.register(client, select.EPOLLIN)
+                self._client, accepted = client, True
+        return accepted
+
+    def read(self) -> bytes:
+        """What the client has sent; never waits."""
+        if self._client is None:
+            return b""
+        try:
+            read = self._client.recv(MOST_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError:  # the client has dropped the connection
+            read = b""
+        if not read:
+            self._drop()
+        return read
+
+    def write(self, data: bytes) -> None:
+        """Send; what a client that does not read has no room for is lost."""
+        if self._client is not None:
+            with suppress(OSError):
+                self._client.send(data)
+
+    def close(self) -> None:
+        """Close the server and the connection of its client."""
+        self._drop()
+        self._listener.close()
+        self._events.close()
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._events.unregister(self._client)
+            self._client.close()
+            self._client = None
