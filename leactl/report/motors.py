@@ -42,7 +42,7 @@ class ComparedMotor:
     sheet: MotorSheet
     carried: Nominal | None
     lacks: tuple[str, ...]  # of what moving it takes
-    setting: OperatingConditions
+    conditions: OperatingConditions
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ Figure = tuple[str, str, Callable[[ComparedMotor], float | str | None]]
 FRAME_DEPENDENT = {"torque_constant", "phase_resistance", "phase_inductance", "continuous_current", "network_current"}
 
 
-def compared_motor(name_or_path: str, setting: OperatingConditions) -> ComparedMotor:
+def compared_motor(name_or_path: str, conditions: OperatingConditions) -> ComparedMotor:
     """Read a motor file, and work out the currents it carries where the file is complete.
 
     Raises
@@ -68,8 +68,8 @@ def compared_motor(name_or_path: str, setting: OperatingConditions) -> ComparedM
     """
     sheet, document = load_sheet(name_or_path)
     motor, lacks = _movable(document)
-    carried = nominal(motor, setting.ambient, [PEAK_DURATION_S]) if motor is not None else None
-    return ComparedMotor(sheet, carried, lacks, setting)
+    carried = nominal(motor, conditions.ambient, [PEAK_DURATION_S]) if motor is not None else None
+    return ComparedMotor(sheet, carried, lacks, conditions)
 
 
 def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
@@ -92,8 +92,8 @@ def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
     """Return conditions, figures and notes of these motors as JSON takes them."""
     return {
         "motors": [motor.sheet.name for motor in motors],
-        "ambient_degC": motors[0].setting.ambient,
-        "bus_voltage_V": motors[0].setting.bus_voltage,
+        "ambient_degC": motors[0].conditions.ambient,
+        "bus_voltage_V": motors[0].conditions.bus_voltage,
         "rows": [
             {"name": row.name, "units": row.units, "values": list(row.values), "depends_on_frame": row.of_frame}
             for row in figure_rows(motors)
@@ -158,12 +158,12 @@ def against_itself(sheet: MotorSheet) -> list[str]:
 def against_print(motor: ComparedMotor) -> list[str]:
     """Return a note for each printed figure of the source that does not follow from its other values."""
     sheet, printed = motor.sheet, motor.sheet.printed
-    torques = continuous_torques(sheet, motor.setting.ambient)
+    torques = continuous_torques(sheet, motor.conditions.ambient)
     pairs = [
         ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
         ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
         ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
-        ("continuous current", "A", sheet.continuous_current, network_current(sheet, motor.setting.ambient), 0.02),
+        ("continuous current", "A", sheet.continuous_current, network_current(sheet, motor.conditions.ambient), 0.02),
         ("nominal torque", "N*m", printed.nominal_torque, torques.stated, 0.02),
         ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, _carried(lambda held: held.peaks[0])(motor), 0.02),
     ]
@@ -196,7 +196,7 @@ def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], f
 
 
 def _torque(name: str) -> Callable[[ComparedMotor], float | None]:
-    return lambda motor: getattr(continuous_torques(motor.sheet, motor.setting.ambient), name)
+    return lambda motor: getattr(continuous_torques(motor.sheet, motor.conditions.ambient), name)
 
 
 def _loop(
@@ -253,21 +253,25 @@ FIGURES: list[Figure] = [
     ("line_to_line_inductance", "uH", lambda motor: _scaled(electrical(motor.sheet).line_to_line().inductance, 1e6)),
     ("torque_per_line_ampere", "N*m/A", lambda motor: electrical(motor.sheet).per_line_amplitude()),
     ("motor_constant", "N*m/sqrt(W)", lambda motor: motor_constant(motor.sheet)),
-    ("no_load_speed", "rad/s", lambda motor: no_load_speed(motor.sheet, motor.setting.bus_voltage)),
+    ("no_load_speed", "rad/s", lambda motor: no_load_speed(motor.sheet, motor.conditions.bus_voltage)),
     ("winding_ambient_resistance", "K/W", _of_network("winding_ambient_resistance")),
     ("winding_housing_resistance", "K/W", _of_network("winding_housing_resistance")),
     ("housing_ambient_resistance", "K/W", _of_network("housing_ambient_resistance")),
     ("winding_capacitance", "J/K", _of_network("winding_capacitance")),
     ("housing_capacitance", "J/K", _of_network("housing_capacitance")),
     ("continuous_current", "A", _of_sheet("continuous_current")),
-    ("network_current", "A", lambda motor: network_current(motor.sheet, motor.setting.ambient)),
-    ("continuous_torque", "N*m", lambda motor: continuous_torques(motor.sheet, motor.setting.ambient).stated),
-    ("torque_density", "N*m/kg", lambda motor: continuous_torques(motor.sheet, motor.setting.ambient).stated_density),
-    ("network_torque", "N*m", lambda motor: continuous_torques(motor.sheet, motor.setting.ambient).network),
+    ("network_current", "A", lambda motor: network_current(motor.sheet, motor.conditions.ambient)),
+    ("continuous_torque", "N*m", lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).stated),
+    (
+        "torque_density",
+        "N*m/kg",
+        lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).stated_density,
+    ),
+    ("network_torque", "N*m", lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).network),
     (
         "network_torque_density",
         "N*m/kg",
-        lambda motor: continuous_torques(motor.sheet, motor.setting.ambient).network_density,
+        lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).network_density,
     ),
     ("standing_torque", "N*m", _carried(lambda held: held.standing)),
     ("peak_torque_20_s", "N*m", _carried(lambda held: held.peaks[0])),

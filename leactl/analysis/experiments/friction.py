@@ -117,8 +117,8 @@ def analyze(
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
     names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
-    whole = [estimate for estimate in results if not estimate.name.endswith(tuple(DIRECTIONS))]
-    notes[:0] = unit_notes(runs, whole, [CURRENT], [VELOCITY], torque_constant)
+    of_both_directions = [estimate for estimate in results if not estimate.name.endswith(tuple(DIRECTIONS))]
+    notes[:0] = unit_notes(runs, of_both_directions, [CURRENT], [VELOCITY], torque_constant)
     results.sort(key=lambda estimate: next(k for k, name in enumerate(names) if estimate.name.startswith(name)))
     return Result("friction", paths, tuple(results), tuple(notes), (plot,))
 

@@ -110,10 +110,10 @@ def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[flo
 
 def clipped_peaks(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
     """Return value and starts for responses that are clipped before they settle, as at the top of an overshoot."""
-    whole = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
-    parts = [channel.values[part][np.isfinite(channel.values[part])] for part in whole]
-    every = np.concatenate(parts) if parts else np.zeros(0)
-    for extreme in (every.max(), every.min()) if len(every) else ():
+    spans = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
+    parts = [channel.values[part][np.isfinite(channel.values[part])] for part in spans]
+    readings = np.concatenate(parts) if parts else np.zeros(0)
+    for extreme in (readings.max(), readings.min()) if len(readings) else ():
         cut = {hold.start for hold, part in zip(holds, parts, strict=True) if piles_up(part, float(extreme), share=0.0)}
         if cut:
             return float(extreme), cut

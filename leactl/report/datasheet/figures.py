@@ -47,9 +47,9 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link
     count = max((len(answer.result.plots) for answer in all_answers), default=0)
     cards = []
     for index in range(count):
-        drawn = [figures_of(answers, index, colours) for answers in answers_by_set]
-        for k, drawings in enumerate(drawn):
-            other_drawings = [drawing for other in drawn[:k] + drawn[k + 1 :] for drawing in other]
+        drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
+        for k, drawings in enumerate(drawings_by_set):
+            other_drawings = [drawing for other in drawings_by_set[:k] + drawings_by_set[k + 1 :] for drawing in other]
             other_layers = [layer for drawing in other_drawings for layer in drawing.layers]
             whose = f"{sets[k].name}: " if len(sets) > 1 else ""
             cards += [figure(drawing, other_layers, whose, link) for drawing in drawings]

@@ -107,8 +107,8 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
             ]
             shown: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
-                whole = pooled_cell(cells[0])
-                shown = [(cell,) for cell in [*cells[0], *([whole] if len(whole.actuators) > 1 else [])]]
+                pooled = pooled_cell(cells[0])
+                shown = [(cell,) for cell in [*cells[0], *([pooled] if len(pooled.actuators) > 1 else [])]]
             else:
                 shown = [
                     tuple(
@@ -173,14 +173,16 @@ def cells_of(
 def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
     """Pool the cells of several actuators: the mean of their values, or bounds that hold for all where none has one."""
     pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
-    valued = [(cell, known) for cell, known in pairs if math.isfinite(known.value)]
-    bounded = [(cell, known) for cell, known in pairs if not (math.isnan(known.low) and math.isnan(known.high))]
+    valued = [(cell, estimate) for cell, estimate in pairs if math.isfinite(estimate.value)]
+    bounded = [
+        (cell, estimate) for cell, estimate in pairs if not (math.isnan(estimate.low) and math.isnan(estimate.high))
+    ]
     chosen = valued or bounded or pairs
     if len(chosen) < 2:
         return chosen[0][0] if chosen else cells[0]
-    estimate = (over_actuators if valued else widest)([known for _, known in chosen])
+    pooled = (over_actuators if valued else widest)([estimate for _, estimate in chosen])
     entries = tuple(entry for cell, _ in chosen for entry in cell.entries)
-    return DatasheetCell(estimate, entries, actuators=tuple(name for cell, _ in chosen for name in cell.actuators))
+    return DatasheetCell(pooled, entries, actuators=tuple(name for cell, _ in chosen for name in cell.actuators))
 
 
 def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> DatasheetCell:

@@ -20,12 +20,12 @@ def rows_table(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
     headings += ["units", "LEA in the paper", "from"]
     head = tag("thead", tag("tr", *(tag("th", heading, scope="col") for heading in headings)))
     bodies = []
-    for experiment, own_rows in section.rows.items():
-        measured = any(cell.estimate is not None for row in own_rows for cell in row.cells)
+    for experiment, experiment_rows in section.rows.items():
+        measured = any(cell.estimate is not None for row in experiment_rows for cell in row.cells)
         name = heading(experiment)
         title = tag("a", name, href=f"#{anchor}-{experiment}") if measured else name
         opening = tag("tr", tag("th", title, scope="rowgroup", colspan=str(len(headings))), class_="group")
-        bodies.append(tag("tbody", opening, *(table_row(row, several, headings) for row in own_rows)))
+        bodies.append(tag("tbody", opening, *(table_row(row, several, headings) for row in experiment_rows)))
     return tag("div", tag("table", head, *bodies, class_="datasheet"), class_="scroll", tabindex="0")
 
 
