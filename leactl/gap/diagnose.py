@@ -13,6 +13,7 @@ from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectPa
 from leactl.gap.null import beside, compare, confirmed_beside_others, measure
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
+from leactl.gap.search import sets
 from leactl.gap.search.confirm import held_out_gains
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration
@@ -192,9 +193,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     progress("trying them on held-out runs")
     gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
     judged = judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
-    heard = [not left_by_form(searched, index) for index in range(len(evidence.stack.rows))]
-    lines = ringing(evidence, evidence.settle(searched.hypothesis), heard)
-    restless = unrest(evidence, searched)
+    restless, lines = left_over(evidence, searched)
     surprise = unexplained(restless, lines)
     causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated(evidence, evidence.settle([]))
@@ -247,6 +246,9 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     calibrates = not applied.calibration_withdrawn and gained(evidence, searched)
     names = {cause.effect for cause in applied.fitted.causes}
     standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
+    if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again
+        without = unexplained(*left_over(evidence, sets.describe(evidence, list(standing))))
+        surprise = max(surprise, without, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -285,6 +287,13 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
             "profiles": profiles(replayed, shrunk.channels, located),
         },
     )
+
+
+def left_over(evidence: Evidence, result: EffectSet) -> tuple[dict[Channel, float], dict[Channel, Line]]:
+    """How restless a set leaves each channel, and the lines in the spectra of what it leaves."""
+    heard = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
+    lines = ringing(evidence, evidence.settle(result.hypothesis), heard)
+    return unrest(evidence, result), lines
 
 
 def outweighed(

@@ -147,6 +147,7 @@ class Shown:
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     left: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
@@ -163,6 +164,8 @@ class Shown:
             self.unrest.setdefault(key, []).append(value)
         for key, value in evidence.left().items():
             self.left.setdefault(key, []).append(value)
+        for key, value in evidence.white().items():
+            self.white.setdefault(key, []).append(value)
         for effect, items in by_themselves(evidence).items():
             if sizes := sizes_by_chance(effect, items):
                 self.sizes.setdefault(effect, []).append(sizes)
@@ -183,6 +186,7 @@ class Shown:
         return Null(
             {key: float(np.mean(values)) for key, values in self.unrest.items()},
             {key: float(np.mean(values)) for key, values in self.left.items()},
+            {key: float(np.mean(values)) for key, values in self.white.items()},
             {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},

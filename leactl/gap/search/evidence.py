@@ -81,6 +81,7 @@ class Null:
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
     left: Mapping[tuple[str, str], float]  # variance of the rows, times how many of them count for one
+    white: Mapping[tuple[str, str], float]  # variance of the rows' noise from one to the next
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
     errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
@@ -155,7 +156,8 @@ class Evidence:
     def weigh_as_usual(self) -> None:
         """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
         for rows in self.stack.rows:
-            rows.noise, rows.dependence = rows.white, self.expected(rows)
+            rows.noise = self.sound_white(rows)
+            rows.dependence = self.expected(rows, rows.noise)
 
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
@@ -178,16 +180,26 @@ class Evidence:
         other.form_spread = self.form_spread
         return other
 
-    def expected(self, rows: Rows) -> float:
+    def expected(self, rows: Rows, white: float | None = None) -> float:
         """The unrest that a sound machine shows in some rows.
 
         Sound machines tell it as a ratio to their own noise from row to row, and as a variance: where the case has less
         noise than they, what its equations miss is as large and stands out more.
+
+        white : noise from row to row that the unrest is a ratio to; the rows' own where left out.
         """
         if self.null is None:
             return 1.0
         key = rows.equation, rows.kind
-        return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / rows.white**2)
+        return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / (white or rows.white) ** 2)
+
+    def sound_white(self, rows: Rows) -> float:
+        """Noise of rows from one to the next as a sound machine has it, at most the rows' own.
+
+        What swings within a few rows counts as noise by itself. Sound machines have the noise of the channels alone.
+        """
+        sound = self.null.white.get((rows.equation, rows.kind)) if self.null is not None else None
+        return rows.white if sound is None else min(rows.white, math.sqrt(sound))
 
     def is_judged(self, rows: Rows) -> bool:
         """Whether what is left over of some rows tells anything: it is known what a sound machine leaves there."""
@@ -248,6 +260,10 @@ class Evidence:
         Where every row is right but for noise it is about one.
         """
         return self._mean_of(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
+
+    def white(self) -> dict[tuple[str, str], float]:
+        """Variance of the rows' noise from one to the next, by equation and kind."""
+        return self._mean_of(lambda rows: rows.white**2)
 
     def left(self) -> dict[tuple[str, str], float]:
         """Variance of rows under the present noise, times as many rows as count for one; by equation and kind."""

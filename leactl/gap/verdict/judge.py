@@ -92,9 +92,10 @@ def unrest(evidence: Evidence, result: EffectSet) -> dict[tuple[str, str, str], 
     for index, rows in enumerate(evidence.stack.rows):
         if not evidence.is_judged(rows):
             continue
-        value = (rows.noise / rows.white) ** 2 * rows.dependence
-        expected = evidence.expected(rows)
-        slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)
+        white = evidence.sound_white(rows)
+        value = (rows.noise / white) ** 2 * rows.dependence
+        expected = evidence.expected(rows, white)
+        slow = max(rows.noise**2 - white**2 * NOISE_BESIDE, 0.0)
         # what a shared parameter leaves of a large signal is no sign either
         if left_by_form(result, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
             value = min(value, expected)
