@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 from leactl.driver.far_end import Machine
-from leactl.driver.tables.writing import TableDialect, new_export
 from leactl.errors import InputError
+from leactl.tables.writing import TableDialect, new_export
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)

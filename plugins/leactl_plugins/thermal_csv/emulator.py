@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from leactl.driver.tables.writing import TableDialect, new_export
+from leactl.tables.writing import TableDialect, new_export
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 SYMBOLS = {"degC": "°C", "degF": "°F", "K": "K"}

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from leactl.driver.batch import refuse_text_order
-from leactl.driver.tables.number_format import read_numbers
-from leactl.driver.tables.text_table import (
+from leactl.errors import InputError
+from leactl.tables.number_format import read_numbers
+from leactl.tables.text_table import (
     DELIMITER_NAMES,
     DELIMITERS,
     SEP_LINE,
@@ -18,7 +19,6 @@ from leactl.driver.tables.text_table import (
     read_text,
     strip_cells,
 )
-from leactl.errors import InputError
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.driver.tables.number_format import Numbers, read_numbers
-from leactl.driver.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
+from leactl.tables.number_format import Numbers, read_numbers
+from leactl.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
 from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps

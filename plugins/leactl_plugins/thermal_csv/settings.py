@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import Shown
-from leactl.driver.tables.number_format import TableFormat
+from leactl.tables.number_format import TableFormat
 from leactl.units import known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")

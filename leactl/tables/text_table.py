@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from leactl.driver.tables.number_format import TableFormat
 from leactl.errors import InputError
 from leactl.regular import open_regular
+from leactl.tables.number_format import TableFormat
 
 MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
 MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import StringConstraints, model_validator
 
-from leactl.driver.contract import DriverSettings
 from leactl.errors import InputError
+from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
 SPACES = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
@@ -27,7 +27,7 @@ Where = Callable[[str, int], str]  # heading and row
 Mark = Annotated[str, StringConstraints(strict=True)]
 
 
-class TableFormat(DriverSettings):
+class TableFormat(Block):
     """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
 
     encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
