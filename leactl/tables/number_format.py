@@ -6,11 +6,12 @@ different values, the file is refused, and the message names the setting that de
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from io import BytesIO, TextIOWrapper
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import StringConstraints, model_validator
+from pydantic import StringConstraints, field_validator, model_validator
 
 from leactl.errors import InputError
 from leactl.yamlblock import Block
@@ -25,22 +26,39 @@ CELL = re.compile(
 THOUSANDS = (",", ".", " ", "'")
 Where = Callable[[str, int], str]  # heading and row
 Mark = Annotated[str, StringConstraints(strict=True)]
+Character = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)]
 
 
 class TableFormat(Block):
-    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+    """How a text table is written; what is None is detected."""
 
-    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
-    delimiter: Literal[",", ";", "\t", "|"] | None = None
+    encoding: str | None = None
+    delimiter: Character | None = None
     decimal: Literal[".", ","] | None = None
     thousands: Literal["", ",", ".", " ", "'"] | None = None
     missing: tuple[Mark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
+
+    @field_validator("encoding")
+    @classmethod
+    def _known_encoding(cls, value: str | None) -> str | None:
+        try:
+            TextIOWrapper(BytesIO(), value)
+        except LookupError:
+            raise ValueError("the name of an encoding, such as utf-8 or cp1252, was expected") from None
+        return value
 
     @model_validator(mode="after")
     def _marks_differ(self) -> "TableFormat":
         if self.decimal is not None and self.decimal in (self.thousands, self.delimiter):
             raise ValueError(f"decimal {self.decimal!r} is the thousands mark or the delimiter as well")
         return self
+
+
+class DetectedFormat(TableFormat):
+    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+
+    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
+    delimiter: Literal[",", ";", "\t", "|"] | None = None
 
 
 class NumberFormat(NamedTuple):

@@ -9,9 +9,12 @@ import csv
 import errno
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from io import TextIOWrapper
 from pathlib import Path
+from typing import TextIO
 
 from leactl.errors import InputError
 from leactl.regular import open_regular
@@ -53,7 +56,7 @@ class Table:
 
     def place(self, heading: str, row: int) -> str:
         """File, line and column of a cell for messages."""
-        return f"{self.path}: line {self.lines[row]}, column {heading!r}"
+        return cell_place(self.path, self.lines[row], heading)
 
     def heading(self, wanted: str) -> str:
         """The full heading, with its unit, of a column.
@@ -97,6 +100,57 @@ def common_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
     if len(named) > 1:
         raise InputError(f"{column} holds numbers in {' and '.join(named)}")
     return "".join(named)
+
+
+def cell_place(path: Path, line: int, column: str | int) -> str:
+    """File, line and column of a cell for messages."""
+    return f"{path}: line {line}, column {column!r}"
+
+
+@contextmanager
+def open_text(path: Path, encoding: str, most: int | None = None, advice: str = "") -> Iterator[TextIO]:
+    """Open a text of a known encoding with the line ends that it has.
+
+    Parameters
+    ----------
+    most : bytes that it may have.
+    advice : what a message adds that names the encoding.
+
+    Raises
+    ------
+    InputError : it cannot be opened, is no regular file, is larger than `most`, or has another encoding.
+    """
+    try:
+        with TextIOWrapper(open_regular(path, most), encoding, newline="") as stream:
+            try:
+                yield stream
+            except UnicodeDecodeError as error:
+                at = stream.buffer.tell() - len(error.object) + error.start  # the last block that was read is at fault
+                raise InputError(f"{path}: not {encoding} at byte {at}{advice}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+
+
+def rows_of(
+    path: Path, lines: Iterable[str], delimiter: str, strict: bool = False, before: int = 0
+) -> Iterator[tuple[int, list[str]]]:
+    """Last line and cells of each row; a blank line has no cells.
+
+    Parameters
+    ----------
+    strict : whether a quote has to end with its cell.
+    before : lines of the file before the first of `lines`.
+
+    Raises
+    ------
+    InputError : a row that cannot be split into cells.
+    """
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=strict)
+    try:
+        for cells in reader:
+            yield before + reader.line_num, cells
+    except csv.Error as error:
+        raise InputError(f"{path}: line {before + reader.line_num}: {error}") from None
 
 
 def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
@@ -193,10 +247,9 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
     """The cells of one line."""
-    try:
-        return next(csv.reader([line], delimiter=delimiter), [])
-    except csv.Error:
-        return []
+    with suppress(InputError):
+        return next(rows_of(Path(), [line], delimiter), (0, list[str]()))[1]
+    return []
 
 
 def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
@@ -227,54 +280,46 @@ def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Se
 
 def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
     """Read all lines from the headings on; each is a row, repeated headings, an aside, blank, or a fault."""
-    reader = csv.reader(lines, delimiter=delimiter)
-    faults: list[str] = []
-    uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
-    try:
-        headings = table.headings = strip_cells(next(reader))
-        if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
-            table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
-        width, rows, line_numbers = len(headings), table.rows, table.lines
-        empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
-        last_line = reader.line_num
-        for cells in reader:
-            if reader.line_num > last_line + 1:
-                message = "a quote opens a cell that does not end in its line"
-                raise InputError(f"{table.path}: line {before + last_line + 1}: {message}")
-            last_line = reader.line_num
-            plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
-            if not plain:
-                filled = strip_cells(cells)
-                if not filled:
-                    if every_row and len(cells) >= width:
-                        empty.append((before + reader.line_num, cells))
-                    continue
-                if filled == headings:
-                    table.repeated_headers += 1
-                    empty.clear()
-                    continue
-                if not STAMPED.match(filled[0]) and note_aside(table, before + reader.line_num, filled):
-                    continue
-            if uneven is not None:
-                faults.append(width_fault(table, *uneven, width))
-                uneven = None
-                if len(faults) == MOST_FAULTS:
-                    break
-            for line, nothing in empty:
-                rows.append(nothing)
-                line_numbers.append(line)
-            empty.clear()
-            if plain or len(filled) <= width <= len(cells):
-                rows.append(cells)
-                line_numbers.append(before + reader.line_num)
+    reader = rows_of(table.path, lines, delimiter, before=before)
+    last_line, cells = next(reader)
+    headings = table.headings = strip_cells(cells)
+    if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
+        table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
+    width, faults = len(headings), list[str]()
+    uneven: tuple[int, list[str]] | None = None  # a row that only the file's end excuses
+    empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
+    for line, cells in reader:
+        if line > last_line + 1:
+            raise InputError(f"{table.path}: line {last_line + 1}: a quote opens a cell that does not end in its line")
+        last_line = line
+        if len(cells) != width or not cells[0][:1].isdigit() or cells[0] == headings[0]:
+            filled = strip_cells(cells)
+            if not filled:
+                if every_row and len(cells) >= width:
+                    empty.append((line, cells))
+                continue
+            if filled == headings:
+                table.repeated_headers += 1
+                empty.clear()
+                continue
+            if not STAMPED.match(filled[0]) and note_aside(table, line, filled):
+                continue
+        if uneven is not None:
+            faults.append(width_fault(table.path, *uneven, width))
+            uneven = None
+            if len(faults) == MOST_FAULTS:
+                break
+        for number, row in (*empty, (line, cells)):
+            if width_fault(table.path, number, row, width):
+                uneven = number, row
             else:
-                uneven = before + reader.line_num, len(cells)
-    except csv.Error as error:
-        raise InputError(f"{table.path}: line {before + reader.line_num}: {error}") from None
-    if uneven is not None and uneven[1] > width:
-        faults.append(width_fault(table, *uneven, width))
+                table.rows.append(row)
+                table.lines.append(number)
+        empty.clear()
+    if uneven is not None and len(uneven[1]) > width:
+        faults.append(width_fault(table.path, *uneven, width))
     elif uneven is not None:
-        table.remarks.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
+        table.remarks.append(f"the last row, line {uneven[0]}, ends after {len(uneven[1])} of {width} cells: left out")
     if faults:
         raise InputError(faults)
 
@@ -287,10 +332,12 @@ def strip_cells(cells: Sequence[str]) -> list[str]:
     return kept
 
 
-def width_fault(table: Table, line: int, cells: int, width: int) -> str:
-    """Message for a row with another number of cells than headings."""
-    hint = "; is a decimal comma taken for the delimiter?" if cells > width else ""
-    return f"{table.path}: line {line}: {cells} cells where {width} were expected{hint}"
+def width_fault(path: Path, line: int, cells: Sequence[str], width: int) -> str:
+    """Message for a row with another number of cells than its table; empty cells at the end of a row do not count."""
+    if len(cells) == width or len(strip_cells(cells)) <= width <= len(cells):
+        return ""
+    hint = "; is a decimal comma taken for the delimiter?" if len(cells) > width else ""
+    return f"{path}: line {line}: {len(cells)} cells where {width} were expected{hint}"
 
 
 def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:

@@ -1,0 +1,205 @@
+"""Columns of a text table whose format is stated, read row by row: only the columns that are asked for take memory."""
+
+import sys
+from array import array
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from leactl.errors import InputError
+from leactl.tables.number_format import Character, NumberFormat, TableFormat
+from leactl.tables.text_table import MOST_FAULTS, cell_place, open_text, rows_of, strip_cells, width_fault
+
+Array = npt.NDArray[np.float64]
+Line = Annotated[int, Field(strict=True, ge=0)]
+
+
+class CsvForm(TableFormat):
+    """Dialect of a CSV file."""
+
+    delimiter: Character = ","
+    decimal: Literal[".", ","] = "."
+    thousands: Literal["", ",", ".", " ", "'"] = ""
+    comment: str = "#"
+    encoding: str = "utf-8-sig"
+    header_line: Line = 1  # counted from 1; 0: none, columns go by index
+    data_line: Line | None = None  # where numbers begin; the line after the header by default
+    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # cells of missed samples
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.data_line is not None and self.data_line <= self.header_line:
+            raise ValueError(f"data_line {self.data_line} is not after header_line {self.header_line}")
+        return self
+
+    @property
+    def first_line(self) -> int:
+        """The first line that may be a row."""
+        return self.data_line or self.header_line + 1
+
+    def number(self, cell: str) -> float:
+        """The number that a cell stands for.
+
+        Raises
+        ------
+        ValueError : it is no number.
+        """
+        if not self.thousands:
+            return float(cell.replace(self.decimal, "."))
+        value = NumberFormat(self.decimal, self.thousands).value(cell)
+        if value is None:
+            raise ValueError(cell)
+        return value
+
+
+class Columns:
+    """Columns of one table: of numbers, or of text if the first cell is neither a number nor a missing one.
+
+    Parameters
+    ----------
+    wanted : names, or indices from 0; None keeps every column as text. Names that the header lacks are left out.
+    labels : columns that are kept as text.
+    options : prefix of the options in messages; empty if nobody can set them.
+    every_row : whether rows without a value count.
+    strict : whether a quote has to end with its cell.
+    most_rows : rows after which the reading ends.
+
+    Raises
+    ------
+    InputError : unreadable, not in the stated format, or rows of another width; `most_faults` lines at most.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        form: CsvForm,
+        wanted: Sequence[str | int] | None,
+        labels: Sequence[str | int] = (),
+        *,
+        options: str = "",
+        every_row: bool = True,
+        strict: bool = False,
+        most_bytes: int | None = None,
+        most_rows: int | None = None,
+        most_faults: int = MOST_FAULTS,
+    ) -> None:
+        self.path, self.form, self.names, self.lines = path, form, list[str](), array("q")
+        self._most_faults, self._faults = most_faults, list[str]()
+        self._kept: dict[int, list[str] | array[float]] = {}
+        self._labels: dict[int, list[str]] = {}
+        self._missing = frozenset(form.missing)
+        self._advice = f"; if it marks a missed sample, add it to {options}missing" if options else ""
+        width = 0
+        with open_text(path, form.encoding, most_bytes, f"; give {options}encoding" if options else "") as file:
+            for line, cells in rows_of(path, file, form.delimiter, strict):
+                if line == form.header_line:
+                    self.names = [cell.strip() for cell in cells]
+                is_comment = cells and form.comment and cells[0].startswith(form.comment)
+                if line < form.first_line or is_comment or not (any(cells) or (cells and every_row)):
+                    continue
+                if not width:
+                    width = len(cells)
+                    self._choose(wanted, labels, line, cells)
+                if len(cells) != width and (fault := width_fault(path, line, cells, width)):
+                    self._faults.append(fault)
+                else:
+                    self._keep(line, cells)
+                if len(self._faults) >= most_faults or len(self.lines) == most_rows:
+                    break
+        if self._faults:
+            raise InputError(self._faults)
+
+    def _choose(
+        self, wanted: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
+    ) -> None:
+        """Choose the columns to keep; names count only if the first row is as wide as the header."""
+        width, named = len(cells), len(strip_cells(self.names))
+        if named and any(isinstance(name, str) for name in (*(wanted or ()), *labels)):
+            expected = min(max(width, named), len(self.names))
+            if fault := width_fault(self.path, line, cells, expected):
+                raise InputError(fault)
+        if wanted is None:
+            self._kept = {at: [] for at in range(width)}
+        else:
+            self._kept = {at: array("d") for name in wanted if (at := self.position(name)) in range(width)}
+        self._labels = {at: [] for name in labels if (at := self.position(name)) in range(width)}
+
+    def _keep(self, line: int, cells: list[str]) -> None:
+        self.lines.append(line)
+        for at, column in self._kept.items():
+            cell = cells[at].strip()
+            if isinstance(column, list):
+                column.append(cell)
+            elif cell in self._missing:
+                column.append(np.nan)
+            else:
+                try:
+                    column.append(self.number(cell))
+                except ValueError:
+                    if not column:
+                        self._kept[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
+                        continue
+                    column.append(np.nan)
+                    place = self.place(self.names[at] if at < len(self.names) else at, -1)
+                    self._faults.append(f"{place}: {cell!r} is not a number{self._advice}")
+        for at, texts in self._labels.items():
+            texts.append(sys.intern(cells[at].strip()))  # a few texts stand in millions of rows
+
+    def number(self, cell: str) -> float:
+        """The number that a cell stands for.
+
+        Raises
+        ------
+        ValueError : it is no number.
+        """
+        return self.form.number(cell)
+
+    def is_number(self, cell: str) -> bool:
+        """Whether a cell is a number or a missing one."""
+        with suppress(ValueError):
+            return cell in self._missing or self.number(cell) is not None
+        return False
+
+    def position(self, name: str | int) -> int:
+        """Index of the first column of a name; -1 if there is none."""
+        return name if isinstance(name, int) else self.names.index(name) if name in self.names else -1
+
+    def place(self, name: str | int, row: int) -> str:
+        """File, line and column of a cell for messages."""
+        return cell_place(self.path, self.lines[row], name)
+
+    def column(self, name: str | int) -> Array | list[str]:
+        """A column that was asked for and that the table has."""
+        values = self._kept[self.position(name)]
+        return values if isinstance(values, list) else np.frombuffer(values, np.float64)
+
+    def numbers(self, names: Sequence[str], largest: float) -> Array:
+        """Columns (rows, columns) of which each cell is a number and the first increases from row to row.
+
+        Raises
+        ------
+        InputError : a cell is missing, no number or larger in magnitude than `largest`, or the first column goes back.
+        """
+        faults: list[str] = []
+        for name in names:
+            cells = self.column(name)
+            if isinstance(cells, list):
+                wrong = ((row, repr(cell)) for row, cell in enumerate(cells) if not self.is_number(cell))
+            else:
+                wrong = ((row, f"{cells[row]:g}") for row in np.flatnonzero(~(np.abs(cells) <= largest)).tolist())
+            expected = f"a number of at most {largest:g} in magnitude was expected"
+            faults += [f"{self.place(name, row)}: {cell}: {expected}" for row, cell in islice(wrong, self._most_faults)]
+        if not faults:
+            table: Array = np.stack([np.asarray(self.column(name), np.float64) for name in names], axis=1)
+            back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[: self._most_faults].tolist()
+            pairs = [(row + 1, table[row + 1, 0], table[row, 0]) for row in back]
+            faults = [f"{self.place(names[0], row)}: {here:g} is not after {before:g}" for row, here, before in pairs]
+        if faults:
+            raise InputError(faults[: self._most_faults])
+        return table
