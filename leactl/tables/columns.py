@@ -2,11 +2,11 @@
 
 import sys
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -38,25 +38,6 @@ class CsvForm(TableFormat):
             raise ValueError(f"data_line {self.data_line} is not after header_line {self.header_line}")
         return self
 
-    @property
-    def first_line(self) -> int:
-        """The first line that may be a row."""
-        return self.data_line or self.header_line + 1
-
-    def number(self, cell: str) -> float:
-        """The number that a cell stands for.
-
-        Raises
-        ------
-        ValueError : it is no number.
-        """
-        if not self.thousands:
-            return float(cell.replace(self.decimal, "."))
-        value = NumberFormat(self.decimal, self.thousands).value(cell)
-        if value is None:
-            raise ValueError(cell)
-        return value
-
 
 class Columns:
     """Columns of one table: of numbers, or of text if the first cell is neither a number nor a missing one.
@@ -75,6 +56,8 @@ class Columns:
     InputError : unreadable, not in the stated format, or rows of another width; `most_faults` lines at most.
     """
 
+    words: ClassVar[Mapping[str, float]] = {}  # in lower case, that are numbers
+
     def __init__(
         self,
         path: Path,
@@ -89,19 +72,20 @@ class Columns:
         most_rows: int | None = None,
         most_faults: int = MOST_FAULTS,
     ) -> None:
-        self.path, self.form, self.names, self.lines = path, form, list[str](), array("q")
-        self._most_faults, self._faults = most_faults, list[str]()
+        self.path, self.names, self.lines = path, list[str](), array("q")
         self._kept: dict[int, list[str] | array[float]] = {}
         self._labels: dict[int, list[str]] = {}
-        self._missing = frozenset(form.missing)
+        self._faults, self._most_faults, self._missing = list[str](), most_faults, frozenset(form.missing)
+        self._decimal, self._format = form.decimal, NumberFormat(form.decimal, form.thousands)
         self._advice = f"; if it marks a missed sample, add it to {options}missing" if options else ""
-        width = 0
-        with open_text(path, form.encoding, most_bytes, f"; give {options}encoding" if options else "") as file:
+        first, comment, width = form.data_line or form.header_line + 1, form.comment, 0
+        with open_text(path, form.encoding, most_bytes, f"; {options}encoding decides" if options else "") as file:
             for line, cells in rows_of(path, file, form.delimiter, strict):
                 if line == form.header_line:
                     self.names = [cell.strip() for cell in cells]
-                is_comment = cells and form.comment and cells[0].startswith(form.comment)
-                if line < form.first_line or is_comment or not (any(cells) or (cells and every_row)):
+                if line < first or not (cells if every_row else any(cells)):
+                    continue
+                if comment and cells[0].startswith(comment):
                     continue
                 if not width:
                     width = len(cells)
@@ -136,18 +120,16 @@ class Columns:
             cell = cells[at].strip()
             if isinstance(column, list):
                 column.append(cell)
-            elif cell in self._missing:
-                column.append(np.nan)
-            else:
-                try:
-                    column.append(self.number(cell))
-                except ValueError:
-                    if not column:
-                        self._kept[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
-                        continue
+                continue
+            try:
+                column.append(np.nan if cell in self._missing else self.number(cell))
+            except ValueError:
+                if column:
                     column.append(np.nan)
                     place = self.place(self.names[at] if at < len(self.names) else at, -1)
                     self._faults.append(f"{place}: {cell!r} is not a number{self._advice}")
+                else:
+                    self._kept[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
         for at, texts in self._labels.items():
             texts.append(sys.intern(cells[at].strip()))  # a few texts stand in millions of rows
 
@@ -158,7 +140,16 @@ class Columns:
         ------
         ValueError : it is no number.
         """
-        return self.form.number(cell)
+        try:
+            if not self._format.thousands:
+                return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
+            value = self._format.value(cell)
+        except ValueError:
+            value = None
+        value = self.words.get(cell.lower()) if value is None else value
+        if value is None:
+            raise ValueError(cell)
+        return value
 
     def is_number(self, cell: str) -> bool:
         """Whether a cell is a number or a missing one."""

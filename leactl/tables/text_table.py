@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from io import TextIOWrapper
+from io import SEEK_END, TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
@@ -24,6 +24,8 @@ MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which ta
 MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16
 MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
+HEAD_BYTES = 1 << 12  # by which an encoding is detected
+SHOWN_BYTES = 60  # before and after a byte that is in another encoding
 DELIMITERS = (",", ";", "\t", "|")
 DELIMITER_NAMES = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
@@ -109,16 +111,11 @@ def cell_place(path: Path, line: int, column: str | int) -> str:
 
 @contextmanager
 def open_text(path: Path, encoding: str, most: int | None = None, advice: str = "") -> Iterator[TextIO]:
-    """Open a text of a known encoding with the line ends that it has.
-
-    Parameters
-    ----------
-    most : bytes that it may have.
-    advice : what a message adds that names the encoding.
+    """Open a text of at most so many bytes, with its line ends; the advice follows a fault of the encoding.
 
     Raises
     ------
-    InputError : it cannot be opened, is no regular file, is larger than `most`, or has another encoding.
+    InputError : it cannot be opened, is no regular file, is too large, or has another encoding.
     """
     try:
         with TextIOWrapper(open_regular(path, most), encoding, newline="") as stream:
@@ -126,24 +123,24 @@ def open_text(path: Path, encoding: str, most: int | None = None, advice: str = 
                 yield stream
             except UnicodeDecodeError as error:
                 at = stream.buffer.tell() - len(error.object) + error.start  # the last block that was read is at fault
-                raise InputError(f"{path}: not {encoding} at byte {at}{advice}") from None
+                stream.buffer.seek(max(at - SHOWN_BYTES, 0))
+                before, after = stream.buffer.read(min(at, SHOWN_BYTES)), stream.buffer.read(SHOWN_BYTES)
+                line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
+                readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk"))
+                raise InputError(f"{path}: not {encoding} at byte {at}; its line reads {readings}{advice}") from None
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        parts = "; export it in parts" if error.errno == errno.EFBIG else ""
+        raise InputError(f"{path}: {error.strerror or error}{parts}") from None
 
 
 def rows_of(
     path: Path, lines: Iterable[str], delimiter: str, strict: bool = False, before: int = 0
 ) -> Iterator[tuple[int, list[str]]]:
-    """Last line and cells of each row; a blank line has no cells.
-
-    Parameters
-    ----------
-    strict : whether a quote has to end with its cell.
-    before : lines of the file before the first of `lines`.
+    """Last line and cells of each row below the first lines (`before`); a blank line has no cells.
 
     Raises
     ------
-    InputError : a row that cannot be split into cells.
+    InputError : a row that cannot be split into cells, or a quote that does not end with its cell, if `strict`.
     """
     reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=strict)
     try:
@@ -160,52 +157,29 @@ def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
     ------
     InputError : absent, empty, too large, not in the stated encoding, or in an encoding that cannot be detected.
     """
-    try:
-        with open_regular(path, MOST_BYTES) as stream:
-            raw = stream.read()
-    except OSError as error:
-        advice = "; export it in parts" if error.errno == errno.EFBIG else ""
-        raise InputError(f"{path}: {error.strerror or error}{advice}") from None
-    if not raw.strip(b"\0 \r\n\t"):
-        raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
-    marked_encoding = next((name for mark, name in BOMS if raw.startswith(mark)), None)
-    if (
-        marked_encoding
-        and encoding not in (None, marked_encoding)
-        and not (encoding == "utf-16" and marked_encoding.startswith("utf-16"))
-    ):
-        raise InputError(f"{path}: begins with the mark of {marked_encoding}; encoding says {encoding}")
-    chosen = marked_encoding or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
-    try:
-        text = raw.decode(chosen)
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: {decoding_fault(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
-        ) from None
+    with open_text(path, "latin-1", MOST_BYTES) as stream:  # in which each byte is a character
+        head = stream.read(HEAD_BYTES).encode("latin-1")
+        even = stream.seek(0, SEEK_END) % 2 == 0
+    marked = next((name for mark, name in BOMS if head.startswith(mark)), None)
+    if marked and encoding not in (None, marked) and not (encoding == "utf-16" and marked.startswith("utf-16")):
+        raise InputError(f"{path}: begins with the mark of {marked}; encoding says {encoding}")
+    chosen = marked or encoding or ("utf-16-le" if even and looks_like_utf16(head) else "utf-8")
+    with open_text(path, chosen, MOST_BYTES, "" if marked or encoding else "; encoding decides") as stream:
+        text = stream.read()
     if len(text) > MOST_CHARACTERS:
         raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
     text = text.removeprefix("\ufeff")
-    if not text.strip():
-        raise InputError(f"{path}: holds nothing but the mark of {chosen}")
+    if not text.strip("\0 \r\n\t"):
+        nothing = f"holds nothing but {f'the mark of {marked}' if marked else 'blanks'}"
+        raise InputError(f"{path}: {nothing if head else 'empty'}")
     if "\0" in text:
         raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
     return text, chosen
 
 
-def looks_like_utf16(raw: bytes) -> bool:
+def looks_like_utf16(head: bytes) -> bool:
     """Whether many odd bytes and no even byte are NUL, as in Latin text in UTF-16 without a byte order mark."""
-    head = raw[: 1 << 12]
-    return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
-
-
-def decoding_fault(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
-    """Message for undecodable bytes: their line in other encodings, unless the encoding was stated."""
-    if is_stated:
-        return f"not {encoding} at byte {start}"
-    begin = raw.rfind(b"\n", 0, start) + 1
-    line = raw[begin : begin + 60].split(b"\n")[0].rstrip(b"\r")
-    readings = [f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk")]
-    return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
+    return head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
 
 
 def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:

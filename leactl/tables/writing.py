@@ -4,6 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
+
+from leactl.tables.number_format import TableFormat
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,12 @@ class TableDialect:
     line_end: str = "\r\n"
     sep_line: bool = False
     trailing: bool = False  # a delimiter at the end of each row
+
+    @classmethod
+    def of(cls, form: TableFormat, decimals: int = 2) -> Self:
+        """The dialect that settings state, with the usual marks where they state none."""
+        stated = form.model_dump(include={"encoding", "delimiter", "decimal", "thousands"}, exclude_none=True)
+        return cls(decimals=decimals, **stated)
 
     def number(self, value: float) -> str:
         """A number in this dialect; NaN becomes the mark for a missing sample."""

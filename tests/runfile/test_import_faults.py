@@ -185,11 +185,11 @@ def test_clocks_that_disagree(folder, clock, told):
         ("b.csv", b"t,q\n", "no row of numbers after line 1"),
         ("b.csv", b"t,q\n0,1\n", "1 row; at least 2 were expected"),
         ("b.csv", b"t,q,q\n0,1,2\n1,1,2\n", "the header has 'q' 2 times; give its index"),
-        ("b.csv", b"\x89PNG\r\n\x1a\n", "not utf-8-sig at byte 0; give csv.encoding"),
+        ("b.csv", b"\x89PNG\r\n\x1a\n", "not utf-8-sig at byte 0; its line reads '‰PNG' in cp1252"),
         (
             "b.csv",
             b"\xef\xbb\xbft,q\n" + b"0,1\n" * 9000 + b"0,\xb5\n",
-            "not utf-8-sig at byte 36009; give csv.encoding",
+            "not utf-8-sig at byte 36009; its line reads '0,µ' in cp1252 or '0,�' in gbk; csv.encoding decides",
         ),
         ("b.csv", b"t,q\n0,1,2\n1,2,3\n", "line 2: 3 cells where 2 were expected; is a decimal comma taken"),
         ("b.csv", b"t,q,w\n0,1\n1,2\n", "line 2: 2 cells where 3 were expected"),

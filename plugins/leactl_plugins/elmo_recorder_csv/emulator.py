@@ -24,13 +24,7 @@ class RecorderEmulator:
         self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
         self._interval = settings.interval_s or INTERVAL_S
         self._samples = BUFFER // len(settings.signals)
-        self._dialect = TableDialect(
-            encoding=settings.encoding or "utf-8",
-            delimiter=settings.delimiter or ",",
-            decimal=settings.decimal or ".",
-            thousands=settings.thousands or "",
-            decimals=6,
-        )
+        self._dialect = TableDialect.of(settings, decimals=6)
         self._rows: list[list[float]] = []
         self._starts = STARTS_S
         self._saved = False

@@ -74,12 +74,7 @@ class CameraEmulator:
 
     def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
         self._folder, self._name, self._settings, self._regions = folder, name, settings, regions
-        self._dialect = TableDialect(
-            encoding=settings.encoding or "utf-8",
-            delimiter=settings.delimiter or ",",
-            decimal=settings.decimal or ".",
-            thousands=settings.thousands or "",
-        )
+        self._dialect = TableDialect.of(settings)
         self._period = 1.0 / (settings.time.frame_rate_Hz or FRAME_RATE_HZ)  # s on the camera's clock
         self._file: Path | None = None
         self._frame = 0

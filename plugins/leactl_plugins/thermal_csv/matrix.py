@@ -15,7 +15,6 @@ from leactl.tables.text_table import (
     DELIMITERS,
     SEP_LINE,
     Aside,
-    common_unit,
     read_text,
     strip_cells,
 )
@@ -26,12 +25,12 @@ from leactl_plugins.thermal_csv.series import (
     CameraFile,
     emissivity_remarks,
     missing_remarks,
-    times_without_stamps,
+    row_times,
     to_celsius,
     unit_in,
 )
 from leactl_plugins.thermal_csv.settings import CameraRegion, ThermalCsvSettings
-from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
+from leactl_plugins.thermal_csv.stamps import looks_plain
 
 LETTER = re.compile(r"[^\W\d_]")
 CELL_ENDS = re.compile(f"[{''.join(DELIMITERS)}]")
@@ -95,18 +94,12 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         ],
         axis=1,
     )
-    if settings.time.line is None:
-        clock = times_without_stamps(len(frames), settings, where)
-    else:
-        stamps = [stamp_of(frame, settings.time.line) for frame in frames]
-        if looks_plain(stamps[0]):
-            plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
-            stamp_numbers, line = plain[settings.time.line], settings.time.line
-            clock = read_plain(
-                stamp_numbers.values, common_unit("", stamp_numbers.units, where(0)), settings.time, line, where
-            )
-        else:
-            clock = read_stamps(stamps, settings.time, where)
+    line = settings.time.line or ""
+    stamps = [stamp_of(frame, line) for frame in frames] if line else []
+    plain = None
+    if stamps and looks_plain(stamps[0]):
+        plain = read_numbers({line: stamps}, settings, lambda _, row: where(row), {})[0][line]
+    clock = row_times(len(frames), stamps, plain, line, settings, where)
     remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
     return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
 

@@ -1,7 +1,7 @@
 """Read a table of regions over time: one row per frame, with columns named by the user."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,18 +55,8 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     def where(row: int) -> str:
         return table.place(heading or table.headings[0], row)
 
-    if not stamps:
-        clock = times_without_stamps(len(table.rows), settings, where)
-    elif is_number:
-        clock = read_plain(
-            numbers_by_heading[heading].values,
-            common_unit(heading, numbers_by_heading[heading].units, where(0)),
-            time,
-            heading,
-            where,
-        )
-    else:
-        clock = read_stamps(stamps, time, where)
+    plain = numbers_by_heading[heading] if is_number and stamps else None
+    clock = row_times(len(table.rows), stamps, plain, heading, settings, where)
     by_name = {name: numbers_by_heading[table.heading(column)] for name, column in regions.items()}
     headings = {name: table.heading(column) for name, column in regions.items()}
     unit = unit_in(path, settings, headings, by_name, table.asides)
@@ -78,8 +68,20 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     return CameraFile(clock, values, where, remarks)
 
 
-def times_without_stamps(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
-    """Times of rows without stamps, from the frame rate."""
+def row_times(
+    rows: int,
+    stamps: Sequence[str],
+    plain: Numbers | None,
+    heading: str,
+    settings: ThermalCsvSettings,
+    where: Callable[[int], str],
+) -> RowTimes:
+    """Times of rows by plain numbers, else by stamps, else by counting frames."""
+    if plain is not None:
+        unit = common_unit(heading, plain.units, where(0))
+        return read_plain(plain.values, unit, settings.time, heading, where)
+    if stamps:
+        return read_stamps(stamps, settings.time, where)
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 
 

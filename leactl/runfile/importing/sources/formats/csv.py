@@ -1,7 +1,9 @@
 """Tables of text, such as CSV, in the format that the mapping states."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +16,6 @@ from leactl.tables.columns import Columns
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
 SURVEYED = 200  # leading rows by which a column is judged to be numeric
-TRUTH = {"true": 1.0, "false": 0.0}
 
 
 def open_source(path: Path, request: SourceRequest) -> "CsvSource":
@@ -31,29 +32,15 @@ class CsvSource(Columns):
     """Source over a table of text."""
 
     began = None
+    words: ClassVar = {"true": 1.0, "false": 0.0}
 
     def __init__(self, path: Path, request: SourceRequest) -> None:
+        form = request.csv
         wanted = None if request.columns is None else [column.name for column in request.columns]
         labels = [column.name for column in request.labels]
-        super().__init__(
-            path, request.csv, wanted, labels, options="csv.", most_rows=SURVEYED if wanted is None else None
-        )
+        super().__init__(path, form, wanted, labels, options="csv.", most_rows=SURVEYED if wanted is None else None)
         if not self.lines:
-            raise InputError(f"{path}: no row of numbers after line {self.form.first_line - 1}")
-
-    def number(self, cell: str) -> float:
-        """The number that a cell stands for; true is 1 and false is 0.
-
-        Raises
-        ------
-        ValueError : it is none of them.
-        """
-        try:
-            return self.form.number(cell)
-        except ValueError:
-            if cell.lower() not in TRUTH:
-                raise
-            return TRUTH[cell.lower()]
+            raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
 
     def column(self, name: str | int, records: str | None = None) -> Array | list[str]:
         """A column by header or index."""
@@ -66,10 +53,9 @@ class CsvSource(Columns):
         return [labels[cell] for cell in cells]
 
     def _label(self, cell: str) -> str:
-        try:
-            return as_label(self.form.number(cell))
-        except ValueError:
-            return cell
+        with suppress(ValueError):
+            return cell if cell.lower() in self.words else as_label(self.number(cell))
+        return cell
 
     def _known(self, name: str | int, kept: Iterable[int]) -> int:
         """Index of a column that was asked for.
