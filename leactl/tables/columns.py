@@ -3,8 +3,6 @@
 import sys
 from array import array
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -40,7 +38,7 @@ class CsvForm(TableFormat):
 
 
 class Columns:
-    """Columns of one table: of numbers, or of text if the first cell is neither a number nor a missing one.
+    """Columns of numbers of one table, and columns of labels.
 
     Parameters
     ----------
@@ -57,6 +55,7 @@ class Columns:
     """
 
     words: ClassVar[Mapping[str, float]] = {}  # in lower case, that are numbers
+    has_text: ClassVar[bool] = False  # whether a column is text if its first cell is neither a number nor a missing one
 
     def __init__(
         self,
@@ -124,7 +123,7 @@ class Columns:
             try:
                 column.append(np.nan if cell in self._missing else self.number(cell))
             except ValueError:
-                if column:
+                if column or not self.has_text:
                     column.append(np.nan)
                     place = self.place(self.names[at] if at < len(self.names) else at, -1)
                     self._faults.append(f"{place}: {cell!r} is not a number{self._advice}")
@@ -151,12 +150,6 @@ class Columns:
             raise ValueError(cell)
         return value
 
-    def is_number(self, cell: str) -> bool:
-        """Whether a cell is a number or a missing one."""
-        with suppress(ValueError):
-            return cell in self._missing or self.number(cell) is not None
-        return False
-
     def position(self, name: str | int) -> int:
         """Index of the first column of a name; -1 if there is none."""
         return name if isinstance(name, int) else self.names.index(name) if name in self.names else -1
@@ -175,22 +168,18 @@ class Columns:
 
         Raises
         ------
-        InputError : a cell is missing, no number or larger in magnitude than `largest`, or the first column goes back.
+        InputError : a number is NaN or larger in magnitude than `largest`, or one of the first column is not after the
+            one before.
         """
-        faults: list[str] = []
-        for name in names:
-            cells = self.column(name)
-            if isinstance(cells, list):
-                wrong = ((row, repr(cell)) for row, cell in enumerate(cells) if not self.is_number(cell))
-            else:
-                wrong = ((row, f"{cells[row]:g}") for row in np.flatnonzero(~(np.abs(cells) <= largest)).tolist())
-            expected = f"a number of at most {largest:g} in magnitude was expected"
-            faults += [f"{self.place(name, row)}: {cell}: {expected}" for row, cell in islice(wrong, self._most_faults)]
-        if not faults:
-            table: Array = np.stack([np.asarray(self.column(name), np.float64) for name in names], axis=1)
-            back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[: self._most_faults].tolist()
-            pairs = [(row + 1, table[row + 1, 0], table[row, 0]) for row in back]
-            faults = [f"{self.place(names[0], row)}: {here:g} is not after {before:g}" for row, here, before in pairs]
+        table: Array = np.stack([np.asarray(self.column(name), np.float64) for name in names], axis=1)
+        expected = f"a number of at most {largest:g} in magnitude was expected"
+        faults = [
+            f"{self.place(names[at], row)}: {table[row, at]:g}: {expected}"
+            for row, at in np.argwhere(~(np.abs(table) <= largest))[: self._most_faults].tolist()
+        ] or [
+            f"{self.place(names[0], row)}: {table[row, 0]:g} is not after {table[row - 1, 0]:g}"
+            for row in (np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[: self._most_faults] + 1).tolist()
+        ]
         if faults:
-            raise InputError(faults[: self._most_faults])
+            raise InputError(faults)
         return table

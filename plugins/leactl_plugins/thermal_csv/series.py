@@ -38,13 +38,13 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     InputError : all faults and ambiguities of the file.
     """
     time = settings.time
-    regions = {name: str(region.column) for name, region in settings.regions.items()}
     stamp_columns = [name for name in (time.date_column, time.column) if name is not None]
-    table = read_table(path, settings, [*stamp_columns, *regions.values()], every_row=not stamp_columns)
-    columns = {name: table.column(column) for name, column in regions.items()}
-    stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamp_columns), strict=True)]
+    regions = [str(region.column) for region in settings.regions.values()]
+    table = read_table(path, settings, [*stamp_columns, *regions], every_row=not stamp_columns)
+    headings = dict(zip(settings.regions, map(table.heading, regions), strict=True))
+    cells = {heading: table.column(heading) for heading in headings.values()}
+    stamps = [" ".join(parts).strip() for parts in zip(*map(table.column, stamp_columns), strict=True)]
     is_number = not stamps or looks_plain(stamps[0])
-    cells = {table.heading(column): columns[name] for name, column in regions.items()}
     bounds = dict.fromkeys(cells, (COLDEST, HOTTEST))
     heading = table.heading(time.column) if time.column else ""
     if is_number and stamps:
@@ -57,8 +57,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
 
     plain = numbers_by_heading[heading] if is_number and stamps else None
     clock = row_times(len(table.rows), stamps, plain, heading, settings, where)
-    by_name = {name: numbers_by_heading[table.heading(column)] for name, column in regions.items()}
-    headings = {name: table.heading(column) for name, column in regions.items()}
+    by_name = {name: numbers_by_heading[heading] for name, heading in headings.items()}
     unit = unit_in(path, settings, headings, by_name, table.asides)
     remarks += [f"temperatures in {unit}", clock.description, *missing_remarks(headings, by_name)]
     if table.repeated_headers:

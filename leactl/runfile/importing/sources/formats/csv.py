@@ -32,6 +32,7 @@ class CsvSource(Columns):
     """Source over a table of text."""
 
     began = None
+    has_text = True
     words: ClassVar = {"true": 1.0, "false": 0.0}
 
     def __init__(self, path: Path, request: SourceRequest) -> None:
@@ -72,6 +73,12 @@ class CsvSource(Columns):
             hint = "; is csv.delimiter right?" if len(self.names) == 1 else ""
             raise MissingColumn(f"{self.path} has no column {name!r}; it has {has}{hint}")
         return at
+
+    def is_number(self, cell: str) -> bool:
+        """Whether a cell is a number or a missing one."""
+        with suppress(ValueError):
+            return cell in self._missing or self.number(cell) is not None
+        return False
 
     def field(self, name: str | int) -> float | str:
         """The value of a column that never changes."""
