@@ -10,14 +10,7 @@ import numpy as np
 from leactl.driver.batch import refuse_text_order
 from leactl.errors import InputError
 from leactl.tables.number_format import read_numbers
-from leactl.tables.text_table import (
-    DELIMITER_NAMES,
-    DELIMITERS,
-    SEP_LINE,
-    Aside,
-    read_text,
-    strip_cells,
-)
+from leactl.tables.text_table import DELIMITER_NAMES, DELIMITERS, SEP_LINE, Aside, read_text, strip_cells
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
