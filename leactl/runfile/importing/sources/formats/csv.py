@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -49,9 +50,7 @@ class CsvSource(Columns):
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
         """A column by header or index, as labels."""
-        cells = self._labels[self._known(name, self._labels)]
-        labels = {cell: self._label(cell) for cell in set(cells)}
-        return [labels[cell] for cell in cells]
+        return [*map(cache(self._label), self._labels[self._known(name, self._labels)])]
 
     def _label(self, cell: str) -> str:
         with suppress(ValueError):
