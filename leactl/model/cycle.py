@@ -9,23 +9,21 @@ with harmonics up to K, rows everywhere less than 1 / 2K of the cycle apart leav
 between rows further apart it would swing as it likes.
 """
 
-import csv
 import math
 from dataclasses import dataclass
-from io import TextIOWrapper
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.tables.columns import Columns, CsvForm
 
 Array = npt.NDArray[np.float64]
 POINTS = 720  # of a cycle, evenly spaced
 HARMONICS = 10  # of the angle: 10 Hz at a stride a second
 FEWEST_ROWS, MOST_ROWS = 12, 100_000
+LARGEST = 1e6  # of any number of the file, in its own unit
 MOST_BYTES = 1 << 25  # of the file: 300 for each of so many rows
 FEWEST_HARMONICS = 4  # that a joint's angle is told with
 CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
@@ -207,48 +205,21 @@ def _expect_closed(path: Path, name: str, values: Array, closing: bool, told: bo
         )
 
 
-def _table(path: Path) -> tuple[tuple[str, str, str], list[int], Array]:
+def _table(path: Path) -> tuple[list[str], list[int], Array]:
     """Names of the columns used, the number of each line, and the values, one row a line."""
-    try:
-        with TextIOWrapper(open_regular(path, MOST_BYTES), encoding="utf-8-sig", newline="") as stream:
-            every = ((number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(row))
-            lines = list(islice(every, MOST_ROWS + 2))  # the header, and one row more than is taken
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: no text of comma-separated values: {error}") from None
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    every = [name for known in NAMES.values() for name in known]
+    form = CsvForm(comment="", missing=())
+    table = Columns(path, form, every, every_row=False, most_bytes=MOST_BYTES, most_rows=MOST_ROWS + 1, most_faults=1)
     names: list[str] = []
     for what, known in NAMES.items():
-        found = [name for name in header if name in known]
-        if len(found) != 1:
+        matches = [name for name in table.names if name in known]
+        if len(matches) != 1:
             expected = " or ".join(known)
-            there = ", ".join(header)[:200]
-            raise InputError(f"{path}:1: one column {expected} was expected for {what}; found {there}")
-        names += found
-    rows = lines[1:]
-    for line, row in rows:
-        if len(row) > len(header):  # cells moved to the right would be read as another column's
-            raise InputError(
-                f"{path}:{line}: {len(row)} cells, {len(header)} were expected as in the header; decimals need a point"
-            )
-    if not FEWEST_ROWS <= len(rows) <= MOST_ROWS:
-        there = f"more than {MOST_ROWS}" if len(rows) > MOST_ROWS else f"{len(rows)}"
-        raise InputError(f"{path}: {there} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
-    values = np.array([[_number(path, line, row, header.index(name), name) for name in names] for line, row in rows])
-    after = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
-    if len(after):
-        line = rows[int(after[0]) + 1][0]
-        raise InputError(f"{path}:{line}: {names[0]} {values[after[0] + 1, 0]:g} is not after {values[after[0], 0]:g}")
-    return (names[0], names[1], names[2]), [line for line, _row in rows], values
-
-
-def _number(path: Path, line: int, row: list[str], column: int, name: str) -> float:
-    cell = row[column].strip() if column < len(row) else ""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{path}:{line}: {name} {cell[:40]!r}: a finite number was expected")
-    return value
+            present = ", ".join(table.names)[:200]
+            raise InputError(f"{path}: line 1: one column {expected} was expected for {what}; found {present}")
+        names += matches
+    count = len(table.lines)
+    if not FEWEST_ROWS <= count <= MOST_ROWS:
+        rows = f"more than {MOST_ROWS}" if count > MOST_ROWS else f"{count}"
+        raise InputError(f"{path}: {rows} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
+    return names, table.lines.tolist(), table.numbers(names, LARGEST)

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from leactl_plugins.thermal_csv.emulator import series
 
-from leactl.driver.tables.writing import TableDialect
+from leactl.tables.writing import TableDialect
 from tests.driver.camera import camera
 
 ROWS, REGIONS, LIMIT_S = 270_000, 9, 10.0

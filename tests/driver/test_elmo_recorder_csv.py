@@ -91,7 +91,7 @@ def test_a_recording_without_stamps_takes_the_interval_that_is_set(tmp_path):
             {},
             "decimal decides",
         ),
-        (b"PK\x03\x04" + bytes(range(256)), {}, "not UTF-8|NUL"),
+        (b"PK\x03\x04" + bytes(range(256)), {}, "not utf-8 at byte|NUL"),
         ("", {}, "empty"),
     ],
 )

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.thermal_csv.emulator import FROM_CELSIUS, matrix, series
 
-from leactl.driver.tables.writing import TableDialect
 from leactl.errors import InputError
+from leactl.tables.writing import TableDialect
 
 from .camera import camera
 

@@ -11,13 +11,13 @@ from leactl_plugins.thermal_csv.emulator import series
 
 from leactl import yamlfile
 from leactl.bench.records import RecordDevice
-from leactl.driver.tables.writing import TableDialect
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write.writer import RunWriter
+from leactl.tables.writing import TableDialect
 from tests.cli.terminal import leactl
 
 from .specimen import info, unseal

@@ -100,6 +100,30 @@ def test_a_csv_as_germans_write_it(folder):
         assert run.channel("angle").units == "m"
 
 
+@pytest.mark.parametrize("row", ["{t},{q}", "{t},{q},", '{t}, "{q}"'])
+def test_a_header_and_its_rows_end_with_a_delimiter_or_without(folder, row):
+    lines = ["t,q,", *(row.format(t=t, q=q) for t, q in zip(T.tolist(), ANGLE.tolist(), strict=True))]
+    (folder / "a.csv").write_text("\n".join(lines))
+    channel = "mechanical: free\nstreams: {loop: {time: {column: t}, channels: {q: {column: q, quantity: angle}}}}"
+    with Run.open(imported(folder, folder / "a.csv", channel)) as run:
+        np.testing.assert_array_equal(run.channel("angle").values, ANGLE)
+
+
+@pytest.mark.parametrize(("decimal", "thousands"), [(".", ","), (",", "."), (",", " "), (".", "'")])
+def test_marks_between_thousands_as_the_mapping_states_them(folder, decimal, thousands):
+    exact = np.round(3000.0 + 1000.0 * ANGLE, 2)
+    marks = str.maketrans({",": thousands, ".": decimal})
+    rows = [f"{t:.3f};{q:,.2f}".translate(marks) for t, q in zip(T, exact, strict=True)]
+    (folder / "a.csv").write_text("\n".join(["t;q", *rows]))
+    text = f"""
+        mechanical: free
+        csv: {{delimiter: ";", decimal: "{decimal}", thousands: "{thousands}"}}
+        streams: {{loop: {{time: {{column: t}}, channels: {{q: {{column: q, quantity: angle}}}}}}}}
+        """
+    with Run.open(imported(folder, folder / "a.csv", text)) as run:
+        np.testing.assert_array_equal(run.channel("angle").values, exact)
+
+
 def test_missing_samples_are_nan_and_true_is_one(folder):
     on = ["true" if k % 2 else "False" for k in range(N)]
     angle = ["" if 10 <= k < 20 else "-999" if k == 30 else f"{v}" for k, v in enumerate(ANGLE)]

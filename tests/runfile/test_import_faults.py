@@ -68,6 +68,9 @@ def refused(folder, text=PLAIN, sources=("a.csv",)):
         ("mechanical: free", "mechanical: free\nformat: mat", "not a MAT file"),
         ("mechanical: free", "mechanical: free\nformat: json", "a.csv:1:1  not JSON"),
         ("mechanical: free", "mechanical: free\ncsv: {delimiter: ';'}", "is csv.delimiter right?"),
+        ("mechanical: free", "mechanical: free\ncsv: {encoding: latin-9000}", "csv.encoding: 'latin-9000': the name"),
+        ("mechanical: free", "mechanical: free\ncsv: {encoding: ''}", "csv.encoding: '': the name of an encoding"),
+        ("mechanical: free", "mechanical: free\ncsv: {thousands: '.'}", "decimal '.' is the thousands mark"),
         ("mechanical: free", "mechanical: free\nrun: {created: yesterday}", "'yesterday' is no ISO 8601 date"),
     ],
 )  # fmt: skip
@@ -182,7 +185,15 @@ def test_clocks_that_disagree(folder, clock, told):
         ("b.csv", b"t,q\n", "no row of numbers after line 1"),
         ("b.csv", b"t,q\n0,1\n", "1 row; at least 2 were expected"),
         ("b.csv", b"t,q,q\n0,1,2\n1,1,2\n", "the header has 'q' 2 times; give its index"),
-        ("b.csv", b"\x89PNG\r\n\x1a\n", "not utf-8-sig at byte 0"),
+        ("b.csv", b"\x89PNG\r\n\x1a\n", "not utf-8-sig at byte 0; its line reads '‰PNG' in cp1252"),
+        (
+            "b.csv",
+            b"\xef\xbb\xbft,q\n" + b"0,1\n" * 9000 + b"0,\xb5\n",
+            "not utf-8-sig at byte 36009; its line reads '0,µ' in cp1252 or '0,�' in gbk; csv.encoding decides",
+        ),
+        ("b.csv", b"t,q\n0,1,2\n1,2,3\n", "line 2: 3 cells where 2 were expected; is a decimal comma taken"),
+        ("b.csv", b"t,q,w\n0,1\n1,2\n", "line 2: 2 cells where 3 were expected"),
+        ("b.csv", b't,q\n0,"' + b"1" * 200_000 + b'"\n', "line 2: field larger than field limit"),
         ("b.xls", b"x", "the ending does not tell its format"),
     ],
 )

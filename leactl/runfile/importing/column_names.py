@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 
 from leactl import yamlfile
 from leactl.quantities import UNITS
+from leactl.tables.text_table import UNIT_IN_BRACKETS, unit_of
 from leactl.units import SECONDS, known_units
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 TIME: Final = frozenset({"t", "time", "timestamp", "stamp", "seconds", "ms", "us", "clock"})
 # how a mapping writes units, and how headers do; `rps` is not among them, which is rev/s to some and rad/s to others
 ALIASES: Final = {
@@ -80,7 +80,7 @@ def words_of(name: str) -> list[str]:
 
 def meaning_of(name: str) -> Meaning:
     """Meaning of a column's name: of its part after the last dot or slash if that has a quantity, else of the whole."""
-    plain = _BRACKETS.sub("", name) if units_in_brackets(name) else name
+    plain = UNIT_IN_BRACKETS.sub("", name) if units_in_brackets(name) else name
     last = re.split(r"[./]", re.sub(r"\[[^\]]*\]$", "", plain))[-1]
     whole = words_of(plain)
     if refused := [word for word in words_of(last) if word in table()["none"]]:
@@ -106,8 +106,8 @@ def quantity_of(words: list[str]) -> str:
 
 def units_in_brackets(name: str) -> str:
     """The unit in brackets at the end of a name; empty if the brackets hold no unit, such as an index."""
-    brackets = _BRACKETS.search(name)
-    return brackets[1] if brackets and any(brackets[1].lower() in known for known in ALIASES.values()) else ""
+    units = unit_of(name)
+    return units if any(units.lower() in known for known in ALIASES.values()) else ""
 
 
 def units_of(name: str, known: list[str]) -> str:

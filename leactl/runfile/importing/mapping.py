@@ -14,6 +14,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from leactl.driver.batch import OffsetEstimate
 from leactl.quantities import UNITS
 from leactl.runfile.instruments import Instrument
+from leactl.tables.columns import CsvForm
 from leactl.units import converter, known_units
 from leactl.yamlblock import Block
 from leactl.yamlfile import Location
@@ -30,13 +31,12 @@ PLACE = r"^[^/]+/[^/]+$"  # stream/channel
 PLACEHOLDER: Final = "{joint}"  # in paths: stands for each joint in turn
 
 
-def as_label(cell: str | float, decimal: str = ".") -> str:
+def as_label(cell: str | float) -> str:
     """A cell as label of a step: numbers in their shortest form, so that `1` and `1.0` agree, other text unchanged."""
     try:
-        number = float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)
+        return f"{float(cell) + 0.0:.15g}"  # 0 for -0
     except ValueError:
         return str(cell)
-    return f"{number + 0.0:.15g}"  # 0 for -0
 
 
 def is_place(value: float | str) -> TypeGuard[str]:
@@ -50,26 +50,6 @@ class FieldOf(Block):
     field: Column
     scale: Number = 1.0
     offset: Number = 0.0
-
-
-class CsvForm(Block):
-    """Dialect of a CSV file."""
-
-    delimiter: Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)] = ","
-    decimal: Literal[".", ","] = "."
-    comment: str = "#"
-    encoding: Text = "utf-8-sig"
-    header_line: Row = 1  # counted from 1; 0: none, columns go by index
-    data_line: Row | None = None  # where numbers begin; the line after the header by default
-    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # cells of missed samples
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.data_line is not None and self.data_line <= self.header_line:
-            raise ValueError(f"data_line {self.data_line} is not after header_line {self.header_line}")
-        if self.decimal == self.delimiter:
-            raise ValueError("decimal and delimiter are the same character")
-        return self
 
 
 class TimeBase(Block):

@@ -15,11 +15,11 @@ from leactl.driver.batch import Array, ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.tables.number_format import Numbers, read_numbers
-from leactl.driver.tables.row_order import order_rows
-from leactl.driver.tables.text_table import Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.tables.number_format import Numbers, read_numbers
+from leactl.tables.row_order import order_rows
+from leactl.tables.text_table import Table, common_unit, read_table, unit_of
 from leactl.units import CONVERSIONS, SECONDS, converter
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 

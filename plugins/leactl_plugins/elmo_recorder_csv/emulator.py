@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 from leactl.driver.far_end import Machine
-from leactl.driver.tables.writing import TableDialect, new_export
 from leactl.errors import InputError
+from leactl.tables.writing import TableDialect, new_export
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
@@ -24,13 +24,7 @@ class RecorderEmulator:
         self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
         self._interval = settings.interval_s or INTERVAL_S
         self._samples = BUFFER // len(settings.signals)
-        self._dialect = TableDialect(
-            encoding=settings.encoding or "utf-8",
-            delimiter=settings.delimiter or ",",
-            decimal=settings.decimal or ".",
-            thousands=settings.thousands or "",
-            decimals=6,
-        )
+        self._dialect = TableDialect.of(settings, decimals=6)
         self._rows: list[list[float]] = []
         self._starts = STARTS_S
         self._saved = False

@@ -14,9 +14,9 @@ from leactl.driver.batch import ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.tables.row_order import order_rows
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.tables.row_order import order_rows
 from leactl_plugins.thermal_csv.matrix import read_matrices
 from leactl_plugins.thermal_csv.series import CameraFile, read_series
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from leactl.driver.tables.writing import TableDialect, new_export
+from leactl.tables.writing import TableDialect, new_export
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 SYMBOLS = {"degC": "°C", "degF": "°F", "K": "K"}
@@ -74,12 +74,7 @@ class CameraEmulator:
 
     def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
         self._folder, self._name, self._settings, self._regions = folder, name, settings, regions
-        self._dialect = TableDialect(
-            encoding=settings.encoding or "utf-8",
-            delimiter=settings.delimiter or ",",
-            decimal=settings.decimal or ".",
-            thousands=settings.thousands or "",
-        )
+        self._dialect = TableDialect.of(settings)
         self._period = 1.0 / (settings.time.frame_rate_Hz or FRAME_RATE_HZ)  # s on the camera's clock
         self._file: Path | None = None
         self._frame = 0

@@ -8,17 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from leactl.driver.batch import refuse_text_order
-from leactl.driver.tables.number_format import read_numbers
-from leactl.driver.tables.text_table import (
-    DELIMITER_NAMES,
-    DELIMITERS,
-    SEP_LINE,
-    Aside,
-    common_unit,
-    read_text,
-    strip_cells,
-)
 from leactl.errors import InputError
+from leactl.tables.number_format import read_numbers
+from leactl.tables.text_table import DELIMITER_NAMES, DELIMITERS, SEP_LINE, Aside, read_text, strip_cells
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
@@ -26,12 +18,12 @@ from leactl_plugins.thermal_csv.series import (
     CameraFile,
     emissivity_remarks,
     missing_remarks,
-    times_without_stamps,
+    row_times,
     to_celsius,
     unit_in,
 )
 from leactl_plugins.thermal_csv.settings import CameraRegion, ThermalCsvSettings
-from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
+from leactl_plugins.thermal_csv.stamps import looks_plain
 
 LETTER = re.compile(r"[^\W\d_]")
 CELL_ENDS = re.compile(f"[{''.join(DELIMITERS)}]")
@@ -95,18 +87,12 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         ],
         axis=1,
     )
-    if settings.time.line is None:
-        clock = times_without_stamps(len(frames), settings, where)
-    else:
-        stamps = [stamp_of(frame, settings.time.line) for frame in frames]
-        if looks_plain(stamps[0]):
-            plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
-            stamp_numbers, line = plain[settings.time.line], settings.time.line
-            clock = read_plain(
-                stamp_numbers.values, common_unit("", stamp_numbers.units, where(0)), settings.time, line, where
-            )
-        else:
-            clock = read_stamps(stamps, settings.time, where)
+    line = settings.time.line or ""
+    stamps = [stamp_of(frame, line) for frame in frames] if line else []
+    plain = None
+    if stamps and looks_plain(stamps[0]):
+        plain = read_numbers({line: stamps}, settings, lambda _, row: where(row), {})[0][line]
+    clock = row_times(len(frames), stamps, plain, line, settings, where)
     remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
     return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
 

@@ -1,16 +1,16 @@
 """Read a table of regions over time: one row per frame, with columns named by the user."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.driver.tables.number_format import Numbers, read_numbers
-from leactl.driver.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.errors import InputError
+from leactl.tables.number_format import Numbers, read_numbers
+from leactl.tables.text_table import Aside, Table, common_unit, read_table, unit_of
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
 from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
@@ -38,13 +38,13 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     InputError : all faults and ambiguities of the file.
     """
     time = settings.time
-    regions = {name: str(region.column) for name, region in settings.regions.items()}
     stamp_columns = [name for name in (time.date_column, time.column) if name is not None]
-    table = read_table(path, settings, [*stamp_columns, *regions.values()], every_row=not stamp_columns)
-    columns = {name: table.column(column) for name, column in regions.items()}
-    stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamp_columns), strict=True)]
+    regions = [str(region.column) for region in settings.regions.values()]
+    table = read_table(path, settings, [*stamp_columns, *regions], every_row=not stamp_columns)
+    headings = dict(zip(settings.regions, map(table.heading, regions), strict=True))
+    cells = {heading: table.column(heading) for heading in headings.values()}
+    stamps = [" ".join(parts).strip() for parts in zip(*map(table.column, stamp_columns), strict=True)]
     is_number = not stamps or looks_plain(stamps[0])
-    cells = {table.heading(column): columns[name] for name, column in regions.items()}
     bounds = dict.fromkeys(cells, (COLDEST, HOTTEST))
     heading = table.heading(time.column) if time.column else ""
     if is_number and stamps:
@@ -55,20 +55,9 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     def where(row: int) -> str:
         return table.place(heading or table.headings[0], row)
 
-    if not stamps:
-        clock = times_without_stamps(len(table.rows), settings, where)
-    elif is_number:
-        clock = read_plain(
-            numbers_by_heading[heading].values,
-            common_unit(heading, numbers_by_heading[heading].units, where(0)),
-            time,
-            heading,
-            where,
-        )
-    else:
-        clock = read_stamps(stamps, time, where)
-    by_name = {name: numbers_by_heading[table.heading(column)] for name, column in regions.items()}
-    headings = {name: table.heading(column) for name, column in regions.items()}
+    plain = numbers_by_heading[heading] if is_number and stamps else None
+    clock = row_times(len(table.rows), stamps, plain, heading, settings, where)
+    by_name = {name: numbers_by_heading[heading] for name, heading in headings.items()}
     unit = unit_in(path, settings, headings, by_name, table.asides)
     remarks += [f"temperatures in {unit}", clock.description, *missing_remarks(headings, by_name)]
     if table.repeated_headers:
@@ -78,8 +67,20 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     return CameraFile(clock, values, where, remarks)
 
 
-def times_without_stamps(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
-    """Times of rows without stamps, from the frame rate."""
+def row_times(
+    rows: int,
+    stamps: Sequence[str],
+    plain: Numbers | None,
+    heading: str,
+    settings: ThermalCsvSettings,
+    where: Callable[[int], str],
+) -> RowTimes:
+    """Times of rows by plain numbers, else by stamps, else by counting frames."""
+    if plain is not None:
+        unit = common_unit(heading, plain.units, where(0))
+        return read_plain(plain.values, unit, settings.time, heading, where)
+    if stamps:
+        return read_stamps(stamps, settings.time, where)
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import Shown
-from leactl.driver.tables.number_format import TableFormat
+from leactl.tables.number_format import DetectedFormat
 from leactl.units import known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -73,7 +73,7 @@ class StampSettings(BaseModel):
         return value
 
 
-class ThermalCsvSettings(TableFormat, RecordSettings):
+class ThermalCsvSettings(DetectedFormat, RecordSettings):
     """One camera with the regions of its exports."""
 
     regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], CameraRegion], Field(min_length=1)]

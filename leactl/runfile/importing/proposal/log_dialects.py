@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from leactl import yamlfile
-from leactl.runfile.importing.mapping import Above, CsvForm, Text
+from leactl.runfile.importing.mapping import Above, Text
 from leactl.runfile.importing.sources.source import ListedTable
+from leactl.tables.columns import CsvForm
 from leactl.yamlblock import Block
 
 

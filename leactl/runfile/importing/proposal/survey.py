@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.runfile.importing.mapping import PLACEHOLDER, CsvForm
+from leactl.runfile.importing.mapping import PLACEHOLDER
 from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
 from leactl.runfile.importing.sources.registry import format_of, open_source
 from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
+from leactl.tables.columns import CsvForm
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS: Final = 4  # whose values are read

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from leactl.runfile.importing.mapping import CsvForm
+from leactl.tables.columns import CsvForm
 
 Array = npt.NDArray[np.float64]
 LONGEST_REASON = 200  # characters

@@ -6,14 +6,15 @@ different values, the file is refused, and the message names the setting that de
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from io import BytesIO, TextIOWrapper
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import StringConstraints, model_validator
+from pydantic import StringConstraints, field_validator, model_validator
 
-from leactl.driver.contract import DriverSettings
 from leactl.errors import InputError
+from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
 SPACES = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
@@ -25,22 +26,39 @@ CELL = re.compile(
 THOUSANDS = (",", ".", " ", "'")
 Where = Callable[[str, int], str]  # heading and row
 Mark = Annotated[str, StringConstraints(strict=True)]
+Character = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)]
 
 
-class TableFormat(DriverSettings):
-    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+class TableFormat(Block):
+    """How a text table is written; what is None is detected."""
 
-    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
-    delimiter: Literal[",", ";", "\t", "|"] | None = None
+    encoding: str | None = None
+    delimiter: Character | None = None
     decimal: Literal[".", ","] | None = None
     thousands: Literal["", ",", ".", " ", "'"] | None = None
     missing: tuple[Mark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
+
+    @field_validator("encoding")
+    @classmethod
+    def _known_encoding(cls, value: str | None) -> str | None:
+        try:
+            TextIOWrapper(BytesIO(), value)
+        except LookupError:
+            raise ValueError("the name of an encoding, such as utf-8 or cp1252, was expected") from None
+        return value
 
     @model_validator(mode="after")
     def _marks_differ(self) -> "TableFormat":
         if self.decimal is not None and self.decimal in (self.thousands, self.delimiter):
             raise ValueError(f"decimal {self.decimal!r} is the thousands mark or the delimiter as well")
         return self
+
+
+class DetectedFormat(TableFormat):
+    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+
+    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
+    delimiter: Literal[",", ";", "\t", "|"] | None = None
 
 
 class NumberFormat(NamedTuple):
@@ -129,13 +147,14 @@ def read_numbers(
                 faults.append(f"{cell_name(heading, cells.index(text))}: {message}")
     if faults:
         raise InputError(faults)
-    readings = [
-        (convention, values)
-        for convention in possible_formats(form, cells_by_text)
-        if (values := read_in_format(convention, cells_by_text, bounds)) is not None
-    ]
-    if not readings:
-        raise InputError(unreadable_message(columns, form, cells_by_text, cell_name, bounds))
+    attempts = [(mark, *read_in_format(mark, cells_by_text, bounds)) for mark in possible_formats(form, cells_by_text)]
+    readings = [(convention, values) for convention, values, misfit in attempts if not misfit]
+    if not readings:  # the first failing cell of the format that reads most cells
+        convention, _, misfit = max(attempts, key=lambda attempt: sum(map(len, attempt[1].values())))
+        heading, text, why = misfit
+        where = cell_name(heading, columns[heading].index(text))
+        advice = "no decimal and thousands mark reads every number of the file"
+        raise InputError(f"{where}: {text!r} {why} with {convention}; {advice}")
     convention, values = readings[0]
     for other, different in readings[1:]:
         refuse_ambiguity(columns, cell_name, (convention, values), (other, different))
@@ -159,21 +178,20 @@ def read_in_format(
     convention: NumberFormat,
     cells_by_text: Mapping[str, Mapping[str, NumberCell]],
     bounds: Mapping[str, tuple[float, float]],
-) -> dict[str, dict[str, float]] | None:
-    """Value of every distinct cell in one format; None if a cell is no number in it or is out of bounds."""
+) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:
+    """Values of the distinct cells in one format, and heading, text and fault of the first cell that it cannot read."""
     read: dict[str, dict[str, float]] = {}
     for heading, cells in cells_by_text.items():
         low, high = bounds.get(heading, (-np.inf, np.inf))
         column = read[heading] = {}
         for text, cell in cells.items():
-            if not cell.number:
-                column[text] = np.nan
-                continue
-            value = convention.value(cell.number)
-            if value is None or not low <= value <= high:
-                return None
+            value = convention.value(cell.number) if cell.number else np.nan
+            if value is None:
+                return read, (heading, text, "is no number")
+            if cell.number and not low <= value <= high:
+                return read, (heading, text, f"is {value:g}, outside {low:g} to {high:g},")
             column[text] = value
-    return read
+    return read, ()
 
 
 def refuse_ambiguity(
@@ -190,36 +208,6 @@ def refuse_ambiguity(
                 where = cell_name(heading, cells.index(text))
                 key = "decimal" if first[0].decimal != other[0].decimal else "thousands"
                 raise InputError(f"{where}: {text!r} reads {value:.15g} or {second:.15g}; {key} decides")
-
-
-def unreadable_message(
-    columns: Mapping[str, Sequence[str]],
-    form: TableFormat,
-    cells_by_text: Mapping[str, Mapping[str, NumberCell]],
-    cell_name: Where,
-    bounds: Mapping[str, tuple[float, float]],
-) -> str:
-    """Message for a file that no format reads: the first failing cell of the format that reads most cells."""
-    furthest, message = -1, ""
-    for convention in possible_formats(form, cells_by_text):
-        passed = 0
-        for heading, cells in cells_by_text.items():
-            low, high = bounds.get(heading, (-np.inf, np.inf))
-            for text, cell in cells.items():
-                value = convention.value(cell.number) if cell.number else 0.0
-                if value is None or (cell.number and not low <= value <= high):
-                    if passed > furthest:
-                        why = "is no number" if value is None else f"is {value:g}, outside {low:g} to {high:g},"
-                        furthest = passed
-                        message = (
-                            f"{cell_name(heading, columns[heading].index(text))}: {text!r} {why} with {convention}"
-                        )
-                    break
-                passed += 1
-            else:
-                continue
-            break
-    return f"{message}; no decimal and thousands mark reads every number of the file"
 
 
 def column_of_numbers(

@@ -9,18 +9,23 @@ import csv
 import errno
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from io import SEEK_END, TextIOWrapper
 from pathlib import Path
+from typing import TextIO
 
-from leactl.driver.tables.number_format import TableFormat
 from leactl.errors import InputError
 from leactl.regular import open_regular
+from leactl.tables.number_format import TableFormat
 
 MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
 MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16
 MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
+HEAD_BYTES = 1 << 12  # by which an encoding is detected
+SHOWN_BYTES = 60  # before and after a byte that is in another encoding
 DELIMITERS = (",", ";", "\t", "|")
 DELIMITER_NAMES = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
@@ -53,7 +58,7 @@ class Table:
 
     def place(self, heading: str, row: int) -> str:
         """File, line and column of a cell for messages."""
-        return f"{self.path}: line {self.lines[row]}, column {heading!r}"
+        return cell_place(self.path, self.lines[row], heading)
 
     def heading(self, wanted: str) -> str:
         """The full heading, with its unit, of a column.
@@ -99,6 +104,52 @@ def common_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
     return "".join(named)
 
 
+def cell_place(path: Path, line: int, column: str | int) -> str:
+    """File, line and column of a cell for messages."""
+    return f"{path}: line {line}, column {column!r}"
+
+
+@contextmanager
+def open_text(path: Path, encoding: str, most: int | None = None, advice: str = "") -> Iterator[TextIO]:
+    """Open a text of at most so many bytes, with its line ends; the advice follows a fault of the encoding.
+
+    Raises
+    ------
+    InputError : it cannot be opened, is no regular file, is too large, or has another encoding.
+    """
+    try:
+        with TextIOWrapper(open_regular(path, most), encoding, newline="") as stream:
+            try:
+                yield stream
+            except UnicodeDecodeError as error:
+                at = stream.buffer.tell() - len(error.object) + error.start  # the last block that was read is at fault
+                stream.buffer.seek(max(at - SHOWN_BYTES, 0))
+                before, after = stream.buffer.read(min(at, SHOWN_BYTES)), stream.buffer.read(SHOWN_BYTES)
+                line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
+                readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk"))
+                raise InputError(f"{path}: not {encoding} at byte {at}; its line reads {readings}{advice}") from None
+    except OSError as error:
+        parts = "; export it in parts" if error.errno == errno.EFBIG else ""
+        raise InputError(f"{path}: {error.strerror or error}{parts}") from None
+
+
+def rows_of(
+    path: Path, lines: Iterable[str], delimiter: str, strict: bool = False, before: int = 0
+) -> Iterator[tuple[int, list[str]]]:
+    """Last line and cells of each row below the first lines (`before`); a blank line has no cells.
+
+    Raises
+    ------
+    InputError : a row that cannot be split into cells, or a quote that does not end with its cell, if `strict`.
+    """
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=strict)
+    try:
+        for cells in reader:
+            yield before + reader.line_num, cells
+    except csv.Error as error:
+        raise InputError(f"{path}: line {before + reader.line_num}: {error}") from None
+
+
 def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
     """Text and encoding of a file: by its byte order mark, else as stated, else detected as UTF-16 or UTF-8.
 
@@ -106,52 +157,29 @@ def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
     ------
     InputError : absent, empty, too large, not in the stated encoding, or in an encoding that cannot be detected.
     """
-    try:
-        with open_regular(path, MOST_BYTES) as stream:
-            raw = stream.read()
-    except OSError as error:
-        advice = "; export it in parts" if error.errno == errno.EFBIG else ""
-        raise InputError(f"{path}: {error.strerror or error}{advice}") from None
-    if not raw.strip(b"\0 \r\n\t"):
-        raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
-    marked_encoding = next((name for mark, name in BOMS if raw.startswith(mark)), None)
-    if (
-        marked_encoding
-        and encoding not in (None, marked_encoding)
-        and not (encoding == "utf-16" and marked_encoding.startswith("utf-16"))
-    ):
-        raise InputError(f"{path}: begins with the mark of {marked_encoding}; encoding says {encoding}")
-    chosen = marked_encoding or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
-    try:
-        text = raw.decode(chosen)
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: {decoding_fault(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
-        ) from None
+    with open_text(path, "latin-1", MOST_BYTES) as stream:  # in which each byte is a character
+        head = stream.read(HEAD_BYTES).encode("latin-1")
+        even = stream.seek(0, SEEK_END) % 2 == 0
+    marked = next((name for mark, name in BOMS if head.startswith(mark)), None)
+    if marked and encoding not in (None, marked) and not (encoding == "utf-16" and marked.startswith("utf-16")):
+        raise InputError(f"{path}: begins with the mark of {marked}; encoding says {encoding}")
+    chosen = marked or encoding or ("utf-16-le" if even and looks_like_utf16(head) else "utf-8")
+    with open_text(path, chosen, MOST_BYTES, "" if marked or encoding else "; encoding decides") as stream:
+        text = stream.read()
     if len(text) > MOST_CHARACTERS:
         raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
     text = text.removeprefix("\ufeff")
-    if not text.strip():
-        raise InputError(f"{path}: holds nothing but the mark of {chosen}")
+    if not text.strip("\0 \r\n\t"):
+        nothing = f"holds nothing but {f'the mark of {marked}' if marked else 'blanks'}"
+        raise InputError(f"{path}: {nothing if head else 'empty'}")
     if "\0" in text:
         raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
     return text, chosen
 
 
-def looks_like_utf16(raw: bytes) -> bool:
+def looks_like_utf16(head: bytes) -> bool:
     """Whether many odd bytes and no even byte are NUL, as in Latin text in UTF-16 without a byte order mark."""
-    head = raw[: 1 << 12]
-    return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
-
-
-def decoding_fault(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
-    """Message for undecodable bytes: their line in other encodings, unless the encoding was stated."""
-    if is_stated:
-        return f"not {encoding} at byte {start}"
-    begin = raw.rfind(b"\n", 0, start) + 1
-    line = raw[begin : begin + 60].split(b"\n")[0].rstrip(b"\r")
-    readings = [f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk")]
-    return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
+    return head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
 
 
 def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:
@@ -193,10 +221,9 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
     """The cells of one line."""
-    try:
-        return next(csv.reader([line], delimiter=delimiter), [])
-    except csv.Error:
-        return []
+    with suppress(InputError):
+        return next(rows_of(Path(), [line], delimiter), (0, list[str]()))[1]
+    return []
 
 
 def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
@@ -227,54 +254,46 @@ def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Se
 
 def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
     """Read all lines from the headings on; each is a row, repeated headings, an aside, blank, or a fault."""
-    reader = csv.reader(lines, delimiter=delimiter)
-    faults: list[str] = []
-    uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
-    try:
-        headings = table.headings = strip_cells(next(reader))
-        if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
-            table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
-        width, rows, line_numbers = len(headings), table.rows, table.lines
-        empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
-        last_line = reader.line_num
-        for cells in reader:
-            if reader.line_num > last_line + 1:
-                message = "a quote opens a cell that does not end in its line"
-                raise InputError(f"{table.path}: line {before + last_line + 1}: {message}")
-            last_line = reader.line_num
-            plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
-            if not plain:
-                filled = strip_cells(cells)
-                if not filled:
-                    if every_row and len(cells) >= width:
-                        empty.append((before + reader.line_num, cells))
-                    continue
-                if filled == headings:
-                    table.repeated_headers += 1
-                    empty.clear()
-                    continue
-                if not STAMPED.match(filled[0]) and note_aside(table, before + reader.line_num, filled):
-                    continue
-            if uneven is not None:
-                faults.append(width_fault(table, *uneven, width))
-                uneven = None
-                if len(faults) == MOST_FAULTS:
-                    break
-            for line, nothing in empty:
-                rows.append(nothing)
-                line_numbers.append(line)
-            empty.clear()
-            if plain or len(filled) <= width <= len(cells):
-                rows.append(cells)
-                line_numbers.append(before + reader.line_num)
+    reader = rows_of(table.path, lines, delimiter, before=before)
+    last_line, cells = next(reader)
+    headings = table.headings = strip_cells(cells)
+    if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
+        table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
+    width, faults = len(headings), list[str]()
+    uneven: tuple[int, list[str]] | None = None  # a row that only the file's end excuses
+    empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
+    for line, cells in reader:
+        if line > last_line + 1:
+            raise InputError(f"{table.path}: line {last_line + 1}: a quote opens a cell that does not end in its line")
+        last_line = line
+        if len(cells) != width or not cells[0][:1].isdigit() or cells[0] == headings[0]:
+            filled = strip_cells(cells)
+            if not filled:
+                if every_row and len(cells) >= width:
+                    empty.append((line, cells))
+                continue
+            if filled == headings:
+                table.repeated_headers += 1
+                empty.clear()
+                continue
+            if not STAMPED.match(filled[0]) and note_aside(table, line, filled):
+                continue
+        if uneven is not None:
+            faults.append(width_fault(table.path, *uneven, width))
+            uneven = None
+            if len(faults) == MOST_FAULTS:
+                break
+        for number, row in (*empty, (line, cells)):
+            if width_fault(table.path, number, row, width):
+                uneven = number, row
             else:
-                uneven = before + reader.line_num, len(cells)
-    except csv.Error as error:
-        raise InputError(f"{table.path}: line {before + reader.line_num}: {error}") from None
-    if uneven is not None and uneven[1] > width:
-        faults.append(width_fault(table, *uneven, width))
+                table.rows.append(row)
+                table.lines.append(number)
+        empty.clear()
+    if uneven is not None and len(uneven[1]) > width:
+        faults.append(width_fault(table.path, *uneven, width))
     elif uneven is not None:
-        table.remarks.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
+        table.remarks.append(f"the last row, line {uneven[0]}, ends after {len(uneven[1])} of {width} cells: left out")
     if faults:
         raise InputError(faults)
 
@@ -287,10 +306,12 @@ def strip_cells(cells: Sequence[str]) -> list[str]:
     return kept
 
 
-def width_fault(table: Table, line: int, cells: int, width: int) -> str:
-    """Message for a row with another number of cells than headings."""
-    hint = "; is a decimal comma taken for the delimiter?" if cells > width else ""
-    return f"{table.path}: line {line}: {cells} cells where {width} were expected{hint}"
+def width_fault(path: Path, line: int, cells: Sequence[str], width: int) -> str:
+    """Message for a row with another number of cells than its table; empty cells at the end of a row do not count."""
+    if len(cells) == width or len(strip_cells(cells)) <= width <= len(cells):
+        return ""
+    hint = "; is a decimal comma taken for the delimiter?" if len(cells) > width else ""
+    return f"{path}: line {line}: {len(cells)} cells where {width} were expected{hint}"
 
 
 def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:

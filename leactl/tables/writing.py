@@ -1,9 +1,14 @@
 """Write text tables in the dialects of other programs, for their emulators."""
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from typing import Self
+
+from leactl.tables.number_format import TableFormat
 
 
 @dataclass(frozen=True)
@@ -21,22 +26,24 @@ class TableDialect:
     sep_line: bool = False
     trailing: bool = False  # a delimiter at the end of each row
 
+    @classmethod
+    def of(cls, form: TableFormat, decimals: int = 2) -> Self:
+        """The dialect that settings state, with the usual marks where they state none."""
+        stated = form.model_dump(include={"encoding", "delimiter", "decimal", "thousands"}, exclude_none=True)
+        return cls(decimals=decimals, **stated)
+
     def number(self, value: float) -> str:
         """A number in this dialect; NaN becomes the mark for a missing sample."""
         if math.isnan(value):
             return self.missing
         return f"{value:,.{self.decimals}f}".translate({ord(","): self.thousands, ord("."): self.decimal})
 
-    def cell(self, text: str) -> str:
-        """A cell, quoted if it contains a delimiter or a quote."""
-        if self.delimiter in text or '"' in text:
-            return '"' + text.replace('"', '""') + '"'
-        return text
-
     def row(self, cells: Sequence[str]) -> str:
-        """One line of a table."""
-        end = self.delimiter if self.trailing else ""
-        return self.delimiter.join(map(self.cell, cells)) + end + self.line_end
+        """One line of a table; a cell that contains a delimiter or a quote is quoted."""
+        line = StringIO()
+        writer = csv.writer(line, delimiter=self.delimiter, lineterminator=self.line_end)
+        writer.writerow([*cells, ""] if self.trailing else cells)
+        return line.getvalue()
 
     def head(self) -> str:
         """The `sep=` line before the table, if the dialect has one."""
