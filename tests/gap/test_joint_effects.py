@@ -33,6 +33,8 @@ SHARES = [  # effect, parameter, what that is a share of, kind of machine, seed,
     ("gear_backlash", "share", "rotor_inertia", "geared_joint", 16, 0.05),
 ]
 COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
+PUSHED = [32, 42, 47]  # of which the search makes a saturation, a joint elasticity, and nothing
+COARSEST = {"rate": 250.0, "count": 2.0 * np.pi / 4096}
 COARSER = {"rate": 1000.0, "count": 2.0 * np.pi / 8192}
 DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, by what a test calls the case
     **{f"{name} of {kind}": (kind, [name], 3, "plain", {}) for name, kind in JOINTS},
@@ -43,6 +45,7 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     "sound": ("drone_motor", [], 8, "plain", {}),
     "coarser with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSER),
     "coarser with gear_backlash": ("heavy_axis", ["gear_backlash"], 6, "strong", COARSER),
+    **{f"pushed {seed}": ("heavy_axis", ["push_in_time"], seed, "strong", COARSEST) for seed in PUSHED},
     "coarse": ("heavy_axis", [], 6, "plain", COARSE),
     "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
 }
@@ -158,6 +161,13 @@ def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(draw
 def test_an_effect_is_named_beside_such_an_encoder(drawn_case, how):
     case, _ = drawn_case(how)
     assert named(diagnose(case)) == [how.rpartition(" ")[2]]
+
+
+@pytest.mark.parametrize("seed", PUSHED)
+def test_a_push_in_time_beside_such_an_encoder_is_unknown(drawn_case, seed):
+    case, _ = drawn_case(f"pushed {seed}")
+    diagnosis = diagnose(case)
+    assert (diagnosis.verdict, named(diagnosis)) == ("unknown", [])
 
 
 def test_such_an_encoder_is_looked_at_at_a_lower_rate_and_the_current_at_its_own(drawn_case):
