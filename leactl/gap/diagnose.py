@@ -193,7 +193,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     progress("trying them on held-out runs")
     gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
     judged = judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
-    restless, lines = left_over(evidence, searched)
+    beside_sound = among_sound_noise(evidence, searched)
+    restless, lines = left_over(evidence, beside_sound)
     surprise = unexplained(restless, lines)
     causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated(evidence, evidence.settle([]))
@@ -213,7 +214,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         refit = partial(fitted_by_ladder, parameters)
         left_out = [record for record in case.fitted if record not in free]
         told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
-    elif outweighed(evidence, searched, restless, lines):
+    elif outweighed(evidence, beside_sound, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
@@ -247,7 +248,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     names = {cause.effect for cause in applied.fitted.causes}
     standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again
-        without = unexplained(*left_over(evidence, sets.describe(evidence, list(standing))))
+        rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(standing)))
+        without = unexplained(*left_over(evidence, rest_of_set))
         surprise = max(surprise, without, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
@@ -289,6 +291,12 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     )
 
 
+def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
+    """A set with what it takes away and leaves in units of a sound machine's noise, where that is less."""
+    taken, left = sets.taken_and_left(evidence, result.hypothesis, sound=True)
+    return replace(result, taken=taken, left=left)
+
+
 def left_over(evidence: Evidence, result: EffectSet) -> tuple[dict[Channel, float], dict[Channel, Line]]:
     """How restless a set leaves each channel, and the lines in the spectra of what it leaves."""
     heard = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
@@ -317,7 +325,9 @@ def outweighed(
         sum(one for one, rows in zip(amounts, evidence.stack.rows, strict=True) if rows.equation not in aside)
         for amounts in (result.taken, result.left)
     )
-    return unexplained(rest, heard).probability >= UNKNOWN and left > OUTWEIGHED * taken
+    explains = min((library()[name].explains for name, _ in result.hypothesis), default=1.0)
+    missed = (1.0 - explains) / explains if explains < sets.LOOSE else OUTWEIGHED
+    return unexplained(rest, heard).probability >= UNKNOWN and left > missed * taken
 
 
 def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:

@@ -153,10 +153,13 @@ class Evidence:
     def _rows(self) -> list[Rows]:
         return [rows for _, made in self._made for rows in made]
 
-    def weigh_as_usual(self) -> None:
-        """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
+    def weigh_as_usual(self, sound: bool = False) -> None:
+        """Take the noise that shows from row to row, with what a sound model usually leaves beside it.
+
+        sound : whether that noise is a sound machine's where it has less.
+        """
         for rows in self.stack.rows:
-            rows.noise = self.sound_white(rows)
+            rows.noise = self.sound_white(rows) if sound else rows.white
             rows.dependence = self.expected(rows, rows.noise)
 
     def compare_with(self, null: Null) -> None:

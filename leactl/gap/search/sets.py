@@ -585,11 +585,16 @@ def whole_form(item: Finding) -> tuple[float, ...]:
     return tuple(float(f"{value:.3g}") for value in form)
 
 
-def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple[list[float], list[float]]:
-    """Of each rows, under usual noise: weighted squares that a set and its overtones take away, and what they leave."""
+def taken_and_left(
+    evidence: Evidence, hypothesis: Sequence[Candidate], sound: bool = False
+) -> tuple[list[float], list[float]]:
+    """Of each rows, under usual noise: weighted squares that a set and its overtones take away, and what they leave.
+
+    sound : whether usual noise is a sound machine's where that is less.
+    """
     overtones = overtones_of(hypothesis)
     evidence.add(overtones)
-    evidence.weigh_as_usual()
+    evidence.weigh_as_usual(sound)
     normal = evidence.normal()
     before, after = normal.fit(), normal.fit([*hypothesis, *overtones])
     taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, before, after)]
