@@ -143,7 +143,6 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
 
     from rich.console import Console
 
-    from leactl.bench.provenance import overdue
     from leactl.report.live import live_view
     from leactl.runner.operators import granted, keyboard
     from leactl.runner.progress import Progress
@@ -152,8 +151,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     console = Console(file=sys.__stderr__)
     emulated = request.bench.emulated is not None
     check_operator(request)
-    for name, text in overdue(request.devices).items():
-        print(f"leactl: warning: {name}: {text}", file=sys.stderr)
+    warn_overdue(request)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
@@ -162,6 +160,14 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
             return live_view(progress, console)
 
         return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
+
+
+def warn_overdue(request: "Request") -> None:
+    """Print on stderr which devices of a run are used beyond their calibration."""
+    from leactl.bench.provenance import overdue
+
+    for name, text in overdue(request.devices).items():
+        print(f"leactl: warning: {name}: {text}", file=sys.stderr)
 
 
 def check_operator(request: "Request") -> None:
@@ -179,9 +185,9 @@ def check_operator(request: "Request") -> None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
 
 
-def print_end(outcome: "Outcome") -> None:
-    """Print in one line how a run ended."""
-    typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time")
+def print_end(outcome: "Outcome", err: bool = False) -> None:
+    """Print in one line how a run ended; on stderr with `err`."""
+    typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time", err=err)
 
 
 def finish(outcome: "Outcome", unmet: list[str]) -> None:
