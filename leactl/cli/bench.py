@@ -205,6 +205,7 @@ app.command(
     epilog=examples(
         "bench jog mine.yaml --role test --current 1.5 --for 1",
         "bench jog mine.yaml --role load --velocity 2 --for 3",
+        "bench jog mine.yaml --angle 0.1 --dry-run",
         ends=ON_A_BENCH,
     ),
 )(bench_by_hand.jog)

@@ -310,14 +310,18 @@ def jog(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    dry_run: bool = typer.Option(
+        False, "--dry-run", help="Check everything, print the plan, and move nothing; an angle begins at 0 rad."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import finish, print_end
+    from leactl.cli.run import finish, print_end, print_rehearsal
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading_steps
     from leactl.runfile.read.reader import Run
+    from leactl.runner.request import prepare_by_hand
 
     wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
     given = [(mode, value) for mode, value in wanted.items() if value is not None]
@@ -325,6 +329,13 @@ def jog(
         raise InputError(f"one of --current, --velocity, --angle was expected, {len(given)} were given")
     motion = Jog(role, *given[0], hold_s, rate)
     motion.check()
+    if dry_run:
+        if motion.mode is Mode.ANGLE:
+            note = "the shaft is taken to stand at 0 rad; a jog reads where it stands, and checks the angle from there"
+            typer.echo(f"leactl: {note}", err=True)
+        request = prepare_by_hand("jog", motion.steps(), bench, setup, out, realtime, served, bus)
+        print_rehearsal(request, as_json)
+        return
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
         before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)

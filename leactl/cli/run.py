@@ -68,17 +68,7 @@ def run(
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
     if dry_run:
-        from leactl.report.outputs import check_folder
-        from leactl.report.plan import rehearsal_body, rehearsal_text
-        from leactl.runner.session import rehearse
-
-        check_operator(request)
-        check_folder(out)
-        rehearsal = rehearse(request)
-        body = rehearsal_body(request, rehearsal)
-        for text in rehearsal.warnings:
-            print(f"leactl: warning: {text}", file=sys.stderr)
-        typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
+        print_rehearsal(request, as_json)
         return
     with (
         to_the_end(),
@@ -135,6 +125,26 @@ def _ended(words: list[str], outcome: "Outcome") -> str:
     except OSError as error:
         return f"--at-end {words[0]}: {error.strerror}"
     return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
+
+
+def print_rehearsal(request: "Request", as_json: bool) -> None:
+    """Check a request as a run does and print what the run would do; no device is opened.
+
+    Raises
+    ------
+    InputError, SafetyTrip, DeviceError : what a run would raise before it opens a device.
+    """
+    from leactl.report.outputs import check_folder
+    from leactl.report.plan import rehearsal_body, rehearsal_text
+    from leactl.runner.session import rehearse
+
+    check_operator(request)
+    check_folder(request.directory)
+    rehearsal = rehearse(request)
+    body = rehearsal_body(request, rehearsal)
+    for text in rehearsal.warnings:
+        print(f"leactl: warning: {text}", file=sys.stderr)
+    typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
 
 
 def perform(request: "Request", heading: str = "") -> "Outcome":
