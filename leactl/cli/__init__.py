@@ -19,3 +19,15 @@ def finite(value: float | list[float] | None) -> float | list[float] | None:
         if number is not None and not math.isfinite(number):
             raise typer.BadParameter(f"{number} is not a finite number")
     return value
+
+
+def print_answer(text: str) -> OSError | None:
+    """Print what a run has given; where stdout takes nothing, return the error, which is raised when all else is told.
+
+    Nobody may read stdout any more, or its disk be full: how the run ended is told on stderr all the same.
+    """
+    try:
+        typer.echo(text)
+    except OSError as error:
+        return error
+    return None

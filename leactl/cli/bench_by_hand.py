@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from leactl.cli import finite
+from leactl.cli import finite, print_answer
 from leactl.cli.completion import benches
 
 if TYPE_CHECKING:
@@ -57,16 +57,18 @@ def stop(
     deadline = time.monotonic() + wait_s
     ends = [_end(run, run.wait(deadline), wait_s) for run in asked]
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
-    if as_json:
-        typer.echo(json.dumps({"runs": ends}))
-    elif not runs:
-        typer.echo(f"nothing runs on {bench}" if bench else "nothing runs")
+    lines = [] if runs else [f"nothing runs on {bench}" if bench else "nothing runs"]
     for end in ends:
-        if not (as_json or end["doubt"]):
+        if not end["doubt"]:
             where = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
-            typer.echo(f"{end['bench']}: every device confirmed safe; {where}")
+            lines.append(f"{end['bench']}: every device confirmed safe; {where}")
+    unread = None
+    if as_json or lines:
+        unread = print_answer(json.dumps({"runs": ends}) if as_json else "\n".join(lines))
     if faults:
         raise DeviceError("; ".join(faults))
+    if unread is not None:
+        raise unread
 
 
 def pause(bench: str = RUNNING, as_json: bool = AS_JSON) -> None:
@@ -216,11 +218,11 @@ def read(
     if outcome.error is None:
         with Run.open(outcome.path) as run:
             summaries = readings(run)
-    if as_json:
-        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in summaries]}))
-    elif summaries:
-        typer.echo(table(summaries))
-    finish(outcome, [])
+    unread = None
+    if as_json or summaries:
+        body = outcome.as_json() | {"channels": [asdict(item) for item in summaries]}
+        unread = print_answer(json.dumps(body) if as_json else table(summaries))
+    finish(outcome, [], unread)
 
 
 def _follow(
@@ -238,7 +240,7 @@ def _follow(
     """Read a bench and print a line of its readings every so often; without `hold_s` until a person stops it."""
     from dataclasses import replace
 
-    from leactl.cli.run import finish, print_end, warn_overdue
+    from leactl.cli.run import ending_line, finish, warn_overdue
     from leactl.errors import Stopped
     from leactl.protocol.by_hand import endless_steps, reading_steps
     from leactl.report.follow import Follower, Looks
@@ -255,14 +257,16 @@ def _follow(
     with to_the_end():
         with keyboard(shown=sys.stderr.isatty()) as keys:
             outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
-        if follower.is_reader_gone and isinstance(outcome.error, Stopped):
-            raise BrokenPipeError
-        if as_json:
-            typer.echo(json.dumps({"event": "end", **outcome.as_json()}))
-            sys.stdout.flush()
-        else:
-            print_end(outcome, err=True)
-    finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [])
+        unread: OSError | None = None
+        if follower.is_reader_gone:
+            unread = BrokenPipeError()
+        elif as_json:
+            unread = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
+        if not as_json:
+            typer.echo(ending_line(outcome), err=True)
+    if follower.is_reader_gone and isinstance(outcome.error, Stopped):
+        outcome = replace(outcome, error=None)  # what stopped it is the missing reader
+    finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [], unread)
 
 
 def _never_answered(_question: str) -> "Callable[[], bool]":
@@ -285,12 +289,14 @@ def zero(
 
     outcome = _perform("zero", tare_steps(), bench, setup, out, realtime, served, bus)
     zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
-    if as_json:
-        typer.echo(json.dumps(outcome.as_json() | {"zeros": zeros}))
-    else:
-        for name, (before, after) in outcome.zeros.items():
-            typer.echo(f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m")
-    finish(outcome, [])
+    lines = [
+        f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m"
+        for name, (before, after) in outcome.zeros.items()
+    ]
+    unread = None
+    if as_json or lines:
+        unread = print_answer(json.dumps(outcome.as_json() | {"zeros": zeros}) if as_json else "\n".join(lines))
+    finish(outcome, [], unread)
 
 
 def jog(
@@ -316,7 +322,7 @@ def jog(
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import finish, print_end, print_rehearsal
+    from leactl.cli.run import ending_line, finish, print_rehearsal
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading_steps
@@ -339,15 +345,11 @@ def jog(
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
         before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)
-        finish(before, [])
+        finish(before, [], None)
         with Run.open(before.path) as run:
             stands_at = float(run.channel("angle", role).values[-1])
     outcome = _perform("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
-    if as_json:
-        typer.echo(json.dumps(outcome.as_json()))
-    else:
-        print_end(outcome)
-    finish(outcome, [])
+    finish(outcome, [], print_answer(json.dumps(outcome.as_json()) if as_json else ending_line(outcome)))
 
 
 def recording(
@@ -358,8 +360,10 @@ def recording(
     as_json: bool = AS_JSON,
 ) -> None:
     """Save what a drive's own recorder holds as a text table, for `leactl runs attach`; the drive is off meanwhile."""
+    from leactl.report.outputs import check_files
     from leactl.runner.own_recording import save_recording
 
+    check_files([out], [])
     saved = save_recording(bench, device, out, bus)
     if as_json:
         answer = {"file": str(saved.file), "columns": saved.headings, "rows": saved.rows, "interval_s": saved.interval}

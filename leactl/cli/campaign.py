@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from leactl.cli import print_answer
 from leactl.cli.completion import campaigns
 from leactl.cli.helptext import ON_A_BENCH, WholeSentences, examples, group_of_commands
 from leactl.cli.run import perform
@@ -165,14 +166,16 @@ def run(
         about = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
         reason = str(ended.error).splitlines()[0] if ended.error else ""
         body = about | {"finished": done, "of": ended.total, "reason": reason, "files": files, "unmet": ended.unmet}
-        typer.echo(json.dumps(body))
+        unread = print_answer(json.dumps(body))
     else:
         goes_on = "" if done == ended.total else "; the same command goes on"
-        typer.echo(f"{done} of {ended.total} runs are finished in {folder}{goes_on}")
+        unread = print_answer(f"{done} of {ended.total} runs are finished in {folder}{goes_on}")
     if ended.error is not None:
         raise ended.error
     if ended.unmet:
         raise AcceptanceFailed("; ".join(ended.unmet))
+    if unread is not None:
+        raise unread
 
 
 def _read(

@@ -30,7 +30,7 @@ def demo(
             print(f"{protocol}, {condition} ...", file=sys.stderr, flush=True)
             request = prepare(protocol, "emulated", [f"seed={seed}"], "demo", condition, "", out, realtime=False)
             outcome = perform(request)
-            finish(outcome, [])
+            finish(outcome, [], None)
             paths.append(outcome.path)
         results.append(analyze_runs(paths))
         files += paths

@@ -160,6 +160,10 @@ def _end(lines: list[str], status: int) -> NoReturn:
     if status == InputError.exit_status and _is_json_requested() and not getattr(sys.stdout, "used", False):
         with suppress(OSError):  # what stdout cannot take stands on stderr
             print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _discard_stdout()  # nobody reads it, or its disk is full
     for line in lines[:MOST_LINES]:
         print(f"leactl: {line}", file=sys.stderr)
     if len(lines) > MOST_LINES:

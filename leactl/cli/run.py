@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from leactl.cli import print_answer
 from leactl.cli.completion import benches, protocols, settings
 
 if TYPE_CHECKING:
@@ -80,16 +81,14 @@ def run(
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:
             lines.end(**answer)
-        if as_json:
-            typer.echo(json.dumps(answer))
-        elif events != STDOUT:
-            print_end(outcome)
-        sys.stdout.flush()
+        unread = None
+        if as_json or events != STDOUT:
+            unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
     faults = [log.fault for log in (lines, traced) if log is not None]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
-    finish(outcome, unmet)
+    finish(outcome, unmet, unread)
 
 
 def _words_of(command: str) -> list[str]:
@@ -195,13 +194,13 @@ def check_operator(request: "Request") -> None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
 
 
-def print_end(outcome: "Outcome", err: bool = False) -> None:
-    """Print in one line how a run ended; on stderr with `err`."""
-    typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time", err=err)
+def ending_line(outcome: "Outcome") -> str:
+    """Return how a run ended, in one line."""
+    return f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time"
 
 
-def finish(outcome: "Outcome", unmet: list[str]) -> None:
-    """End with the exit status of the error that ended the run, or of an acceptance limit."""
+def finish(outcome: "Outcome", unmet: list[str], unread: OSError | None) -> None:
+    """End with the exit status of the error that ended the run, of an acceptance limit, or of an unread answer."""
     from leactl.errors import AcceptanceFailed
 
     for note in outcome.notes:
@@ -210,3 +209,5 @@ def finish(outcome: "Outcome", unmet: list[str]) -> None:
         raise outcome.error
     if unmet:
         raise AcceptanceFailed("; ".join(unmet))
+    if unread is not None:
+        raise unread

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 app = group_of_commands()
 POLL_S = 0.2  # between two looks at a run that is followed; its writer adds rows each second
-STANDS_S = 10.0  # without a new row, after which a run that is followed may have been killed
+BUSY_SHARE = 0.1  # of a core that looks may take: a look at a long run takes a while, and a control loop runs beside it
+STANDS_S = 10.0  # without a write, after which a run that is being recorded may have been killed
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
@@ -458,7 +459,7 @@ def plot(
 def tail(
     run: Path,
     channels: list[str] = typer.Argument(
-        None, metavar="[CHANNEL]...", help="As in `runs plot`; by default those of the stream with most rows."
+        None, metavar="[CHANNEL]...", help="As in `runs plot`; by default those of the stream with most channels."
     ),
     rows: int = typer.Option(10, "--rows", min=0, help="How many of each stream are printed first."),
     follow: bool = typer.Option(False, "--follow", help="Go on with what is added, until the run ends or Ctrl-C."),
@@ -473,33 +474,37 @@ def tail(
     import time
 
     from leactl.report.run_tail import RowPrinter
+    from leactl.report.terminal import duration
     from leactl.runfile.read.tail import RunTail, thinned
 
     run_tail = RunTail(run, channels or [], rows)
     printer = RowPrinter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
     shown_until: dict[str, float] = {}
-    waits_since = time.monotonic()
-    left_out: tuple[str, ...] = ()
+    narrow: set[str] = set()  # streams whose columns have no room, and are said to
+    warned = False
+    if run_tail.other_streams and not (channels or as_json):
+        remark(f"other streams: {', '.join(run_tail.other_streams)}; name channels to see theirs (runs show has them)")
     while True:
+        looked_at = time.monotonic()
         added = run_tail.read()
+        took_s = time.monotonic() - looked_at
         for block in added:
             kept = thinned(block, every, shown_until)
             lines = map(json.dumps, kept.as_json()) if as_json else printer.lines(kept)
             for line in lines:
                 typer.echo(line)
             sys.stdout.flush()
-        if printer.left_out != left_out:
-            left_out = printer.left_out
-            remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
+        for stream, left_out in printer.left_out.items():
+            if left_out and stream not in narrow:
+                narrow.add(stream)
+                remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
+        unwritten_s = run_tail.unwritten_s() if run_tail.is_recording else 0.0
+        if unwritten_s > STANDS_S and not warned:
+            silence = f"not written for {duration(unwritten_s)}"
+            remark(f"{run}: {silence}; if its run was killed, no row will come: leactl runs recover {run}")
+        warned = unwritten_s > STANDS_S
         if not (follow and run_tail.is_recording):
             break
-        if added:
-            waits_since = time.monotonic()
-        elif waits_since and time.monotonic() - waits_since > STANDS_S:
-            remark(
-                f"{run}: no row for {STANDS_S:g} s; if its run was killed, none will come: leactl runs recover {run}"
-            )
-            waits_since = 0.0
-        time.sleep(POLL_S)
+        time.sleep(max(POLL_S, took_s / BUSY_SHARE))
     if follow:
-        remark(f"{run}: {run_tail.status}")
+        remark(f"{run}: {run_tail.status_text}")

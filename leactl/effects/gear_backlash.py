@@ -64,11 +64,11 @@ class GearBacklash(Effect):
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The play, and the load's share of inertia and of friction."""
-        share = min(coefficients["share"], HIGHEST)
-        return {"share": share, "play": form[0], "friction": min(share * form[1], HIGHEST)}
+        share = coefficients["share"]
+        return {"share": share, "play": form[0], "friction": share * form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind teeth."""
-        share = parameters["share"]
-        plant.geared_load = GearedLoad(share, parameters.get("friction", RUBBED))
+        share, friction = parameters["share"], parameters.get("friction", RUBBED)
+        plant.geared_load = GearedLoad(min(share, HIGHEST), min(friction, HIGHEST))
         plant.play += parameters["play"]

@@ -15,7 +15,7 @@ from leactl.model.nominal import Model
 
 DAMPED = 0.05  # of critical, as gears and belts have it
 CREEPS = 1.0  # of critical: such a load follows without a swing, which a lag of the motor's own may be
-HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
+HIGHEST = 0.9  # of the inertia, that a load has in a simulation: the motor's rotor is the rest
 DIES_AWAY = 4.0  # time constants, after which two per cent of a swing are left
 FEWEST = 4  # samples for each number of a fit
 
@@ -49,12 +49,13 @@ class JointElasticity(Effect):
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The load's share of the inertia, the frequency of its swing, and how that is damped."""
-        return {"share": min(coefficients["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
+        return {"share": coefficients["share"], "frequency": form[0], "damping_ratio": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind a spring."""
         damping = parameters.get("damping_ratio", DAMPED)
-        plant.elastic_load = ElasticLoad(parameters["share"], parameters["frequency"], damping)
+        share = min(parameters["share"], HIGHEST)
+        plant.elastic_load = ElasticLoad(share, parameters["frequency"], damping)
 
 
 def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:

@@ -147,8 +147,8 @@ class Follower:
         else:
             lines = list(self._printer.lines(rows))
         self._write("".join(f"{line}\n" for line in lines))
-        if not self._as_json and self._printer.left_out:
-            self._warn(f"no room for {', '.join(self._printer.left_out)}: choose by --channel, or widen the terminal")
+        if left_out := self._printer.left_out.get(rows.stream):  # of no stream where JSON is printed
+            self._warn(f"no room for {', '.join(left_out)}: choose by --channel, or widen the terminal")
         for text in [*progress.warnings, *self._looks.fallen_silent(progress.time_s, self._interval_s)]:
             self._warn(f"warning: {text}")
 

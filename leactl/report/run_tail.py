@@ -1,11 +1,23 @@
 """Rows of a run as lines of text, a column for each channel."""
 
 from collections.abc import Iterator
+from typing import Final, NamedTuple
 
 from leactl.runfile.read.tail import StreamRows
 
-LEAST_WIDTH = 10  # characters of a column: six digits, a sign, a point and room between two
-DIGITS = 6
+
+class Precision(NamedTuple):
+    """Digits of a line of rows, and the widths of its columns in characters."""
+
+    decimals: int  # of the time
+    digits: int  # of a value
+    time_width: int
+    least_width: int  # of a value's column: sign, point, digits, an exponent such as e-05, and a space before them
+
+
+FULL: Final = Precision(decimals=6, digits=6, time_width=12, least_width=14)
+NARROW: Final = Precision(decimals=3, digits=4, time_width=9, least_width=11)
+NARROWEST_IN_FULL = 40  # columns of a terminal; with fewer, rows have fewer digits
 TIME = "time s"
 
 
@@ -15,31 +27,34 @@ class RowPrinter:
     def __init__(self, columns: int | None) -> None:
         """Take the width of the terminal in characters; None where lines may be of any length."""
         self._columns, self._stream = columns, ""
-        self.left_out: tuple[str, ...] = ()  # channels that have no room beside the others
+        self._precision = NARROW if columns is not None and columns < NARROWEST_IN_FULL else FULL
+        self.left_out: dict[str, tuple[str, ...]] = {}  # by stream, channels that have no room beside the others
 
     def lines(self, rows: StreamRows) -> Iterator[str]:
-        """Yield a line for each row, after a heading where the stream changes."""
+        """Yield a line for each row; where the stream changes, its name and the names of the columns before.
+
+        Nothing where there are no rows.
+        """
+        if not len(rows):
+            return
+        decimals, digits, time_width, _ = self._precision
         headings = [f"{name} {unit}".rstrip() for name, unit in zip(rows.names, rows.units, strict=True)]
-        widths = [max(len(heading) + 2, LEAST_WIDTH) for heading in headings]
-        shown = self._shown(rows.stream, widths)
-        self.left_out = rows.names[shown:]
+        widths = self._shown_widths(headings)
+        self.left_out[rows.stream] = rows.names[len(widths) :]
         if rows.stream != self._stream:
             self._stream = rows.stream
-            cells = [f"{heading:>{width}}" for heading, width in zip(headings[:shown], widths, strict=False)]
-            yield f"# {rows.stream}: {TIME}".ljust(self._first(rows.stream)) + "".join(cells)
+            yield f"# {rows.stream}"[: self._columns]
+            cells = [f" {heading[: width - 1]:>{width - 1}}" for heading, width in zip(headings, widths, strict=False)]
+            yield f"#{TIME:>{time_width - 1}}" + "".join(cells)
         for time, values in zip(rows.time.tolist(), rows.values.tolist(), strict=True):
-            cells = [f"{value:>{width}.{DIGITS}g}" for value, width in zip(values[:shown], widths, strict=False)]
-            yield f"{time:>{self._first(rows.stream)}.{DIGITS}f}" + "".join(cells)
+            cells = [f"{value:>{width}.{digits}g}" for value, width in zip(values, widths, strict=False)]
+            yield f"{time:>{time_width}.{decimals}f}" + "".join(cells)
 
-    @staticmethod
-    def _first(stream: str) -> int:
-        """Return the width of the column of times, whose heading begins with the stream's name."""
-        return max(len(f"# {stream}: {TIME}"), 2 * DIGITS)
-
-    def _shown(self, stream: str, widths: list[int]) -> int:
-        """Return how many columns fit into the terminal, one at least."""
+    def _shown_widths(self, headings: list[str]) -> list[int]:
+        """Return the widths of the columns that fit into the terminal; of the first one alone where none fits."""
+        widths = [max(len(heading) + 2, self._precision.least_width) for heading in headings]
         if self._columns is None:
-            return len(widths)
-        room = self._columns - self._first(stream)
+            return widths
+        room = self._columns - self._precision.time_width
         fitting = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= room]
-        return max(fitting, default=1)
+        return widths[: max(fitting)] if fitting else [max(room, self._precision.least_width)]

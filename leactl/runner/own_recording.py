@@ -60,8 +60,13 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     file = file.model_copy(update={"buses": {**file.buses, **moved}})
     with locks.held(file, chosen):
         recording, unsafe = _uploaded(Bench(file, chosen, MachineWiring()), device)
-    with new_file(target) as path:
-        path.write_text(_table(recording), encoding="utf-8")
+    try:
+        with new_file(target) as path:
+            path.write_text(_table(recording), encoding="utf-8")
+    except BaseException as error:
+        if unsafe:
+            error.add_note(unsafe)
+        raise
     if unsafe:
         raise DeviceError(f"{unsafe}; its recording is complete and was saved: {target}")
     return SavedRecording(target, recording.headings, len(recording.values), recording.interval)

@@ -7,10 +7,10 @@ from leactl.safety.interlocks import Interlocks, VelocityDisagreement
 from leactl.safety.thermal.turning import Rotor
 from leactl.safety.watching import Panel, Trip, Watch
 
-TEMPERATURE_STUCK_S = 600.0  # of a temperature without `stuck_s`: resolved to 1 mK, none stays the same so long
+TEMPERATURE_STUCK_S = 600.0  # of a temperature without `stuck_s`: its noise or drift shows in steps finer than 0.1 degC
 TURNING_RAD_S = 0.1  # mean speed over a stretch, far above a velocity's offset: below, an angle or a velocity may stand
 APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
-OTHERS_EVERY = 16  # cycles from one look at the other channels to the next: that they move shows soon
+LOOKS = 16  # at the other channels in a stretch: a look in each cycle would cost more, and motion shows soon
 
 
 class _Still:
@@ -21,6 +21,7 @@ class _Still:
         self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
         self.shaft, self.least, self.most = 0.0, 0.0, 0.0  # rad, of an angle or a velocity: by the other of the two
         self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were looked at last
+        self.look_at = -math.inf  # when the other channels are looked at next
         self.others: list[Sequence[float]] = []
         self.alone = True  # so far: no other channel has moved
         role = watch.channel.role
@@ -30,6 +31,11 @@ class _Still:
         self.angle = place.get("angle") if quantity == "velocity" else None
         self.enabled = place.get("drive_enabled") if quantity == "q_axis_current" else None
 
+    def is_read(self) -> bool:
+        """Whether the latest reading is a number."""
+        value = self.panel.values[self.watch.index]
+        return value == value
+
     def is_off(self) -> bool:
         """Whether it is the current of a drive out of operation, which may report 0 without measuring a current."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
@@ -38,20 +44,21 @@ class _Still:
         """Begin a stretch with what the channels read now."""
         self.value, self.began, self.ends = self.panel.values[self.watch.index], now, now + self.stuck_s
         self.followed = self.looked = now
+        self.look_at = now + self.stuck_s / LOOKS
         self.shaft = 0.0 if self.angle is None else self.panel.values[self.angle]
         self.least = self.most = self.shaft
         self.alone = True
         self.others = [tuple(panel.values) for panel in panels]
 
     def follow(self, now: float) -> None:
-        """Of an angle or a velocity, follow the shaft by the other of the two; a NaN of that one is passed over.
+        """Follow the shaft of an angle by its velocity, or of a velocity by its angle, where that one is a number.
 
-        A swing comes back to where it began, and stands still at each end: its reach shows that the shaft moves.
+        The reach counts: a shaft that swings comes back to where it began, and stands still at each end.
         """
         values = self.panel.values
         if self.velocity is not None and values[self.velocity] == values[self.velocity]:
             self.shaft += values[self.velocity] * (now - self.followed)
-        elif self.angle is not None:
+        elif self.angle is not None and values[self.angle] == values[self.angle]:
             self.shaft = values[self.angle]
         self.followed = now
         if not self.shaft >= self.least:  # also where the first angle was NaN
@@ -69,10 +76,11 @@ class _Still:
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
-    A shaft at rest repeats its angle and its velocity: each of them trips only where the other has shown the shaft at
-    two angles, apart by more than `TURNING_RAD_S` times `stuck_s`, in one stretch. A drive out of operation may repeat
-    a current of exactly 0: that time lengthens the stretch. Stretches follow one another, so that a channel that
-    freezes trips one to two of them later. One that changes is not compared again until its next stretch begins.
+    A shaft at rest repeats its angle and its velocity. Either trips only if the other, in the same stretch, differs by
+    more than `TURNING_RAD_S` times `stuck_s` in angle. A drive that is off may repeat a current of exactly 0: that time
+    lengthens the stretch. A sample that is NaN is passed over. Stretches follow one another, so that a channel that
+    freezes trips one to two of them later. One that changes is not compared again until its next stretch begins. Of
+    samples that come many at a time, the last of each block is compared.
     """
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
@@ -86,7 +94,7 @@ class Stuck:
             if shortest is not None:
                 self._channels.append(_Still(owner, watch, shortest))
         self._still: list[_Still] = []
-        self._next, self._looks = -math.inf, 0
+        self._next = -math.inf
         self.due = -math.inf if self._channels else math.inf
 
     def look(self, now: float) -> None:
@@ -96,13 +104,15 @@ class Stuck:
         ------
         SafetyTrip : by way of the watch's `trip`.
         """
-        self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
-        self._looks += 1
-        others_due = not self._looks % OTHERS_EVERY
+        self._still = [
+            item
+            for item in self._still
+            if (value := item.panel.values[item.watch.index]) == item.value or value != value
+        ]
         for item in self._still:
             if item.velocity is not None or item.angle is not None:
                 item.follow(now)
-            elif others_due:
+            elif now >= item.look_at and item.is_read():  # else it is not known either whether a drive is off
                 self._look_at_others(item, now)
         if now >= self._next:
             self._begin_stretches(now)
@@ -111,13 +121,14 @@ class Stuck:
     def _begin_stretches(self, now: float) -> None:
         """End the stretches that are over, and begin the next."""
         for item in self._channels:
-            if now >= item.ends and item.panel.values:
+            if now >= item.ends and item.panel.values and item.is_read():
                 if item in self._still and item.is_stuck():
                     watch = item.watch
                     judged = " of operation" if item.ends > item.began + item.stuck_s else ""
+                    hint = "; one resolved so coarsely needs a longer stuck_s" if watch.temperature else ""
                     watch.trip(
                         f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s{judged}"
-                        " while others moved: stuck"
+                        f" while others moved: stuck{hint}"
                     )
                 item.begin(self._panels, now)
                 if item not in self._still:
@@ -126,7 +137,7 @@ class Stuck:
 
     def _look_at_others(self, item: _Still, now: float) -> None:
         """Look at what other channels do meanwhile, but not while a drive is out of operation: its time is put back."""
-        since, item.looked = now - item.looked, now
+        since, item.looked, item.look_at = now - item.looked, now, now + item.stuck_s / LOOKS
         if item.is_off():
             item.ends += since
         elif item.alone:

@@ -79,6 +79,32 @@ def test_python_m_is_the_command():
     assert (done.returncode, done.stdout) == (0, leactl("--version").stdout)
 
 
+@pytest.mark.parametrize("stdout", ["closed", "full"])
+def test_a_run_whose_answer_nobody_reads_tells_all_the_same_how_it_ended(tmp_path, stdout):
+    bench = leactl("bench", "show", "emulated").stdout.replace("name: emulated", "name: mine", 1)
+    bench += "  faults: [{fault: scaled_sensor, at_s: 2, device: drive_test, quantity: q_axis_current, gain: 1000}]\n"
+    (tmp_path / "mine.yaml").write_text(bench)
+    read, write = os.pipe()
+    os.close(read)
+    full = os.open("/dev/full", os.O_WRONLY)
+    words = ["run", "current-step", "--bench", "mine.yaml", "--at-end", "sh -c 'echo at the end: $0 >&2'"]
+    done = subprocess.run(
+        [*COMMAND, *words],
+        cwd=tmp_path,
+        env={**os.environ, "LEACTL_STATE": str(tmp_path)},
+        stdout=write if stdout == "closed" else full,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    os.close(write)
+    os.close(full)
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("leactl: warning")]
+    assert done.returncode == 3, "the trip's status, not the reader's"
+    assert lines[0] == "at the end: tripped"
+    assert "passed the limit" in lines[-1], lines
+
+
 @pytest.mark.parametrize("words", ["protocol plan friction", "protocol show friction", "motor show lea", "bench list"])
 def test_a_reader_that_went_away_is_one_status(words):
     read, write = os.pipe()

@@ -27,6 +27,7 @@ from leactl.driver.conversation import Unreadable
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.runner import own_recording
 from leactl.runner.own_recording import save_recording
 from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
@@ -886,3 +887,29 @@ def test_a_drive_that_falls_silent_while_it_is_uploaded_is_told_and_a_complete_r
         assert len(target.read_text().splitlines()) == 51
     else:
         assert "leactl: drive_test: no answer to " in done.stderr
+
+
+def test_what_is_not_confirmed_safe_is_told_too_where_the_recording_cannot_be_written(
+    make_serial_drive, tmp_path, monkeypatch
+):
+    bench = make_serial_drive()
+    path, target = recorded_bench(bench, tmp_path), tmp_path / "step.csv"
+    bench.far.fall_silent("BH", 3)
+    make_table = own_recording._table
+
+    def table_while_another_takes_the_name(recording):
+        target.write_bytes(b"")
+        return make_table(recording)
+
+    monkeypatch.setattr(own_recording, "_table", table_while_another_takes_the_name)
+    with pytest.raises(InputError, match="exists already") as refused:
+        save_recording(str(path), "drive_test", target)
+    assert refused.value.__notes__[0].startswith("NOT CONFIRMED SAFE, switch off the supply: drive_test: ")
+
+
+def test_a_folder_that_is_not_there_is_refused_before_the_drive_is_touched(make_serial_drive, tmp_path):
+    bench = make_serial_drive()
+    path = recorded_bench(bench, tmp_path)
+    bench.far.fall_silent("BH", 1)
+    done = leactl("bench", "recording", "drive_test", str(path), "--out", str(tmp_path / "none" / "step.csv"))
+    assert (done.returncode, done.stderr) == (2, f"leactl: {tmp_path}/none/step.csv: no folder {tmp_path}/none\n")

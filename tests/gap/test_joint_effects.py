@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from leactl.gap.diagnose import Case, diagnose
+from leactl.gap.equations import equations
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import calibrated
 from leactl.joints.machine import draw_machine
@@ -32,6 +33,7 @@ SHARES = [  # effect, parameter, what that is a share of, kind of machine, seed,
     ("gear_backlash", "share", "rotor_inertia", "geared_joint", 16, 0.05),
 ]
 COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
+COARSER = {"rate": 1000.0, "count": 2.0 * np.pi / 8192}
 DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, by what a test calls the case
     **{f"{name} of {kind}": (kind, [name], 3, "plain", {}) for name, kind in JOINTS},
     **{f"one way {seed}": ("heavy_axis", ["asymmetric_friction"], seed, "faint", {}) for seed in ONE_WAY},
@@ -39,6 +41,8 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     "lightly damped": ("drone_motor", ["joint_elasticity"], 5, "plain", {}),
     "gear": ("geared_joint", [], 5, "plain", {}),
     "sound": ("drone_motor", [], 8, "plain", {}),
+    "coarser with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSER),
+    "coarser with gear_backlash": ("heavy_axis", ["gear_backlash"], 6, "strong", COARSER),
     "coarse": ("heavy_axis", [], 6, "plain", COARSE),
     "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
 }
@@ -150,6 +154,18 @@ def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(draw
     assert told["rotor_inertia"] / told["torque_constant"] == pytest.approx(ratio, rel=0.01)
 
 
-def test_an_effect_is_named_beside_such_an_encoder(drawn_case):
-    case, _ = drawn_case("coarse with presliding")
-    assert named(diagnose(case)) == ["presliding"]
+@pytest.mark.parametrize("how", ["coarse with presliding", "coarser with presliding", "coarser with gear_backlash"])
+def test_an_effect_is_named_beside_such_an_encoder(drawn_case, how):
+    case, _ = drawn_case(how)
+    assert named(diagnose(case)) == [how.rpartition(" ")[2]]
+
+
+def test_such_an_encoder_is_looked_at_at_a_lower_rate_and_the_current_at_its_own(drawn_case):
+    case, _ = drawn_case("coarser with presliding")
+    intervals = {
+        equation.name: equation.signals.interval
+        for equation in equations(case.fitted[0], case.model)
+        if equation.name in ("current", "free_torque")
+    }
+    assert intervals["current"] == pytest.approx(1e-3)
+    assert intervals["free_torque"] == pytest.approx(4e-3)

@@ -8,6 +8,8 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
 from leactl.effects.gear_backlash import SEEN
+from leactl.effects.joint_elasticity import HIGHEST
+from leactl.effects.plant import Plant
 from leactl.gap.verdict.picture import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
@@ -138,3 +140,13 @@ def test_the_page_says_which_plays_are_tried():
     told = f"at {words[len(plays)]} plays from {plays[0]:g} to {plays[-1]:g} rad and {words[len(ratios)]} ratios"
     assert told in page
     assert f"a play below {words[int(SEEN)]} counts of the encoder" in page
+
+
+@pytest.mark.parametrize("name", ["joint_elasticity", "gear_backlash"])
+def test_a_load_that_is_nearly_all_of_the_inertia_is_told_as_it_is_and_simulated_with_a_rotor(name):
+    effect = library()[name]
+    numbers = effect.parameters(effect.forms[0], {"share": 0.95}, MODEL)
+    assert numbers["share"] == 0.95, "at a limit it would have no standard error"
+    plant = Plant(MODEL, None, 0.0)
+    effect.act(numbers, plant)
+    assert (plant.elastic_load or plant.geared_load).share == HIGHEST

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.signals.setpoints import leaps, marked
+from leactl.gap.signals.setpoints import holds, leaps, marked
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
 from tests.gap.drawn_machines import write_cases
@@ -67,6 +67,16 @@ def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
 def test_a_late_drive_is_named_in_a_thinned_log():
     found = diagnose(joint_case(6, Effect(delay=6), times_thinned=1))
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["transport_delay"]
+
+
+@pytest.mark.parametrize(("lost", "held"), [(0, True), (1, False)])
+def test_rows_hold_their_setpoint_only_where_no_leap_is_missed(lost, held):
+    missed, leaping = np.zeros(200), np.zeros(200)
+    leaping[20::20] = 300.0
+    missed[20::20] = 6.0  # above noise, but 2 % of the leap: so much does a filter of another kind
+    missed[20 : 20 + 20 * lost : 20] = 60.0
+    assert holds(missed, leaping, leaping > 0.0) == held
+    assert not holds(missed, leaping, np.zeros(200, np.bool_)), "ramps that bend slowly tell nothing"
 
 
 def test_a_wave_that_its_rows_show_does_not_leap():

@@ -194,6 +194,25 @@ def test_a_sensor_that_is_stuck_trips_and_one_that_moves_does_not(make):
     assert 0.2 <= trips_after(rig, "test torque has been exactly .* for 0.2 s", 1, waving(rig)) <= 0.42
 
 
+def test_a_sensor_that_is_stuck_trips_though_a_sample_is_lost_now_and_then(make):
+    rig = make("torque: {stuck_s: 0.2, age_s: 1}")
+    count = itertools.count()
+    rig.sensor.take = lambda: [Row("sensor", rig.clock.now(), (math.nan if next(count) % 100 < 3 else 1.5,))]
+    assert 0.2 <= trips_after(rig, "test torque has been exactly 1.5 N.m for 0.2 s", 1, waving(rig)) <= 0.42
+
+
+def test_a_channel_without_a_number_is_not_stuck(make):
+    rig = make("torque: {stuck_s: 0.2, age_s: 5}")
+    rig.sensor.take = lambda: [Row("sensor", rig.clock.now(), (math.nan,))]
+    rig.run(2.0, waving(rig))
+
+
+def test_a_sensor_that_is_stuck_trips_within_two_stretches_of_a_few_cycles_each(make):
+    rig = make("torque: {stuck_s: 0.3}", period=0.05)
+    rig.converter.apply(0.25)
+    assert 0.3 <= trips_after(rig, "test torque has been exactly .* for 0.3 s", 3, waving(rig)) <= 0.7
+
+
 @pytest.mark.parametrize("quantity", ["angle", "velocity"])
 def test_an_angle_and_a_velocity_are_stuck_only_where_the_other_tells_of_motion(make, quantity):
     rig = make(f"{quantity}: {{stuck_s: 0.2}}")
@@ -228,6 +247,18 @@ def test_an_angle_or_a_velocity_that_stands_while_its_shaft_swings_is_stuck(make
     assert 0.5 <= trips_after(rig, words, 2, swinging(rig, 0.1, quantity)) <= 1.02
     small = make(f"{quantity}: {{stuck_s: 0.5}}")  # 0.1 rad/s of 0.5 s are twice 0.025 rad
     small.run(2.0, swinging(small, 0.02, quantity))
+
+
+@pytest.mark.parametrize("quantity", ["angle", "velocity"])
+def test_an_angle_or_a_velocity_that_stands_is_stuck_though_an_answer_is_lost_now_and_then(make, quantity):
+    rig = make(f"{quantity}: {{stuck_s: 0.5}}")
+    swing, cycles = swinging(rig, 0.1, quantity), itertools.count(1)
+
+    def each():
+        swing()
+        rig.far.frozen = next(cycles) % 40 == 0  # at no end of the swing, whose reach counts
+
+    assert 0.5 <= trips_after(rig, f"test {quantity} has been exactly .* for 0.5 s", 2, each) <= 1.02
 
 
 def test_an_angle_at_rest_is_not_stuck_beside_a_noisy_velocity_and_a_velocity_not_beside_a_coarse_angle(make):

@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+from leactl.effects.contract import Signals
 from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
 from leactl.gap.equations.contract import Equation
+from leactl.gap.signals.decimation import decimated
 from leactl.gap.signals.derived import fast_signals, slow_signals
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import VOLTAGE, complete, fed_by_voltage
@@ -11,11 +13,8 @@ from leactl.model.nominal import Model
 
 __all__ = ["Equation", "equations"]
 
-FAST = (
-    electrical.voltage,
-    electrical.current,
-    electrical.bus,
-    mechanical.free,
+DRIVEN = (electrical.voltage, electrical.current, electrical.bus)
+MOVED = (
     mechanical.coupled,
     mechanical.both,
     mechanical.held_still,
@@ -24,6 +23,27 @@ FAST = (
     motion.shaft,
     motion.lock,
 )
+FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
+
+
+def free(record: Record, fast: Signals, slow: Signals | None) -> Equation | None:
+    """Balance of a free rotor, at the highest rate at which its encoder's counts do not drown its acceleration.
+
+    At the log's own rate where none helps, as for a shaft that hardly accelerates, and for a chain of rests.
+    """
+    logged = mechanical.free(record, fast)
+    if logged is None or not mechanical.is_loud(record, logged) or "creep" in fast.extra:
+        return logged
+    assert record.fast is not None
+    for factor in FACTORS:
+        slower = replace(record, fast=decimated(record.fast, factor))
+        signals = fast_signals(slower, fast.model, slow)
+        assert signals is not None
+        complete(slower, signals)
+        equation = mechanical.free(slower, signals)
+        if equation is not None and not mechanical.is_loud(slower, equation):
+            return equation
+    return logged
 
 
 def equations(record: Record, model: Model) -> list[Equation]:
@@ -33,7 +53,9 @@ def equations(record: Record, model: Model) -> list[Equation]:
     fast = fast_signals(record, model, slow)
     if fast is not None:
         complete(record, fast)
-        built += [equation for build in FAST if (equation := build(record, fast)) is not None]
+        shown = [*(build(record, fast) for build in DRIVEN), free(record, fast, slow)]
+        shown += [build(record, fast) for build in MOVED]
+        built += [equation for equation in shown if equation is not None]
         if (own := axis.axis(record, fast)) is not None:
             built = [equation for equation in built if equation.name != "free_torque"] + [own]
             note = axis.confounded(record, fast)

@@ -18,9 +18,8 @@ SWING_REACH = 8.0  # samples
 SLOW_REACH = 4.0  # samples around a slow one that tell nothing of friction: on a shaft its twist turns back there too
 FREE_SLOW_REACH = 0.5  # the same of a free rotor, whose reversals show over which angle friction builds up
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
-WIDER = ((8.0, 16), (16.0, 32))
 QUIET = 0.01  # of an acceleration, that its noise may have
-LOUD = 0.1  # of it, from which rows are smoothed further: a fit takes the square of that share from an inertia
+LOUD = 0.1  # of it, from which samples are too close: a fit takes the square of that share from an inertia
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
@@ -55,7 +54,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
-    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
+    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval / record.fast.decimation)}
     stamp |= between_instants(record.fast, s)
     width, step = row_smoothing(record.fast, s, mask)
     return Equation(
@@ -94,11 +93,28 @@ def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float
     return {"between_instants_A": ((s.model.torque_constant or 0.0) / usual * smooth(rate), noise_of(current))}
 
 
-def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
-    """Least smoothing of rows, and their distance, at which an angle's noise counts little in its acceleration.
+def is_loud(record: Record, equation: Equation) -> bool:
+    """Whether an angle's noise is a large part of its acceleration, evened as rows are; so too where none is used.
 
     That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
-    column's power. Less smoothing shows waves over the angle of higher orders.
+    column's power. A servo's current that is worked out from its setpoints needs the samples as they are.
+    """
+    s, clock = equation.signals, record.fast
+    assert clock is not None and s.acceleration is not None
+    angle = clock.get("angle")
+    if angle is None or clock.get("q_axis_current") is None:
+        return False
+    if not equation.mask.any():
+        return True
+    noise = noise_of_acceleration(noise_of(angle), s.interval, EVENED[0])
+    power = float(np.mean(smooth(s.acceleration, EVENED[0])[equation.mask] ** 2))
+    return (1.0 + LOUD**2) * noise**2 > LOUD**2 * power
+
+
+def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
+    """Least smoothing of rows, and their distance, at which an angle's noise counts hardly in its acceleration.
+
+    Less smoothing shows waves over the angle of higher orders.
     """
     assert s.acceleration is not None
     angle = clock.get("angle")
@@ -107,10 +123,6 @@ def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
     noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
     for width, step in SHARPER:
         if noise_of_acceleration(noise, s.interval, width) <= quiet:
-            return width, step
-    for width, step in (EVENED, *WIDER):
-        noisy = noise_of_acceleration(noise, s.interval, width)
-        if (1.0 + LOUD**2) * noisy**2 <= LOUD**2 * float(np.mean(smooth(s.acceleration, width)[mask] ** 2)):
             return width, step
     return EVENED
 

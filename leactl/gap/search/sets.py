@@ -428,7 +428,7 @@ def spread_of_form(
     name, form = candidate
     free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
     steps = [FINER[-1] * math.log(ratios[index]) for index in free]
-    moves = {move for move in product((-1, 0, 1), repeat=len(free)) if 0 not in move or sum(map(abs, move)) < 2}
+    moves = {move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2}
 
     def moved(move: Sequence[int]) -> Form:
         logs = dict(zip(free, map(mul, move, steps), strict=True))

@@ -53,8 +53,8 @@ def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:
 def delay_of_stamps(stack: Stack, on_time: Collection[str], candidate: Candidate) -> float:
     """Delay [s] that no run can tell from its samples in the equations where an effect acts; zero where none.
 
-    Stamps that no file explains may be that late. Where a servo inside the drive moves a reference between samples, its
-    moment is known to some half of an interval; a run whose reference nothing moves there tells a delay all the same.
+    Stamps that no file explains may be that late. Where a servo inside the drive moves a reference between samples, the
+    moment of a setpoint is known to half an interval. The run that knows it best counts.
 
     on_time : equations one side of which is later than stamps can be, so that the whole of it is the effects'.
     """

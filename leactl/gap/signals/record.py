@@ -56,6 +56,7 @@ class Clocked:
     fed: Array | None = None  # degC, of the phases that two leads feed; None where a winding is not told apart
     begin: float | None = None  # stamp at which the run began, where this is a stretch of it
     fastest: float = 0.0  # rad/s, or m/s, that the whole run reaches, where this is a stretch of it
+    decimation: int = 1  # samples of the log that stand for one of this clock
     aside: bool = False  # whether it only says how warm a stretch was, and equations are those of the whole run
     driven: dict[str, Array] = field(
         default_factory=dict

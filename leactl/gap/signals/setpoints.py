@@ -34,7 +34,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
     shown = [rows for record in records if (rows := missed_and_leaps(record, model)) is not None]
     between = any(changes_between(missed, leaping) for missed, leaping, _ in shown)
-    held = not between and any(int(np.sum(leaping[steps] > TELLING)) >= FEWEST for _, leaping, steps in shown)
+    held = not between and any(holds(*rows) for rows in shown)
     return [
         replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
         if record.fast is not None
@@ -43,10 +43,17 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     ]
 
 
-def changes_between(missed: Array, leaping: Array) -> bool:
-    """Whether what is missed goes with the leaps of a reference, in squares, beyond what noise and rounding make.
+def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
+    """Whether every leap that steps at once is met, and there are enough of them; rows as in `missed_and_leaps`."""
+    telling = steps & (leaping > TELLING)
+    lost = (np.abs(missed) > MISSED) & (missed**2 > SHARE * leaping**2)
+    return int(np.sum(telling)) >= FEWEST and not bool(np.any(lost & telling))
 
-    missed, leaping : of each row, in standard deviations of what is missed.
+
+def changes_between(missed: Array, leaping: Array) -> bool:
+    """Whether a current misses its reference at the leaps, in squares, by more than noise and rounding explain.
+
+    missed, leaping : of each row, in standard deviations of the noise.
     """
     telling = leaping > TELLING
     beyond = int(np.sum(np.abs(missed[telling]) > MISSED))

@@ -23,7 +23,9 @@ def stamp_columns(equation: str, clock: Clocked, keys: Sequence[Key], column: Ar
     """Nuisances of an equation whose channels' stamps are not told: what its column's neighbours add, and priors."""
     if not any(key in clock.unstamped for key in keys):
         return {}
-    return {tap_name(equation, by): (neighbour(column, by) - column, TAP_PRIOR) for by in TAPS.tolist()}
+    return {
+        tap_name(equation, by): (neighbour(column, by / clock.decimation) - column, TAP_PRIOR) for by in TAPS.tolist()
+    }
 
 
 def tap_name(equation: str, by: int) -> str:
@@ -31,9 +33,10 @@ def tap_name(equation: str, by: int) -> str:
     return f"{equation}_stamp{by:+d}"
 
 
-def neighbour(values: Array, by: int) -> Array:
-    """The value so many samples later, the last or first one beyond the ends."""
-    return np.asarray(values[np.clip(np.arange(len(values)) + by, 0, len(values) - 1)], np.float64)
+def neighbour(values: Array, by: float) -> Array:
+    """The value so many samples later, on a straight line between two; the last or first one beyond the ends."""
+    at = np.arange(len(values))
+    return np.asarray(np.interp(at + by, at, values), np.float64)
 
 
 def restamped(values: Array, weights: Array | None, parts: int = 1) -> Array:
