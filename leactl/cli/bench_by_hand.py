@@ -181,7 +181,7 @@ def read(
         False, "--follow", help="Print a line of the newest readings each second, by wall time, until Ctrl-C."
     ),
     every: float = typer.Option(
-        None, "--every", metavar="SECONDS", min=0.02, help="With --follow: time between two lines.", callback=finite
+        None, "--every", metavar="SECONDS", min=0.02, help="With --follow: time between lines; else 1.", callback=finite
     ),
     channels: list[str] = typer.Option(
         [], "--channel", metavar="NAME", help="With --follow: this channel alone, as in `runs plot`; may be repeated."
@@ -257,15 +257,13 @@ def _follow(
     with to_the_end():
         with keyboard(shown=sys.stderr.isatty()) as keys:
             outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
-        unread: OSError | None = None
-        if follower.is_reader_gone:
-            unread = BrokenPipeError()
-        elif as_json:
+        unread = follower.unread
+        if as_json and unread is None:
             unread = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
         if not as_json:
             typer.echo(ending_line(outcome), err=True)
-    if follower.is_reader_gone and isinstance(outcome.error, Stopped):
-        outcome = replace(outcome, error=None)  # what stopped it is the missing reader
+    if follower.unread is not None and isinstance(outcome.error, Stopped):
+        outcome = replace(outcome, error=None)  # what stopped it is raised as the unread answer
     finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [], unread)
 
 

@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final
 
 import numpy as np
@@ -100,16 +100,17 @@ class Follower:
         self._output, self._encoding = os.dup(sys.stdout.fileno()), encoding_of_stdout()
         columns = os.get_terminal_size(self._output).columns if os.isatty(self._output) else 0
         self._printer = RowPrinter(columns or None)
-        self.is_reader_gone = False
+        self.unread: OSError | None = None  # why stdout takes no more lines
+        self._fault = ""  # of the printing itself
         self.told: list[str] = []  # warnings that stderr has already
 
     def stop_cause(self) -> str:
-        """Return the cause to stop the run for: nobody reads stdout any more; else an empty text."""
-        return "the reader of stdout went away" if self.is_reader_gone else ""
+        """Return the cause to stop the run for, since no more lines will come; else an empty text."""
+        return self._fault if self.unread is None else f"stdout: {self.unread.strerror}"
 
     @contextmanager
     def watch(self, progress: Progress) -> Iterator[None]:
-        """Print while the block lasts; a fault of the printing goes to `progress.view_fault`."""
+        """Print while the block lasts."""
         ended = threading.Event()
         thread = threading.Thread(target=self._print, args=(progress, ended), name="leactl-follow", daemon=True)
         thread.start()
@@ -128,16 +129,14 @@ class Follower:
             pause = min(self._interval_s, FIRST_LOOK_S)
             due_s = pause
             shown_s = -math.inf
-            while not ended.wait(pause):
+            while not ended.wait(pause) and self.unread is None:
                 if progress.time_s > shown_s:  # else the loop has made no cycle since
                     shown_s = progress.time_s
                     self._print_look(progress)
                 due_s = max(due_s + self._interval_s, progress.time_s)  # what a slow reader has missed stays away
                 pause = max(LEAST_PAUSE_S, due_s - progress.time_s)
-        except BrokenPipeError:
-            self.is_reader_gone = True
-        except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
-            progress.view_fault = f"the lines have failed: {type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001 (a thread that dies in silence would leave a run that nobody sees)
+            self._fault = f"the lines have failed: {type(error).__name__}: {error}"
 
     def _print_look(self, progress: Progress) -> None:
         rows = self._looks.take(progress)
@@ -149,15 +148,20 @@ class Follower:
         self._write("".join(f"{line}\n" for line in lines))
         if left_out := self._printer.left_out.get(rows.stream):  # of no stream where JSON is printed
             self._warn(f"no room for {', '.join(left_out)}: choose by --channel, or widen the terminal")
-        for text in [*progress.warnings, *self._looks.fallen_silent(progress.time_s, self._interval_s)]:
+        looked_s = float(rows.time[0])  # the writing may have waited since
+        for text in [*progress.warnings, *self._looks.fallen_silent(looked_s, self._interval_s)]:
             self._warn(f"warning: {text}")
 
     def _warn(self, text: str) -> None:
         if text not in self.told:
             self.told.append(text)
-            print(f"leactl: {text}", file=sys.stderr, flush=True)
+            with suppress(OSError):  # nobody reads it any more; the run's file has it too
+                print(f"leactl: {text}", file=sys.stderr, flush=True)
 
     def _write(self, text: str) -> None:
         waiting = text.encode(self._encoding, errors="replace")
-        while waiting:
-            waiting = waiting[os.write(self._output, waiting) :]
+        try:
+            while waiting:
+                waiting = waiting[os.write(self._output, waiting) :]
+        except OSError as error:
+            self.unread = error

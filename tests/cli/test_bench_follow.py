@@ -2,13 +2,14 @@
 
 import json
 import signal
+import subprocess
 from pathlib import Path
 
 import h5py
 import pytest
 
 from tests.cli.answers import fits_the_page
-from tests.cli.terminal import leactl, start
+from tests.cli.terminal import COMMAND, leactl, start
 from tests.cli.test_bench_by_hand import ALL_SAFE, bench, here, safe  # noqa: F401 (fixtures)
 
 FOLLOW = ("bench", "read", "--follow", "--every", "0.2")
@@ -68,6 +69,15 @@ def test_a_reader_that_goes_away_ends_the_run(followed):
     process.stdout.readline()
     process.stdout.close()
     assert process.wait() == 141
+    with h5py.File(next(Path("runs/by-hand").glob("*.h5"))) as run:
+        assert run.attrs["status"] == "stopped"
+
+
+def test_a_full_disk_behind_stdout_ends_the_run():
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([*COMMAND, *FOLLOW], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "leactl: stdout: cannot be written: No space left on device"
     with h5py.File(next(Path("runs/by-hand").glob("*.h5"))) as run:
         assert run.attrs["status"] == "stopped"
 
