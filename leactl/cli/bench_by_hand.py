@@ -181,7 +181,12 @@ def read(
         False, "--follow", help="Print a line of the newest readings each second, by wall time, until Ctrl-C."
     ),
     every: float = typer.Option(
-        None, "--every", metavar="SECONDS", min=0.02, help="With --follow: time between lines; else 1.", callback=finite
+        None,
+        "--every",
+        metavar="SECONDS",
+        min=0.02,
+        help="With --follow: between two lines; 1 s unless given.",
+        callback=finite,
     ),
     channels: list[str] = typer.Option(
         [], "--channel", metavar="NAME", help="With --follow: this channel alone, as in `runs plot`; may be repeated."

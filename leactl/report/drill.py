@@ -57,6 +57,7 @@ def planned_body(planned: PlannedDrill) -> dict[str, Any]:
     return {
         "bench": planned.bench,
         "emulated": planned.emulated,
+        "devices": list(planned.devices),
         "rehearsals": [
             {
                 "name": rehearsal.name,
@@ -85,6 +86,7 @@ def planned_text(body: Mapping[str, Any]) -> str:
         lines.append(f"{name}: {rehearsal['duration_s']:.1f} s at most, {', '.join(demands) or 'drives off'}")
         lines.append(list_line("  ", rehearsal["explained"]))
     lines += [list_line("not rehearsed: ", f"{item['name']}: {item['why']}") for item in body["not_rehearsed"]]
+    lines.append(list_line("would open ", ", ".join(body["devices"]) or "no device"))
     kind = "emulated in this process" if body["emulated"] else "real or served; each is asked for before"
     lines.append(f"{body['bench']} ({kind}): {len(body['rehearsals'])} would be rehearsed; nothing was moved")
     return "\n".join(lines)

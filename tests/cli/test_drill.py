@@ -91,6 +91,7 @@ def test_a_dry_run_tells_what_a_real_bench_would_do_and_opens_nothing(testbed, h
     assert (done.returncode, done.stderr) == (0, "")  # there is no such bus on this machine
     told = json.loads(done.stdout)
     (stop,) = told["rehearsals"]
+    assert told["devices"] == ["drive_test", "drive_load", "torque_sensor"]
     assert (told["emulated"], stop["name"], stop["duration_s"]) == (False, "stop", pytest.approx(31.3))
     demands = {(peak["role"], peak["quantity"], peak["value"], peak["unit"]) for peak in stop["peaks"]}
     assert demands == {("load", "velocity_reference", 1.0, "rad/s"), ("test", "q_axis_current_reference", 1.0, "A")}

@@ -98,7 +98,8 @@ class EmulatedDrill:
         rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
         rehearsed += [(item.fault, item.on, f"ought to be ended by: {item.drill.by}") for item in self._rehearsals]
         planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
-        return PlannedDrill(self._file.name, True, planned, self._left_out)
+        devices = [device.name for device in request.devices]
+        return PlannedDrill(self._file.name, True, devices, planned, self._left_out)
 
     def run(self) -> Drilled:
         """Rehearse one after the other.

@@ -29,6 +29,7 @@ class PlannedDrill:
 
     bench: str
     emulated: bool
+    devices: Sequence[str]  # names of those that would be opened
     rehearsals: Sequence[PlannedRehearsal]
     left_out: Mapping[str, str]  # what would not be rehearsed, and why
 

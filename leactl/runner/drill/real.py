@@ -124,12 +124,15 @@ class RealDrill:
         """
         left_out = self._left_out()
         planned = []
+        devices: list[str] = []
         for exercise in self._exercises():
             if exercise.name not in left_out:
-                plan = rehearse(self._request(exercise.steps)).plan
+                request = self._request(exercise.steps)
+                devices = [device.name for device in request.devices]  # of each run the same
+                plan = rehearse(request).plan
                 on = self._sensor if exercise.name == UNPLUGGED else ""
                 planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
-        return PlannedDrill(self._file.name, False, planned, left_out | self._catalogue)
+        return PlannedDrill(self._file.name, False, devices, planned, left_out | self._catalogue)
 
     def _exercises(self) -> list[_Exercise]:
         """What was chosen; the one that latches the bench comes last."""
