@@ -187,9 +187,15 @@ app.command("resume", epilog=examples("bench resume mine.yaml", ends=ON_A_BENCH)
 app.command("remark", epilog=examples('bench remark "the bearing squeaks" mine.yaml', ends=ON_A_BENCH))(
     bench_by_hand.remark
 )
-app.command("read", epilog=examples("bench read mine.yaml", "bench read mine.yaml --for 5 --json", ends=ON_A_BENCH))(
-    bench_by_hand.read
-)
+app.command(
+    "read",
+    epilog=examples(
+        "bench read mine.yaml",
+        "bench read mine.yaml --for 5 --json",
+        "bench read mine.yaml --follow --every 5 --channel torque",
+        ends=ON_A_BENCH,
+    ),
+)(bench_by_hand.read)
 app.command("recording", epilog=examples("bench recording drive_test mine.yaml --out step.csv", ends=(DeviceError,)))(
     bench_by_hand.recording
 )
@@ -199,6 +205,7 @@ app.command(
     epilog=examples(
         "bench jog mine.yaml --role test --current 1.5 --for 1",
         "bench jog mine.yaml --role load --velocity 2 --for 3",
+        "bench jog mine.yaml --angle 0.1 --dry-run",
         ends=ON_A_BENCH,
     ),
 )(bench_by_hand.jog)

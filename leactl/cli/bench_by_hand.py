@@ -1,6 +1,7 @@
 """`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: operations at a bench outside a protocol."""
 
 import json
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from leactl.runner.session import Outcome
 
 LONGEST_REMARK = 1000  # characters
+READ_S = 2.0
+EVERY_S = 1.0  # between two lines that are followed
 END_S = 20.0  # three devices confirm within a second each; the rest is for the file
 
 BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
@@ -171,7 +174,23 @@ def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
 
 def read(
     bench: str = BENCH,
-    hold_s: float = typer.Option(2.0, "--for", metavar="SECONDS", help="How long to read.", callback=finite),
+    hold_s: float = typer.Option(
+        None, "--for", metavar="SECONDS", help="How long to read; 2 s, with --follow until Ctrl-C.", callback=finite
+    ),
+    follow: bool = typer.Option(
+        False, "--follow", help="Print a line of the newest readings each second, by wall time, until Ctrl-C."
+    ),
+    every: float = typer.Option(
+        None,
+        "--every",
+        metavar="SECONDS",
+        min=0.02,
+        help="With --follow: between two lines; 1 s unless given.",
+        callback=finite,
+    ),
+    channels: list[str] = typer.Option(
+        [], "--channel", metavar="NAME", help="With --follow: this channel alone, as in `runs plot`; may be repeated."
+    ),
     setup: str = SETUP,
     out: Path = OUT,
     realtime: bool = REALTIME,
@@ -179,24 +198,83 @@ def read(
     bus: list[str] = BUS,
     as_json: bool = AS_JSON,
 ) -> None:
-    """Read every channel with all drives off: mean, standard deviation and age."""
+    """Read every channel with all drives off: mean, standard deviation and age; --follow prints readings as they come.
+
+    A line has nan (JSON: null) where no reading came since the line before. A device that stays silent is named once on
+    stderr and the lines go on, unless its driver or an interlock ends the run, as in any run. The run file holds one
+    row of a stream for each line.
+    """
     from dataclasses import asdict
 
     from leactl.cli.run import finish
+    from leactl.errors import InputError
     from leactl.protocol.by_hand import reading_steps
     from leactl.report.readings import readings, table
     from leactl.runfile.read.reader import Run
 
-    outcome = _perform("read", reading_steps(hold_s), bench, setup, out, realtime, served, bus, everything=True)
-    channels = []
+    if follow:
+        _follow(bench, hold_s, every or EVERY_S, channels, setup, out, realtime, served, bus, as_json)
+        return
+    if every is not None or channels:
+        raise InputError(f"{'--channel' if channels else '--every'}: goes with --follow alone")
+    steps = reading_steps(READ_S if hold_s is None else hold_s)
+    outcome = _perform("read", steps, bench, setup, out, realtime, served, bus, everything=True)
+    summaries = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
-            channels = readings(run)
+            summaries = readings(run)
     unread = None
-    if as_json or channels:
-        body = outcome.as_json() | {"channels": [asdict(item) for item in channels]}
-        unread = print_answer(json.dumps(body) if as_json else table(channels))
+    if as_json or summaries:
+        body = outcome.as_json() | {"channels": [asdict(item) for item in summaries]}
+        unread = print_answer(json.dumps(body) if as_json else table(summaries))
     finish(outcome, [], unread)
+
+
+def _follow(
+    bench: str,
+    hold_s: float | None,
+    every_s: float,
+    channels: list[str],
+    setup: str,
+    out: Path,
+    realtime: bool,
+    served: bool,
+    bus: list[str],
+    as_json: bool,
+) -> None:
+    """Read a bench and print a line of its readings every so often; without `hold_s` until a person stops it."""
+    from dataclasses import replace
+
+    from leactl.cli.run import ending_line, finish, warn_overdue
+    from leactl.errors import Stopped
+    from leactl.protocol.by_hand import endless_steps, reading_steps
+    from leactl.report.follow import Follower, Looks
+    from leactl.runner.operators import keyboard
+    from leactl.runner.request import prepare_by_hand
+    from leactl.runner.session import execute, streams_of
+    from leactl.runner.signals import to_the_end
+
+    steps = endless_steps() if hold_s is None else reading_steps(hold_s)
+    request = prepare_by_hand("read", steps, bench, setup, out, realtime, served, bus, everything=True)
+    request = replace(request, realtime=realtime or request.in_process, record_every_s=every_s)
+    follower = Follower(Looks(request.bench.name, streams_of(request), channels), every_s, as_json)
+    warn_overdue(request)
+    with to_the_end():
+        with keyboard(shown=sys.stderr.isatty()) as keys:
+            outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
+        unread = follower.unread
+        if as_json and unread is None:
+            unread = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
+        if not as_json:
+            typer.echo(ending_line(outcome), err=True)
+    if follower.unread is not None and isinstance(outcome.error, Stopped):
+        outcome = replace(outcome, error=None)  # what stopped it is raised as the unread answer
+    finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [], unread)
+
+
+def _never_answered(_question: str) -> "Callable[[], bool]":
+    """Ask nobody: a run that reads without end goes on until it is stopped."""
+    return lambda: False
 
 
 def zero(
@@ -241,14 +319,18 @@ def jog(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    dry_run: bool = typer.Option(
+        False, "--dry-run", help="Check everything, print the plan, and move nothing; an angle begins at 0 rad."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import ending_line, finish
+    from leactl.cli.run import ending_line, finish, print_rehearsal
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading_steps
     from leactl.runfile.read.reader import Run
+    from leactl.runner.request import prepare_by_hand
 
     wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
     given = [(mode, value) for mode, value in wanted.items() if value is not None]
@@ -256,6 +338,13 @@ def jog(
         raise InputError(f"one of --current, --velocity, --angle was expected, {len(given)} were given")
     motion = Jog(role, *given[0], hold_s, rate)
     motion.check()
+    if dry_run:
+        if motion.mode is Mode.ANGLE:
+            note = "the shaft is taken to stand at 0 rad; a jog reads where it stands, and checks the angle from there"
+            typer.echo(f"leactl: {note}", err=True)
+        request = prepare_by_hand("jog", motion.steps(), bench, setup, out, realtime, served, bus)
+        print_rehearsal(request, as_json)
+        return
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
         before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)

@@ -69,17 +69,7 @@ def run(
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
     if dry_run:
-        from leactl.report.outputs import check_folder
-        from leactl.report.plan import rehearsal_body, rehearsal_text
-        from leactl.runner.session import rehearse
-
-        check_operator(request)
-        check_folder(out)
-        rehearsal = rehearse(request)
-        body = rehearsal_body(request, rehearsal)
-        for text in rehearsal.warnings:
-            print(f"leactl: warning: {text}", file=sys.stderr)
-        typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
+        print_rehearsal(request, as_json)
         return
     with (
         to_the_end(),
@@ -136,13 +126,32 @@ def _ended(words: list[str], outcome: "Outcome") -> str:
     return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
 
 
+def print_rehearsal(request: "Request", as_json: bool) -> None:
+    """Check a request as a run does and print what the run would do; no device is opened.
+
+    Raises
+    ------
+    InputError, SafetyTrip, DeviceError : what a run would raise before it opens a device.
+    """
+    from leactl.report.outputs import check_folder
+    from leactl.report.plan import rehearsal_body, rehearsal_text
+    from leactl.runner.session import rehearse
+
+    check_operator(request)
+    check_folder(request.directory)
+    rehearsal = rehearse(request)
+    body = rehearsal_body(request, rehearsal)
+    for text in rehearsal.warnings:
+        print(f"leactl: warning: {text}", file=sys.stderr)
+    typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
+
+
 def perform(request: "Request", heading: str = "") -> "Outcome":
     """Execute a run request with the live view on stderr; `heading` begins the title of the view."""
     from contextlib import AbstractContextManager
 
     from rich.console import Console
 
-    from leactl.bench.provenance import overdue
     from leactl.report.live import live_view
     from leactl.runner.operators import granted, keyboard
     from leactl.runner.progress import Progress
@@ -151,8 +160,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     console = Console(file=sys.__stderr__)
     emulated = request.bench.emulated is not None
     check_operator(request)
-    for name, text in overdue(request.devices).items():
-        print(f"leactl: warning: {name}: {text}", file=sys.stderr)
+    warn_overdue(request)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
@@ -161,6 +169,14 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
             return live_view(progress, console)
 
         return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
+
+
+def warn_overdue(request: "Request") -> None:
+    """Print on stderr which devices of a run are used beyond their calibration."""
+    from leactl.bench.provenance import overdue
+
+    for name, text in overdue(request.devices).items():
+        print(f"leactl: warning: {name}: {text}", file=sys.stderr)
 
 
 def check_operator(request: "Request") -> None:

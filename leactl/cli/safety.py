@@ -13,7 +13,8 @@ from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import SafetyTrip
 
 if TYPE_CHECKING:
-    from leactl.runner.drill.finding import Drilled
+    from leactl.runner.drill.finding import Drilled, PlannedDrill
+    from leactl.runner.drill.real import RealDrill
 
 app = group_of_commands()
 PAGE = """# The drill of the bench `{bench}`
@@ -32,6 +33,7 @@ def safety() -> None:
     epilog=examples(
         "safety drill",
         "safety drill mine.yaml --only frozen_drive",
+        "safety drill mine.yaml --dry-run",
         ends=ON_A_BENCH,
         means={SafetyTrip: "safety trip or a rehearsal that did not end as it ought to"},
     )
@@ -46,6 +48,7 @@ def drill(
     bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
     out: Path = typer.Option(None, help="Keep the run files here, each beside its bench file."),
     report: Path = typer.Option(None, metavar="FILE", help="Write the report to this .md as well."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, say what would move, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Rehearse every fault on a bench: what caught it, how fast, how the bench ended.
@@ -55,8 +58,12 @@ def drill(
     import tempfile
     from dataclasses import replace
 
-    from leactl.report.drill import markdown, print_drill
+    from leactl.report.drill import markdown, planned_body, planned_text, print_drill
 
+    if dry_run:
+        body = planned_body(_planned(bench, only, served, bus, out or Path()))
+        typer.echo(json.dumps(body) if as_json else planned_text(body))
+        return
     if report is not None:
         _write(report, "", "a")  # a page that cannot be written is refused before anything is rehearsed
     if out is not None:
@@ -136,24 +143,44 @@ def challenge(
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
-    from leactl.errors import InputError
     from leactl.report.drill import progress
-    from leactl.runner.checked_bench import load_checked
     from leactl.runner.drill.emulated import EmulatedDrill
-    from leactl.runner.drill.real import Person, RealDrill
 
-    if load_checked(bench)[0].emulated is not None and not served:
-        if bus:
-            raise InputError("--bus: an emulated bench has its buses in this process; --served meets another's")
+    if _is_emulated_here(bench, served, bus):
         with progress() as tell:
             return EmulatedDrill(bench, only, directory, tell).run()
+    return _real_drill(bench, only, yes, served, bus, directory).run()
+
+
+def _planned(bench: str, only: list[str], served: bool, bus: list[str], directory: Path) -> "PlannedDrill":
+    from leactl.runner.drill.emulated import EmulatedDrill
+
+    if _is_emulated_here(bench, served, bus):
+        return EmulatedDrill(bench, only, directory, lambda _what, _done, _count: None).planned()
+    return _real_drill(bench, only, True, served, bus, directory).planned()
+
+
+def _is_emulated_here(bench: str, served: bool, bus: list[str]) -> bool:
+    from leactl.errors import InputError
+    from leactl.runner.checked_bench import load_checked
+
+    is_emulated_here = load_checked(bench)[0].emulated is not None and not served
+    if is_emulated_here and bus:
+        raise InputError("--bus: an emulated bench has its buses in this process; --served meets another's")
+    return is_emulated_here
+
+
+def _real_drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "RealDrill":
+    from leactl.errors import InputError
+    from leactl.runner.drill.real import Person, RealDrill
+
     present = sys.stdin.isatty() and sys.stderr.isatty()
     if not (yes or present):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees to all")
     person = Person(
         agrees=lambda text: yes or _agreed(text), tell=lambda text: typer.echo(text, err=True), present=present
     )
-    return RealDrill(bench, only, directory, person, served, bus).run()
+    return RealDrill(bench, only, directory, person, served, bus)
 
 
 def _agreed(text: str) -> bool:

@@ -78,6 +78,11 @@ def reading_steps(duration_s: float) -> list[str]:
     return [f"hold: {{name: read, duration_s: {duration_s!r}}}"]
 
 
+def endless_steps() -> list[str]:
+    """Steps that record with every drive off until the run is stopped: a question that nobody is to answer."""
+    return ["prompt: Reads until it is stopped"]
+
+
 def tare_steps() -> list[str]:
     """Steps that tare the torque sensor, with every drive off."""
     return [f"tare: {{samples: {TARE_SAMPLES}}}"]

@@ -1,17 +1,19 @@
-"""A drill as text, as a page of Markdown, and its progress on stderr with the time that is left."""
+"""A drill as text before and after it, as a page of Markdown, and its progress with the time that is left."""
 
 import io
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from leactl.report.terminal import encodable, encoding_of_stdout, terminal_columns, wrapped
-from leactl.runner.drill.finding import Drilled, Finding, Tell
+from leactl.report.plan import peaks
+from leactl.report.terminal import encodable, encoding_of_stdout, list_line, terminal_columns, wrapped
+from leactl.runner.drill.finding import Drilled, Finding, PlannedDrill, Tell
 
 NARROWEST = 72
 WIDEST = 160  # characters: the longest reason then stands on two lines
@@ -48,6 +50,46 @@ def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     ]
     lines.append(wrapped(summary(drilled), [], width))
     return encodable("\n".join(lines) + "\n", encoding)
+
+
+def planned_body(planned: PlannedDrill) -> dict[str, Any]:
+    """Return what a drill would do now as JSON takes it: each rehearsal with its longest duration and peak demands."""
+    return {
+        "bench": planned.bench,
+        "emulated": planned.emulated,
+        "devices": list(planned.devices),
+        "rehearsals": [
+            {
+                "name": rehearsal.name,
+                "on": rehearsal.on,
+                "explained": rehearsal.explained,
+                "duration_s": rehearsal.plan.duration_s,
+                "peaks": peaks(rehearsal.plan),
+            }
+            for rehearsal in planned.rehearsals
+        ],
+        "not_rehearsed": [{"name": name, "why": why} for name, why in planned.left_out.items()],
+    }
+
+
+def planned_text(body: Mapping[str, Any]) -> str:
+    """Return what a drill would do now as text.
+
+    Parameters
+    ----------
+    body : the document that `--json` prints.
+    """
+    lines = []
+    for rehearsal in body["rehearsals"]:
+        demands = [f"{peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}" for peak in rehearsal["peaks"]]
+        name = " ".join(filter(None, (rehearsal["name"], rehearsal["on"])))
+        lines.append(f"{name}: {rehearsal['duration_s']:.1f} s at most, {', '.join(demands) or 'drives off'}")
+        lines.append(list_line("  ", rehearsal["explained"]))
+    lines += [list_line("not rehearsed: ", f"{item['name']}: {item['why']}") for item in body["not_rehearsed"]]
+    lines.append(list_line("would open ", ", ".join(body["devices"]) or "no device"))
+    kind = "emulated in this process" if body["emulated"] else "real or served; each is asked for before"
+    lines.append(f"{body['bench']} ({kind}): {len(body['rehearsals'])} would be rehearsed; nothing was moved")
+    return "\n".join(lines)
 
 
 def markdown(drilled: Drilled) -> str:

@@ -57,6 +57,7 @@ def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
     return {
         **head(plan),
         "bench": request.bench.name,
+        "devices": [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in request.devices],
         "actuator": request.actuator,
         "run": str(request.directory / f"{new_run_id(plan.name, datetime.now(UTC))}.h5"),
         "planned_bytes": round(rehearsal.planned_bytes),
@@ -92,6 +93,7 @@ def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, An
         hottest, limit = winding["hottest_degC"], winding["limit_degC"]
         lines.append(f"winding {role} at most {hottest:g} degC, limit {limit:g} degC; {winding['known']}")
     lines += [*body["left_on"], *body["one_sensor"]]
+    lines.append(f"would open {', '.join(device['name'] for device in body['devices'])}")
     lines.append(f"bench '{body['bench']}' is not tripped, and no other run holds it")
     lines.append(f"would write {body['planned_bytes'] / 1e6:.1f} MB at most, as {body['run']}")
     return "\n".join(lines)

@@ -209,7 +209,7 @@ class Loop:
             supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
             self._see_watchdog()
-        self._progress.values = row
+        self._progress.values, self._progress.time_s = row, began - start
         period, now = self._period, clock.now()
         due = began + period
         if now > due + period:  # a cycle is lost: go on from here, never two cycles in a row to catch up

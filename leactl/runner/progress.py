@@ -27,6 +27,7 @@ class Progress:
     pause: str = ""  # that one is wanted, or lasts
     warnings: list[str] = field(default_factory=list)  # of interlocks, in the order of their crossing
     view_fault: str = ""  # what went wrong with showing the run, which is no fault of the run
+    time_s: float = 0.0  # start of the newest cycle, since the run's start
     done_s: float = 0.0
     began: float = field(default_factory=time.monotonic)
 

@@ -1,12 +1,18 @@
-"""Brings rows to the disk beside the loop: in a thread where the loop keeps wall time, inline where it makes time."""
+"""Brings rows to the disk, all or a few: in a thread where the loop keeps wall time, inline where it makes time."""
 
 import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from leactl.runfile.write.writer import RecordingFailed, RunWriter
+import numpy as np
+
+from leactl.quantities import ChannelSpec
+from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.progress import Progress
 from leactl.safety.disk import free_bytes
@@ -24,6 +30,39 @@ class Recording:
     flush: "Flush"
     progress: Progress
     limits: ChannelLimits
+
+
+class SparseWriter(RunWriter):
+    """A run file that takes at most one row of each stream in a given time."""
+
+    def __init__(
+        self,
+        directory: Path,
+        info: RunInfo,
+        streams: Mapping[str, Sequence[ChannelSpec]],
+        wait_for_disk: Callable[[], None],
+        interval_s: float,
+    ) -> None:
+        super().__init__(directory, info, streams, wait_for_disk)
+        self._interval_s = interval_s
+        self._due = dict.fromkeys(streams, -math.inf)
+
+    def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
+        """Add a row, unless the last one that was added is too young."""
+        if self._is_due(stream, time):
+            super().append_row(stream, time, values)
+
+    def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
+        """Add those of the rows that are due: `times` (n,) and `block` (n, channels)."""
+        kept = [index for index, time in enumerate(times.tolist()) if self._is_due(stream, time)]
+        if kept:
+            super().append(stream, times[kept], block[kept])
+
+    def _is_due(self, stream: str, time: float) -> bool:
+        is_due = time >= self._due[stream]
+        if is_due:
+            self._due[stream] = time + self._interval_s
+        return is_due
 
 
 class InlineFlush:

@@ -25,6 +25,7 @@ from leactl.driver.safe_state import unconfirmed_devices
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, SearchLimit, SetRecordRate, SetSupply
+from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
@@ -33,7 +34,7 @@ from leactl.runner.event_lines import EventLines
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import InlineFlush, Recording, ThreadedFlush
+from leactl.runner.recorder import InlineFlush, Recording, SparseWriter, ThreadedFlush
 from leactl.runner.runs_underway import Announcement
 from leactl.runner.signals import Operator, People, StopSource, Wishes, listening
 from leactl.runner.thermal_admission import Windings
@@ -63,6 +64,7 @@ class Request:
     served: bool = False  # the bench is emulated by another process, on real buses
     cold: bool = False  # a person says that nothing has heated the actuators
     insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
+    record_every_s: float = 0.0  # at most one row of a stream is recorded in this time; 0 records every row
     run_id: str = ""  # where it has to be known before the run; else one is made
     part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
     lines: EventLines | None = None  # where the run is told as it goes
@@ -195,7 +197,12 @@ def preview(request: Request) -> Preview:
     request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     ready, bench, _supervisor = _ready(request, windings)
-    return Preview(ready.plan.duration_s, _planned_bytes(request.plan, bench))
+    return Preview(ready.plan.duration_s, _planned_bytes(request, bench))
+
+
+def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
+    """Return the streams that a run of this request records; no device is opened."""
+    return _bench(request).streams()
 
 
 @dataclass(frozen=True)
@@ -227,7 +234,7 @@ def rehearse(request: Request) -> Rehearsal:
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    planned, forecast = _planned_bytes(request.plan, bench), windings.forecast(ready.plan)
+    planned, forecast = _planned_bytes(request, bench), windings.forecast(ready.plan)
     return Rehearsal(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
 
 
@@ -241,7 +248,7 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     bench = _bench(request)
     check_fit(request.plan, bench)
     require_channels_for_interlocks(bench, request.bench_document)
-    planned = _planned_bytes(request.plan, bench)
+    planned = _planned_bytes(request, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
     request = replace(request, plan=windings.admit(request.plan, request.insert_cooldown))
     supervisor = _supervisor(request, bench, windings)
@@ -297,7 +304,7 @@ def _run(context: RunContext) -> Outcome:
     windings, watchdog, announcement = context.windings, context.watchdog, context.announcement
     plan = request.plan
     try:
-        writer = RunWriter(request.directory, _info(request, bench), bench.streams(), bench.wait_for_disk)
+        writer = _writer(request, bench)
         watchdog.recording(writer.path)
         announcement.tell(run=str(writer.path.resolve()))
         paced = request.realtime or not request.in_process
@@ -467,7 +474,11 @@ def _check_supplies(request: Request, supervisor: Supervisor) -> None:
                     )
 
 
-def _planned_bytes(plan: Plan, bench: Bench) -> float:
+def _planned_bytes(request: Request, bench: Bench) -> float:
+    plan = request.plan
+    if request.record_every_s:
+        rate = 1.0 / request.record_every_s
+        return planned_bytes(bench.streams(), rate, rate, plan.duration_s, {})
     rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, SetRecordRate))]
     return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
 
@@ -513,6 +524,11 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
     )
 
 
+def _writer(request: Request, bench: Bench) -> RunWriter:
+    opened = request.directory, _info(request, bench), bench.streams(), bench.wait_for_disk
+    return SparseWriter(*opened, request.record_every_s) if request.record_every_s else RunWriter(*opened)
+
+
 def _info(request: Request, opened: Bench) -> RunInfo:
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
@@ -549,6 +565,9 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
         if quantity not in measured:
             text = f"no device measures {quantity}: its record has to come from elsewhere"
             writer.event(0.0, "warning", "protocol", text)
+    if request.record_every_s:
+        text = f"at most one row of a stream is recorded in {request.record_every_s:g} s"
+        writer.event(0.0, "info", "recorder", text)
     for name, text in overdue(request.devices).items():
         writer.event(0.0, "warning", name, text)
     if (seed := _seed(request)) is not None:

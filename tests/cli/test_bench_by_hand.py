@@ -161,6 +161,34 @@ def test_jog_refuses_in_one_line_before_anything_is_touched(here, arguments, wor
     assert not (here / "runs").exists()
 
 
+@pytest.mark.parametrize(("option", "value"), [("--current", 1.5), ("--velocity", 2.0), ("--angle", -0.1)])
+def test_a_dry_run_of_a_jog_tells_its_demands_and_opens_nothing(testbed, here, option, value):
+    words = ("jog", str(testbed), option, value, "--role", "load", "--for", "0.5", "--dry-run")
+    answer = answered(*words)
+    (peak,) = answer["peaks"]
+    assert (peak["role"], peak["value"]) == ("load", abs(value))
+    assert [device["name"] for device in answer["devices"]] == list(SAFE)
+    (jog,) = [row for row in answer["timeline"] if row["name"] == "jog"]
+    assert jog["duration_s"] == 0.5
+    text = leactl("bench", *words).stdout
+    assert f"{value:g} {peak['unit']}" in text
+    assert "would open drive_test, drive_load, torque_sensor" in text
+    assert not (here / "runs").exists()
+
+
+@pytest.mark.parametrize(("value", "status"), [("31", 2), ("1", 0)])
+def test_a_dry_run_of_a_jog_refuses_what_the_jog_refuses(value, status):
+    done = leactl("bench", "jog", "--current", value, "--dry-run")
+    assert done.returncode == status
+    assert ("31 A is above the bench limit of 30 A" in done.stderr) == bool(status)
+
+
+def test_a_dry_run_of_a_jog_on_a_bench_that_another_run_holds_is_refused(testbed, holder):
+    done = leactl("bench", "jog", testbed, "--current", "1", "--dry-run")
+    assert (done.returncode, done.stdout) == (5, "")
+    assert f"is driven by another run, process {holder.pid};" in done.stderr
+
+
 def test_an_angle_beyond_the_bench_s_limit_is_refused(bench):
     done = leactl("bench", "jog", bench(limits={"angle_rad": 0.5}), "--angle", "0.6")
     assert done.returncode == 2

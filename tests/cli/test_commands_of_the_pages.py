@@ -40,6 +40,7 @@ ELSEWHERE = {
     "bench resume": ("tests/cli/test_bench_stop.py", '"resume"'),
     "bench remark": ("tests/cli/test_bench_stop.py", '"remark"'),
     "driver replay": ("tests/runner/test_wire_traces.py", '"driver", "replay"'),
+    "bench read mine.yaml --follow": ("tests/cli/test_bench_follow.py", '"--follow"'),
     "bench recording": ("tests/driver/test_elmo_serial_wire.py", '"bench", "recording"'),
     "runs trend torque_constant": ("tests/analysis/test_trend.py", '"runs", "trend"'),
     "runs verify runs --scheduler": ("tests/test_scheduler.py", '"--scheduler", address'),

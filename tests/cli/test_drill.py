@@ -86,6 +86,35 @@ def test_runs_and_their_bench_files_are_kept_where_they_are_asked_for_and_run_ag
     assert "| ok | over_voltage bus_voltage_V 75 | test bus_voltage of 75 V passed the limit of 60 V |" in page
 
 
+def test_a_dry_run_tells_what_a_real_bench_would_do_and_opens_nothing(testbed, here):
+    done = leactl("safety", "drill", testbed, "--out", "kept", "--report", "page.md", "--dry-run", "--json")
+    assert (done.returncode, done.stderr) == (0, "")  # there is no such bus on this machine
+    told = json.loads(done.stdout)
+    (stop,) = told["rehearsals"]
+    assert told["devices"] == ["drive_test", "drive_load", "torque_sensor"]
+    assert (told["emulated"], stop["name"], stop["duration_s"]) == (False, "stop", pytest.approx(31.3))
+    demands = {(peak["role"], peak["quantity"], peak["value"], peak["unit"]) for peak in stop["peaks"]}
+    assert demands == {("load", "velocity_reference", 1.0, "rad/s"), ("test", "q_axis_current_reference", 1.0, "A")}
+    why = {item["name"]: item["why"] for item in told["not_rehearsed"]}
+    assert why["operator_stop"] == "it takes a person at a terminal"
+    assert {path.name for path in here.iterdir()} <= {"tmp", "testbed.yaml", "machine"}
+    text = leactl("safety", "drill", testbed, "--dry-run").stdout
+    assert "stop: 31.3 s at most, load velocity_reference 1 rad/s, test q_axis_current_reference 1 A\n" in text
+
+
+def test_a_dry_run_of_an_emulated_bench_names_each_rehearsal(here):
+    told = json.loads(leactl("safety", "drill", "--only", "frozen_drive", "--dry-run", "--json").stdout)
+    names = [(item["name"], item["on"]) for item in told["rehearsals"]]
+    assert names == [("no_fault", ""), ("frozen_drive", "drive_test"), ("frozen_drive", "drive_load")]
+    assert {path.name for path in here.iterdir()} <= {"tmp", "state"}
+
+
+def test_a_dry_run_of_a_bench_that_another_run_holds_is_refused(testbed, holder):
+    done = leactl("safety", "drill", testbed, "--dry-run")
+    assert (done.returncode, done.stdout) == (5, "")
+    assert f"is driven by another run, process {holder.pid};" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -65,6 +65,18 @@ def test_every_command_has_examples_that_parse(path):
         assert not re.search(r"\.(html|pdf)\b", repr(arguments))  # what an option that takes no value has left over
 
 
+MOVES_NOTHING = {("bench", "serve"), ("bench", "read"), ("bench", "zero"), ("bench", "recording")}
+
+
+def test_every_command_that_moves_a_bench_can_be_rehearsed():
+    def having(matches):
+        return {path for path, command in COMMANDS.items() if any(map(matches, command.params))}
+
+    at_a_bench = having(lambda param: param.metavar == "NAME=INTERFACE:CHANNEL")
+    assert having(lambda param: "--dry-run" in param.opts) == at_a_bench - MOVES_NOTHING
+    assert at_a_bench >= MOVES_NOTHING
+
+
 @pytest.mark.parametrize("path", EVERY, ids=" ".join)
 def test_help_is_whole_in_80_columns(path):
     lines = helped(path).splitlines()

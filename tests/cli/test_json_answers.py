@@ -29,7 +29,8 @@ SELDOM = (
     r"welch\.|unexplained\.|causes\[\]|region\.|acceptance\[\]\.(result|bisect)|results\[\]\.(actuator|condition)$"
     r"|unreadable\[\]\.|^simulator"
 )
-ELSEWHERE = {  # answers that take minutes or a drive: the test that holds its own against the page
+ELSEWHERE = {  # answers of several lines, or that take minutes or a drive: the test that holds its own against the page
+    "Readings of a bench": "tests/cli/test_bench_follow.py",
     "A closed loop": "tests/exchange/test_loop.py",
     "A trace, replayed": "tests/runner/test_wire_traces.py",
     "A recording of a drive": "tests/driver/test_elmo_serial_wire.py",

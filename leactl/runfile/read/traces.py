@@ -2,6 +2,7 @@
 
 import difflib
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError, MissingChannel
+from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +51,23 @@ def channel_names(run: Run, words: list[str]) -> list[str]:
     ------
     MissingChannel : a word chooses no channel; the message lists the channels of the run.
     """
-    known = {f"{stream}/{spec.name}": spec for stream, specs in run.streams.items() for spec in specs}
+    return chosen_channels(run.streams, words, f"{run.path}: ", "the run")
+
+
+def chosen_channels(
+    streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str], place: str, owner: str
+) -> list[str]:
+    """Return `stream/channel` of the channels that `words` choose, as `channel_names`.
+
+    Parameters
+    ----------
+    place, owner : begin of the message of an error, and whose channels these are.
+
+    Raises
+    ------
+    MissingChannel : a word chooses no channel; the message lists the channels.
+    """
+    known = {f"{stream}/{spec.name}": spec for stream, specs in streams.items() for spec in specs}
     chosen: list[str] = []
     for word in words:
         matches = [
@@ -60,7 +78,7 @@ def channel_names(run: Run, words: list[str]) -> list[str]:
         if not matches:
             nearest = difflib.get_close_matches(word, [spec.name for spec in known.values()], 1)
             hint = f"; did you mean {nearest[0]!r}" if nearest else ""
-            raise MissingChannel(f"{run.path}: no channel {word!r}{hint}; the run has {', '.join(known) or 'none'}")
+            raise MissingChannel(f"{place}no channel {word!r}{hint}; {owner} has {', '.join(known) or 'none'}")
         chosen += [name for name in matches if name not in chosen]
     return chosen if words else list(known)
 

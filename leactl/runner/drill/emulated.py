@@ -23,11 +23,20 @@ from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
-from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, Tell, of_the_end
+from leactl.runner.drill.finding import (
+    CAUGHT,
+    DeviceEnd,
+    Drilled,
+    Finding,
+    PlannedDrill,
+    PlannedRehearsal,
+    Tell,
+    of_the_end,
+)
 from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, execute
+from leactl.runner.session import Outcome, execute, rehearse
 from leactl.runner.signals import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits
@@ -74,6 +83,23 @@ class EmulatedDrill:
             min(MOST_CURRENT_A, 0.25 * self._file.limits.current_A),
             round(BEFORE_S + longest + AFTER_S, 3),
         )
+
+    def planned(self) -> PlannedDrill:
+        """Return what `run` would rehearse.
+
+        Raises
+        ------
+        InputError, SafetyTrip : plan and bench do not fit, or the bench is latched.
+        """
+        request = prepare_by_hand("drill", self._steps, self._document.name, self._setup, self._directory, False)
+        with _own_state():
+            plan = rehearse(request).plan
+        rehearsed = [(NOTHING, "", "nothing goes wrong")]
+        rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
+        rehearsed += [(item.fault, item.on, f"ought to be ended by: {item.drill.by}") for item in self._rehearsals]
+        planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
+        devices = [device.name for device in request.devices]
+        return PlannedDrill(self._file.name, True, devices, planned, self._left_out)
 
     def run(self) -> Drilled:
         """Rehearse one after the other.

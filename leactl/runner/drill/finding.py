@@ -1,15 +1,37 @@
-"""What a drill found: of each rehearsal how it was noticed, how fast, and how the bench ended."""
+"""What a drill would do, and what it found: of each rehearsal how it was noticed, how fast, how the bench ended."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from leactl.protocol.plan import Plan
 from leactl.runner.session import Outcome
 
 CAUGHT = ("tripped", "failed")
 
 Tell = Callable[[str, int, int], None]
 """Takes what is rehearsed next, how many have been, and how many there are."""
+
+
+@dataclass(frozen=True)
+class PlannedRehearsal:
+    """One rehearsal that a drill would make now."""
+
+    name: str  # of the fault, or of what a person does
+    on: str  # device or bus
+    explained: str  # what happens
+    plan: Plan  # of its run, which the rehearsal may end early
+
+
+@dataclass(frozen=True)
+class PlannedDrill:
+    """A whole drill that nothing has been moved for."""
+
+    bench: str
+    emulated: bool
+    devices: Sequence[str]  # names of those that would be opened
+    rehearsals: Sequence[PlannedRehearsal]
+    left_out: Mapping[str, str]  # what would not be rehearsed, and why
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from leactl.bench import benchfile
 from leactl.driver import registry
@@ -19,10 +20,18 @@ from leactl.protocol import by_hand
 from leactl.runfile.verify.integrity import verify
 from leactl.runner import latch
 from leactl.runner.drill.emulated import STOPPED, drives, setup_of
-from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, of_the_end
+from leactl.runner.drill.finding import (
+    CAUGHT,
+    DeviceEnd,
+    Drilled,
+    Finding,
+    PlannedDrill,
+    PlannedRehearsal,
+    of_the_end,
+)
 from leactl.runner.operators import granted, keyboard
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, execute
+from leactl.runner.session import Outcome, Request, execute, rehearse
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits
 STOP_AFTER_S, PATIENCE_S = 1.0, 30.0
@@ -38,6 +47,16 @@ class Person:
     agrees: Callable[[str], bool]
     tell: Callable[[str], None]
     present: bool  # at a terminal, to press and to unplug
+
+
+class _Exercise(NamedTuple):
+    """What is rehearsed by one run."""
+
+    name: str
+    explained: str
+    by_a_person: bool
+    steps: Sequence[str]  # of its run
+    rehearse: Callable[[], Finding]
 
 
 class RealDrill:
@@ -86,31 +105,62 @@ class RealDrill:
         Stopped, SafetyTrip, DeviceError, RecordingFailed : as of any run.
         """
         findings: list[Finding] = []
-        left_out = {DEAD_MAN: self._by_hand} if DEAD_MAN in self._only else {}
-        motion = f"at {self._velocity:g} rad/s and {self._current:g} A at the most; keep clear of the shaft"
-        rehearsed = (
-            (STOP, f"The drives move for {STOP_AFTER_S:g} s and are stopped, {motion}.", False, self._stop),
-            (KEY, f"The drives move until you press space or q, {motion}.", True, self._key),
-            (
-                UNPLUGGED,
-                f"Drives off; you unplug {self._sensor} and the bench has to trip. It stays latched afterwards.",
-                True,
-                self._unplugged,
-            ),
-        )
-        for name, explained, by_a_person, rehearse in rehearsed:
-            if name not in self._only:
+        left_out = self._left_out()
+        for exercise in self._exercises():
+            if exercise.name in left_out:
                 continue
-            if name == UNPLUGGED and not self._sensor:
-                left_out[name] = "no sensor on an analogue input"
-            elif by_a_person and not self._person.present:
-                left_out[name] = "it takes a person at a terminal"
-            elif not self._person.agrees(f"{name}: {explained}"):
-                left_out[name] = "not agreed to"
+            if self._person.agrees(f"{exercise.name}: {exercise.explained}"):
+                findings.append(exercise.rehearse())
             else:
-                findings.append(rehearse())
-        known = f"{len(known_faults())} faults of the catalogue"
-        return Drilled(self._file.name, False, findings, left_out | {known: "no fault can be put into a real bench"})
+                left_out[exercise.name] = "not agreed to"
+        return Drilled(self._file.name, False, findings, left_out | self._catalogue)
+
+    def planned(self) -> PlannedDrill:
+        """Return what `run` would rehearse if a person agreed to all of it; no device is opened.
+
+        Raises
+        ------
+        InputError, SafetyTrip, DeviceError : as of any run, before a device is opened.
+        """
+        left_out = self._left_out()
+        planned = []
+        devices: list[str] = []
+        for exercise in self._exercises():
+            if exercise.name not in left_out:
+                request = self._request(exercise.steps)
+                devices = [device.name for device in request.devices]  # of each run the same
+                plan = rehearse(request).plan
+                on = self._sensor if exercise.name == UNPLUGGED else ""
+                planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
+        return PlannedDrill(self._file.name, False, devices, planned, left_out | self._catalogue)
+
+    def _exercises(self) -> list[_Exercise]:
+        """What was chosen; the one that latches the bench comes last."""
+        motion = f"at {self._velocity:g} rad/s and {self._current:g} A at the most; keep clear of the shaft"
+        stopped = f"The drives move for {STOP_AFTER_S:g} s and are stopped, {motion}."
+        pressed = f"The drives move until you press space or q, {motion}."
+        unplugged = f"Drives off; you unplug {self._sensor} and the bench has to trip. It stays latched afterwards."
+        every = (
+            _Exercise(STOP, stopped, False, self._moving(STOP_AFTER_S + PATIENCE_S), self._stop),
+            _Exercise(KEY, pressed, True, self._moving(PATIENCE_S), self._key),
+            _Exercise(UNPLUGGED, unplugged, True, by_hand.reading_steps(PATIENCE_S), self._unplugged),
+        )
+        return [exercise for exercise in every if exercise.name in self._only]
+
+    def _left_out(self) -> dict[str, str]:
+        """What of the exercises cannot be rehearsed here, and why."""
+        left_out = {DEAD_MAN: self._by_hand} if DEAD_MAN in self._only else {}
+        for exercise in self._exercises():
+            if exercise.name == UNPLUGGED and not self._sensor:
+                left_out[exercise.name] = "no sensor on an analogue input"
+            elif exercise.by_a_person and not self._person.present:
+                left_out[exercise.name] = "it takes a person at a terminal"
+        return left_out
+
+    @property
+    def _catalogue(self) -> dict[str, str]:
+        """Why no fault is rehearsed."""
+        return {f"{len(known_faults())} faults of the catalogue": "no fault can be put into a real bench"}
 
     @property
     def _by_hand(self) -> str:
@@ -158,9 +208,7 @@ class RealDrill:
         ------
         Stopped : it was stopped by another cause than this.
         """
-        request = prepare_by_hand(
-            "drill", steps, self._bench, self._setup, self._directory, False, self._served, self._buses
-        )
+        request = self._request(steps)
         safe_at: list[float] = []
 
         @contextmanager
@@ -174,6 +222,11 @@ class RealDrill:
         if isinstance(outcome.error, Stopped) and not (cause and outcome.reason.startswith(cause)):
             raise outcome.error
         return outcome, safe_at[0]
+
+    def _request(self, steps: Sequence[str]) -> Request:
+        return prepare_by_hand(
+            "drill", steps, self._bench, self._setup, self._directory, False, self._served, self._buses
+        )
 
     def _finding(
         self,
