@@ -1,5 +1,7 @@
 """Torque: the balance of a free rotor, of two on a shaft, and what the torque channel makes of it."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -69,10 +71,16 @@ def free(record: Record, s: Signals) -> Equation | None:
         calibration,
         stamp,
         shared,
+        rounding=noise_of_counts(s, width),
         width=width,
         step=step,
         memory=MEMORY * EVENED[1] // step,  # as long in closer rows
     )
+
+
+def noise_of_counts(s: Signals, width: float) -> float:
+    """Standard deviation that the counts of an encoder leave in a row of torque."""
+    return (s.model.rotor_inertia or 0.0) * noise_of_acceleration(s.count / math.sqrt(12.0), s.interval, width)
 
 
 def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float]]:

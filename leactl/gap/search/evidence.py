@@ -69,6 +69,7 @@ UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that 
 MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
 CORRECTED = 0.3  # of a parameter, the largest such error that is taken away: beyond it, the runs hardly show it
 PINNED = 1e-4  # prior of a torque constant that nothing tells
+ROUNDED = 0.5  # of a sound machine's noise, in squares, that rounding has to make for all of it to be known
 NEGLIGIBLE = 0.05  # of the smallest size worth knowing, below which an effect is none
 NO_CORRELATION = 0.02
 FEW_LAGS = 6
@@ -197,12 +198,13 @@ class Evidence:
         return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / (white or rows.white) ** 2)
 
     def sound_white(self, rows: Rows) -> float:
-        """Noise of rows from one to the next as a sound machine has it, at most the rows' own.
+        """Noise of rows from one to the next as a sound machine has it, where most of that is a channel's rounding.
 
-        What swings within a few rows counts as noise by itself. Sound machines have the noise of the channels alone.
+        What swings within a few rows passes for noise by itself. How much rounding leaves is known; how much noise a
+        machine makes beside that of its channels is not, so that where other noise prevails the rows' own counts.
         """
-        sound = self.null.white.get((rows.equation, rows.kind)) if self.null is not None else None
-        return rows.white if sound is None else min(rows.white, math.sqrt(sound))
+        sound = self.null.white.get((rows.equation, rows.kind), 0.0) if self.null is not None else 0.0
+        return min(rows.white, math.sqrt(sound)) if rows.rounding**2 > ROUNDED * sound > 0.0 else rows.white
 
     def is_judged(self, rows: Rows) -> bool:
         """Whether what is left over of some rows tells anything: it is known what a sound machine leaves there."""

@@ -46,6 +46,7 @@ class Rows:
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # that a rounded channel takes
+    rounding: float = 0.0  # standard deviation that the rounding of a channel gives a row
     width: float = 0.0  # samples, smoothing of the rows
     memory: int = MEMORY  # rows, within which one may depend on another
     rough: bool = False  # whether what is left over of them is no sign of anything
@@ -101,6 +102,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         equation.signals,
         max(white_noise(left), equation.rounding),
         levels=equation.levels,
+        rounding=equation.rounding,
         width=equation.width,
         memory=equation.memory,
         rough=equation.rough,
