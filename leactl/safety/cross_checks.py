@@ -22,7 +22,8 @@ class _Still:
         self.shaft, self.least, self.most = 0.0, 0.0, 0.0  # rad, of an angle or a velocity: by the other of the two
         self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were looked at last
         self.look_at = -math.inf  # when the other channels are looked at next
-        self.others: list[Sequence[float]] = []
+        self.unread = math.nan  # since when the channel has had no reading, at a look that was due
+        self.others: list[list[float]] = []  # the first number of each other channel in the stretch
         self.alone = True  # so far: no other channel has moved
         role = watch.channel.role
         place = {other.channel.quantity: other.index for other in panel.watches if other.channel.role == role}
@@ -45,10 +46,11 @@ class _Still:
         self.value, self.began, self.ends = self.panel.values[self.watch.index], now, now + self.stuck_s
         self.followed = self.looked = now
         self.look_at = now + self.stuck_s / LOOKS
+        self.unread = math.nan
         self.shaft = 0.0 if self.angle is None else self.panel.values[self.angle]
         self.least = self.most = self.shaft
         self.alone = True
-        self.others = [tuple(panel.values) for panel in panels]
+        self.others = [list(panel.values) for panel in panels]
 
     def follow(self, now: float) -> None:
         """Follow the shaft of an angle by its velocity, or of a velocity by its angle, where that one is a number.
@@ -112,7 +114,7 @@ class Stuck:
         for item in self._still:
             if item.velocity is not None or item.angle is not None:
                 item.follow(now)
-            elif now >= item.look_at and item.is_read():  # else it is not known either whether a drive is off
+            elif now >= item.look_at:
                 self._look_at_others(item, now)
         if now >= self._next:
             self._begin_stretches(now)
@@ -137,6 +139,13 @@ class Stuck:
 
     def _look_at_others(self, item: _Still, now: float) -> None:
         """Look at what other channels do meanwhile, but not while a drive is out of operation: its time is put back."""
+        if not item.is_read():  # nor is it known whether a drive is off
+            item.unread = item.unread if item.unread <= now else now
+            return
+        if item.unread <= now:  # that time counts neither as operation nor as a stretch
+            item.ends += now - item.unread
+            item.looked += now - item.unread
+            item.unread = math.nan
         since, item.looked, item.look_at = now - item.looked, now, now + item.stuck_s / LOOKS
         if item.is_off():
             item.ends += since
@@ -147,8 +156,13 @@ class Stuck:
         for panel, before in zip(self._panels, item.others, strict=True):
             for watch in panel.watches:
                 index = watch.index
-                if watch is not item.watch and before and abs(panel.values[index] - before[index]) > 0.0:
-                    return True  # NaN compares false: what is absent does not move
+                if watch is item.watch or not before:
+                    continue
+                value = panel.values[index]
+                if before[index] != before[index]:
+                    before[index] = value
+                elif abs(value - before[index]) > 0.0:  # NaN compares false: what is absent does not move
+                    return True
         return False
 
 

@@ -6,8 +6,13 @@ import random
 
 import pytest
 
+from leactl import yamlfile
 from leactl.driver.contract import Row
 from leactl.errors import DeviceFault, NoAnswer, SafetyTrip
+from leactl.quantities import ChannelSpec
+from leactl.safety.cross_checks import Stuck
+from leactl.safety.interlocks import Interlocks
+from leactl.safety.watching import Panel
 from tests.driver.elmo_bench import q_axis
 from tests.safety.rig import HOUSING, LIMITS, Rig
 
@@ -199,6 +204,33 @@ def test_a_sensor_that_is_stuck_trips_though_a_sample_is_lost_now_and_then(make)
     count = itertools.count()
     rig.sensor.take = lambda: [Row("sensor", rig.clock.now(), (math.nan if next(count) % 100 < 3 else 1.5,))]
     assert 0.2 <= trips_after(rig, "test torque has been exactly 1.5 N.m for 0.2 s", 1, waving(rig)) <= 0.42
+
+
+def test_a_sensor_that_is_stuck_trips_though_the_only_other_channel_is_lost_where_its_stretch_begins():
+    far = Panel([ChannelSpec("a", "torque", "test", "d")], LIMITS, Interlocks(), trip, lambda text: None)
+    near = Panel([ChannelSpec("b", "line_current", "test", "d")], LIMITS, Interlocks(), trip, lambda text: None)
+    stuck = Stuck([far, near], yamlfile.parse("torque: {stuck_s: 1}").validate(Interlocks))
+    with pytest.raises(SafetyTrip, match=r"test torque has been exactly 2 N\*m for 1 s"):
+        for cycle in range(300):
+            far.values = (2.0,)
+            near.values = (math.nan if cycle % 100 == 0 else math.sin(cycle),)
+            stuck.look(0.01 * cycle)
+
+
+def test_the_time_for_which_a_current_is_not_read_is_no_time_of_operation():
+    specs = [ChannelSpec("i", "q_axis_current", "test", "d"), ChannelSpec("e", "drive_enabled", "test", "d")]
+    drive = Panel(specs, LIMITS, Interlocks(), trip, lambda text: None)
+    other = Panel([ChannelSpec("b", "line_current", "test", "d")], LIMITS, Interlocks(), trip, lambda text: None)
+    stuck = Stuck([drive, other], yamlfile.parse("q_axis_current: {stuck_s: 5}").validate(Interlocks))
+    for cycle in range(1200):
+        now = 0.01 * cycle
+        drive.values = (0.0, 0.0) if now < 0.05 else (math.nan, math.nan) if now < 10.0 else (0.0, 1.0)
+        other.values = (math.sin(cycle),)
+        stuck.look(now)
+
+
+def trip(text):
+    raise SafetyTrip(text)
 
 
 def test_a_channel_without_a_number_is_not_stuck(make):
