@@ -85,7 +85,7 @@ def main() -> None:
 
 def _exit_process(code: str | int | None) -> NoReturn:
     """Flush both streams and end the process without unloading libraries: HDF5 can crash there after a failed write."""
-    for stream in (sys.stdout, sys.stderr):
+    for stream in filter(None, (sys.stdout, sys.stderr)):
         with suppress(OSError):
             stream.flush()
     os._exit(LeactlError.exit_status if isinstance(code, str) else code or 0)
@@ -161,7 +161,8 @@ def _end(lines: list[str], status: int) -> NoReturn:
         with suppress(OSError):  # what stdout cannot take stands on stderr
             print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
     try:
-        sys.stdout.flush()
+        if sys.stdout is not None:  # as it is where it was closed before the start
+            sys.stdout.flush()
     except OSError:
         _discard_stdout()  # nobody reads it, or its disk is full
     for line in lines[:MOST_LINES]:

@@ -79,6 +79,14 @@ def test_python_m_is_the_command():
     assert (done.returncode, done.stdout) == (0, leactl("--version").stdout)
 
 
+def test_an_error_has_its_status_and_line_where_stdout_is_closed_from_the_start(tmp_path):
+    words = [*COMMAND[:1], "-m", "leactl", "runs", "show", str(tmp_path / "none.h5")]
+    done = subprocess.run(
+        ["sh", "-c", '"$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+
+
 @pytest.mark.parametrize("stdout", ["closed", "full"])
 def test_a_run_whose_answer_nobody_reads_tells_all_the_same_how_it_ended(tmp_path, stdout):
     bench = leactl("bench", "show", "emulated").stdout.replace("name: emulated", "name: mine", 1)
