@@ -3,6 +3,7 @@
 import sys
 from array import array
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -87,8 +88,7 @@ class Columns:
                 if comment and cells[0].startswith(comment):
                     continue
                 if not width:
-                    width = len(cells)
-                    self._choose(wanted, labels, line, cells)
+                    width = self._choose(wanted, labels, line, cells)
                 if len(cells) != width and (fault := width_fault(path, line, cells, width)):
                     self._faults.append(fault)
                 else:
@@ -100,18 +100,20 @@ class Columns:
 
     def _choose(
         self, wanted: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
-    ) -> None:
-        """Choose the columns to keep; names count only if the first row is as wide as the header."""
+    ) -> int:
+        """Choose the columns to keep and return how many cells a row has: as the header, where columns go by name."""
         width, named = len(cells), len(strip_cells(self.names))
         if named and any(isinstance(name, str) for name in (*(wanted or ()), *labels)):
             expected = min(max(width, named), len(self.names))
             if fault := width_fault(self.path, line, cells, expected):
                 raise InputError(fault)
+            width = min(width, expected)
         if wanted is None:
             self._kept = {at: [] for at in range(width)}
         else:
             self._kept = {at: array("d") for name in wanted if (at := self.position(name)) in range(width)}
         self._labels = {at: [] for name in labels if (at := self.position(name)) in range(width)}
+        return width
 
     def _keep(self, line: int, cells: list[str]) -> None:
         self.lines.append(line)
@@ -139,12 +141,14 @@ class Columns:
         ------
         ValueError : it is no number.
         """
-        try:
-            if not self._format.thousands:
+        value = None
+        # float() takes underscores, and a point where a comma was expected
+        strange = "_" in cell or (self._decimal == "," and "." in cell)
+        with suppress(ValueError):
+            if self._format.thousands:
+                value = self._format.value(cell)
+            elif not strange:
                 return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
-            value = self._format.value(cell)
-        except ValueError:
-            value = None
         value = self.words.get(cell.lower()) if value is None else value
         if value is None:
             raise ValueError(cell)

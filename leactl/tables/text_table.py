@@ -128,6 +128,8 @@ def open_text(path: Path, encoding: str, most: int | None = None, advice: str = 
                 line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
                 readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk"))
                 raise InputError(f"{path}: not {encoding} at byte {at}; its line reads {readings}{advice}") from None
+            except UnicodeError as error:  # UTF-16 without a byte order mark
+                raise InputError(f"{path}: not {encoding}: {error}{advice}") from None
     except OSError as error:
         parts = "; export it in parts" if error.errno == errno.EFBIG else ""
         raise InputError(f"{path}: {error.strerror or error}{parts}") from None

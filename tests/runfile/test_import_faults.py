@@ -193,6 +193,7 @@ def test_clocks_that_disagree(folder, clock, told):
         ),
         ("b.csv", b"t,q\n0,1,2\n1,2,3\n", "line 2: 3 cells where 2 were expected; is a decimal comma taken"),
         ("b.csv", b"t,q,w\n0,1\n1,2\n", "line 2: 2 cells where 3 were expected"),
+        ("b.csv", b"t,q\n0,1_5\n1,2\n2,1_5\n", "column 'q': '1_5' is not a number"),
         ("b.csv", b't,q\n0,"' + b"1" * 200_000 + b'"\n', "line 2: field larger than field limit"),
         ("b.xls", b"x", "the ending does not tell its format"),
     ],
