@@ -325,9 +325,15 @@ def outweighed(
         sum(one for one, rows in zip(amounts, evidence.stack.rows, strict=True) if rows.equation not in aside)
         for amounts in (result.taken, result.left)
     )
-    explains = min((library()[name].explains for name, _ in result.hypothesis), default=1.0)
-    missed = (1.0 - explains) / explains if explains < sets.LOOSE else OUTWEIGHED
-    return unexplained(rest, heard).probability >= UNKNOWN and left > missed * taken
+    total = sum(member.gain for member in result.members) or 1.0
+    allowed = sum(may_leave(member.effect) * member.gain for member in result.members) / total
+    return unexplained(rest, heard).probability >= UNKNOWN and left > allowed * taken
+
+
+def may_leave(effect: str) -> float:
+    """Of the squares that an effect explains, the share that it may leave where its columns are known to be loose."""
+    explains = library()[effect].explains
+    return (1.0 - explains) / explains if explains < sets.LOOSE else OUTWEIGHED
 
 
 def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:

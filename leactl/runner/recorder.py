@@ -45,7 +45,7 @@ class SparseWriter(RunWriter):
     ) -> None:
         super().__init__(directory, info, streams, wait_for_disk)
         self._interval_s = interval_s
-        self._due = dict.fromkeys(streams, -math.inf)
+        self._due: dict[str, float] = {}
 
     def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
         """Add a row, unless the last one that was added is too young."""
@@ -59,10 +59,11 @@ class SparseWriter(RunWriter):
             super().append(stream, times[kept], block[kept])
 
     def _is_due(self, stream: str, time: float) -> bool:
-        is_due = time >= self._due[stream]
-        if is_due:
-            self._due[stream] = time + self._interval_s
-        return is_due
+        due = self._due.setdefault(stream, time)
+        if time < due:
+            return False
+        self._due[stream] = due + self._interval_s * (math.floor((time - due) / self._interval_s) + 1)
+        return True
 
 
 class InlineFlush:

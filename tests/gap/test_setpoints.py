@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
+from leactl.gap.signals import setpoints
 from leactl.gap.signals.setpoints import holds, leaps, marked
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
@@ -77,6 +78,15 @@ def test_rows_hold_their_setpoint_only_where_no_leap_is_missed(lost, held):
     missed[20 : 20 + 20 * lost : 20] = 60.0
     assert holds(missed, leaping, leaping > 0.0) == held
     assert not holds(missed, leaping, np.zeros(200, np.bool_)), "ramps that bend slowly tell nothing"
+
+
+def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
+    leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
+    missed = np.where(np.arange(200) == 20, 60.0, 0.0)
+    rows = iter([(0.0 * missed, leaping, leaping > 0.0), (missed, leaping, leaping > 0.0)])
+    monkeypatch.setattr(setpoints, "missed_and_leaps", lambda record, model: next(rows))
+    records = [replace(record) for record in joint_case(6).fitted[:2]]
+    assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]
 
 
 def test_a_wave_that_its_rows_show_does_not_leap():

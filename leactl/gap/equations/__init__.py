@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
-from leactl.gap.equations.contract import Equation
+from leactl.gap.equations.contract import FEWEST_ROWS, Equation, usable
 from leactl.gap.signals.decimation import decimated
 from leactl.gap.signals.derived import fast_signals, slow_signals
 from leactl.gap.signals.record import Record
@@ -41,7 +41,9 @@ def free(record: Record, fast: Signals, slow: Signals | None) -> Equation | None
         assert signals is not None
         complete(slower, signals)
         equation = mechanical.free(slower, signals)
-        if equation is not None and not mechanical.is_loud(slower, equation):
+        if equation is None or int(usable(equation).sum()) < FEWEST_ROWS:
+            return logged  # too few rows are left
+        if not mechanical.is_loud(slower, equation):
             return equation
     return logged
 

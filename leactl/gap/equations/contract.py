@@ -12,11 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
+from leactl.gap.signals.smoothing import thinned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
+FEWEST_ROWS = 20  # of an equation, that a run tells something with
 MEMORY = 60  # rows, within which one may depend on another where an equation does not say
 STAMPED = 0.05  # of an interval, to which two channels of one sample are of one moment
 
@@ -43,3 +45,8 @@ class Equation:
     step: int = 8
     memory: int = MEMORY  # rows, within which one may depend on another
     rough: bool = False  # whether it neglects so much that what it leaves over is no sign of anything
+
+
+def usable(equation: Equation) -> Mask:
+    """Which rows of an equation touch no sample that is masked."""
+    return np.asarray(thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999)

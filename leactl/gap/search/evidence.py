@@ -82,7 +82,7 @@ class Null:
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
     left: Mapping[tuple[str, str], float]  # variance of the rows, times how many of them count for one
-    white: Mapping[tuple[str, str], float]  # variance of the rows' noise from one to the next
+    white: Mapping[tuple[str, str], float]  # by equation and run: variance of the rows' noise from one to the next
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
     errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
@@ -203,7 +203,7 @@ class Evidence:
         What swings within a few rows passes for noise by itself. How much rounding leaves is known; how much noise a
         machine makes beside that of its channels is not, so that where other noise prevails the rows' own counts.
         """
-        sound = self.null.white.get((rows.equation, rows.kind), 0.0) if self.null is not None else 0.0
+        sound = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
         return min(rows.white, math.sqrt(sound)) if rows.rounding**2 > ROUNDED * sound > 0.0 else rows.white
 
     def is_judged(self, rows: Rows) -> bool:
@@ -267,8 +267,8 @@ class Evidence:
         return self._mean_of(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
 
     def white(self) -> dict[tuple[str, str], float]:
-        """Variance of the rows' noise from one to the next, by equation and kind."""
-        return self._mean_of(lambda rows: rows.white**2)
+        """Variance of the rows' noise from one to the next, by equation and run."""
+        return {(rows.equation, rows.run): rows.white**2 for rows in self.stack.rows}
 
     def left(self) -> dict[tuple[str, str], float]:
         """Variance of rows under the present noise, times as many rows as count for one; by equation and kind."""

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.search.regression import FEWEST_ROWS, Candidate, Fit, Rows, Stack, residuals
+from leactl.gap.equations.contract import FEWEST_ROWS
+from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.signals.smoothing import BASE
 
 Array = npt.NDArray[np.float64]

@@ -14,13 +14,12 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.effects.contract import Form, Signals, Terms
-from leactl.gap.equations.contract import MEMORY, Equation
+from leactl.gap.equations.contract import FEWEST_ROWS, MEMORY, Equation, usable
 from leactl.gap.signals.smoothing import thinned, thinned_index
 
 Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
 Candidate = tuple[str, Form]  # effect and form
-FEWEST_ROWS = 20
 LEAST_POWER = 1e-280  # of a column, so that one that is all zero leaves numbers that are finite
 LEAST_TOLD = 0.02  # of what all say of a coefficient, below which a run's own say in it does not count
 
@@ -112,11 +111,6 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
 def bare(equation: Equation) -> Equation:
     """An equation that can still take effects in, without the columns that its rows have already."""
     return replace(equation, calibration={}, nuisance={}, shared={})
-
-
-def usable(equation: Equation) -> npt.NDArray[np.bool_]:
-    """Which rows of an equation touch no sample that is masked."""
-    return np.asarray(thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999)
 
 
 def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate]) -> list[dict[Column, Array]]:

@@ -34,7 +34,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
     shown = [rows for record in records if (rows := missed_and_leaps(record, model)) is not None]
     between = any(changes_between(missed, leaping) for missed, leaping, _ in shown)
-    held = not between and any(holds(*rows) for rows in shown)
+    held = not between and any(holds(*rows) for rows in shown) and not any(misses(*rows).any() for rows in shown)
     return [
         replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
         if record.fast is not None
@@ -45,9 +45,14 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
 
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
     """Whether every leap that steps at once is met, and there are enough of them; rows as in `missed_and_leaps`."""
-    telling = steps & (leaping > TELLING)
+    enough = int(np.sum(steps & (leaping > TELLING))) >= FEWEST
+    return enough and not bool(misses(missed, leaping, steps).any())
+
+
+def misses(missed: Array, leaping: Array, steps: Mask) -> Mask:
+    """Rows at which a leap that steps at once is missed by more than noise and what a filter makes of it."""
     lost = (np.abs(missed) > MISSED) & (missed**2 > SHARE * leaping**2)
-    return int(np.sum(telling)) >= FEWEST and not bool(np.any(lost & telling))
+    return np.asarray(steps & (leaping > TELLING) & lost, np.bool_)
 
 
 def changes_between(missed: Array, leaping: Array) -> bool:
