@@ -79,10 +79,10 @@ class Warm:
         for descriptor in (*(write for _, write in pipes), *([given] if given else [])):
             os.close(descriptor)
         with ThreadPoolExecutor(1) as beside, open(pipes[0][0]) as out, open(pipes[1][0]) as error:
-            errors = beside.submit(error.read)
-            output = out.read()
+            reading = beside.submit(error.read)
+            output, errors = out.read(), reading.result()  # before the files are closed
         status = int(self.socket.recv(MESSAGE))
-        return subprocess.CompletedProcess(arguments, status, output, errors.result())
+        return subprocess.CompletedProcess(arguments, status, output, errors)
 
 
 def holding(text):
