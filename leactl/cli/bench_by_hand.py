@@ -200,9 +200,9 @@ def read(
 ) -> None:
     """Read every channel with all drives off: mean, standard deviation and age; --follow prints readings as they come.
 
-    A line has nan (JSON: null) where no reading came since the line before. A device that stays silent is named once on
-    stderr and the lines go on, unless its driver or an interlock ends the run, as in any run. The run file holds one
-    row of a stream for each line.
+    A line has nan (JSON: null) where a stream has no new row since the line before, or no number in its newest one. A
+    device that stays silent is named once on stderr and the lines go on, unless its driver or an interlock ends the
+    run, as in any run. The run file holds about one row of a stream for each line.
     """
     from dataclasses import asdict
 

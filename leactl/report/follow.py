@@ -29,7 +29,7 @@ SILENT_S: Final = 5.0  # without a reading before a device is said to be silent
 
 
 class Looks:
-    """The newest reading of each channel at each look, NaN where none came since the look before."""
+    """The newest row of each stream at each look; NaN where none came since the look before, or that row has none."""
 
     def __init__(self, bench: str, streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str]) -> None:
         """Choose the channels.

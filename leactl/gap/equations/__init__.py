@@ -26,7 +26,7 @@ MOVED = (
 FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
 
 
-def free(record: Record, fast: Signals, slow: Signals | None) -> Equation | None:
+def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> Equation | None:
     """Balance of a free rotor, at the highest rate at which its encoder's counts do not drown its acceleration.
 
     At the log's own rate where none helps, as for a shaft that hardly accelerates, and for a chain of rests.
@@ -55,9 +55,9 @@ def equations(record: Record, model: Model) -> list[Equation]:
     fast = fast_signals(record, model, slow)
     if fast is not None:
         complete(record, fast)
-        shown = [*(build(record, fast) for build in DRIVEN), free(record, fast, slow)]
-        shown += [build(record, fast) for build in MOVED]
-        built += [equation for equation in shown if equation is not None]
+        every = [*(build(record, fast) for build in DRIVEN), free_rotor(record, fast, slow)]
+        every += [build(record, fast) for build in MOVED]
+        built += [equation for equation in every if equation is not None]
         if (own := axis.axis(record, fast)) is not None:
             built = [equation for equation in built if equation.name != "free_torque"] + [own]
             note = axis.confounded(record, fast)

@@ -9,13 +9,11 @@ from leactl.gap.signals.record import Clocked
 
 
 def decimated(clock: Clocked, factor: int) -> Clocked:
-    """Return a clock of every so manieth sample; what is left over at the end of the run is dropped.
+    """Return a clock with one sample for each `factor` samples of this one; a rest at the end is dropped.
 
-    An angle keeps its instants. All else becomes a mean over the longer interval that ends at the stamp, setpoints
-    among them. A sample is valid where all are that it stands for.
+    Of angles the last of these samples is kept. Every other channel, setpoints among them, becomes a mean over the
+    longer interval, which ends at the stamp. A sample is valid if all samples that it stands for are.
     """
-    if factor == 1:
-        return clock
     rows = len(clock.time) // factor * factor
     ends = slice(factor - 1, rows, factor)
     values, means = {}, set()
