@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from leactl.errors import InputError
-from leactl.tables.number_format import Character, NumberFormat, TableFormat
+from leactl.tables.number_format import SPACES, Character, NumberFormat, TableFormat
 from leactl.tables.text_table import MOST_FAULTS, cell_place, open_text, rows_of, strip_cells, width_fault
 
 Array = npt.NDArray[np.float64]
@@ -96,7 +96,7 @@ class Columns:
                 if len(self._faults) >= most_faults or len(self.lines) == most_rows:
                     break
         if self._faults:
-            raise InputError(self._faults)
+            raise InputError(self._faults[:most_faults])  # a row may have several
 
     def _choose(
         self, wanted: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
@@ -146,7 +146,7 @@ class Columns:
         strange = "_" in cell or (self._decimal == "," and "." in cell)
         with suppress(ValueError):
             if self._format.thousands:
-                value = self._format.value(cell)
+                value = self._format.value(cell.translate(SPACES))
             elif not strange:
                 return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
         value = self.words.get(cell.lower()) if value is None else value

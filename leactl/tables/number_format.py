@@ -71,7 +71,7 @@ class NumberFormat(NamedTuple):
         """The number that a text stands for; None if it is no number in this format."""
         mantissa, _, exponent = text.replace("E", "e").partition("e")
         sign = -1.0 if mantissa.startswith("-") else 1.0
-        whole, mark, fraction = mantissa.lstrip("+-").strip().partition(self.decimal)
+        whole, mark, fraction = mantissa[mantissa.startswith(("+", "-")) :].strip().partition(self.decimal)
         if self.thousands and self.thousands in whole:
             groups = whole.split(self.thousands)
             if not 1 <= len(groups[0]) <= 3 or groups[0][0] == "0" or any(len(group) != 3 for group in groups[1:]):

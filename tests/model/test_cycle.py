@@ -169,6 +169,15 @@ def test_what_is_no_cycle_is_refused(written, how, options, message):
     assert len(caught.value.faults) == 1
 
 
+def test_of_a_row_without_numbers_the_first_cell_is_told(written):
+    path = written()
+    path.write_text("cycle_percent,angle_deg,torque_Nm\n0,1,2\nx,y,z\n")
+    with pytest.raises(InputError) as caught:
+        read_cycle(path, stride_time=1.0)
+    (fault,) = caught.value.faults
+    assert "line 3, column 'cycle_percent': 'x' is not a number" in fault
+
+
 def test_torque_per_mass_needs_a_mass(written):
     path = written("cycle_percent,angle_deg,torque_Nm_per_kg", edit=lambda table: table / [1, 1, 80])
     with pytest.raises(InputError, match="needs --body-mass, from 1 to 500 kg; found none"):

@@ -109,12 +109,22 @@ def test_a_header_and_its_rows_end_with_a_delimiter_or_without(folder, row):
         np.testing.assert_array_equal(run.channel("angle").values, ANGLE)
 
 
-@pytest.mark.parametrize(("decimal", "thousands"), [(".", ","), (",", "."), (",", " "), (".", "'")])
-def test_marks_between_thousands_as_the_mapping_states_them(folder, decimal, thousands):
+@pytest.mark.parametrize(
+    ("decimal", "thousands", "written"),
+    [
+        (".", ",", ","),
+        (",", ".", "."),
+        (",", " ", " "),
+        (",", " ", "\u00a0"),
+        (",", " ", "\u202f"),
+        (".", "'", "\u2019"),
+    ],
+)
+def test_marks_between_thousands_as_the_mapping_states_them(folder, decimal, thousands, written):
     exact = np.round(3000.0 + 1000.0 * ANGLE, 2)
-    marks = str.maketrans({",": thousands, ".": decimal})
+    marks = str.maketrans({",": written, ".": decimal})
     rows = [f"{t:.3f};{q:,.2f}".translate(marks) for t, q in zip(T, exact, strict=True)]
-    (folder / "a.csv").write_text("\n".join(["t;q", *rows]))
+    (folder / "a.csv").write_text("\n".join(["t;q", *rows]), encoding="utf-8")
     text = f"""
         mechanical: free
         csv: {{delimiter: ";", decimal: "{decimal}", thousands: "{thousands}"}}

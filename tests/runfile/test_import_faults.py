@@ -136,6 +136,12 @@ def test_a_fault_of_the_data_has_its_row_and_column(folder, row, column, cell, t
     assert any(told in fault for fault in refused(folder))
 
 
+def test_one_sign_before_a_number_between_thousands(folder):
+    spoilt(folder, 7, 1, "+-5")
+    (fault,) = refused(folder, f'{PLAIN}\ncsv: {{thousands: "\'"}}')
+    assert "a.csv: line 8, column 'q': '+-5' is not a number" in fault
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
