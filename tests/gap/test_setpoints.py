@@ -1,5 +1,6 @@
 """A log that is slower than what sets its setpoints makes no machine late; one that keeps up with them shows delays."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals import setpoints
-from leactl.gap.signals.setpoints import holds, leaps, marked
+from leactl.gap.signals.setpoints import MISSED, Followed, against_next, holds, leaps, marked, share_of_next
+from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
 from tests.gap.drawn_machines import write_cases
@@ -83,10 +85,26 @@ def test_rows_hold_their_setpoint_only_where_no_leap_is_missed(lost, held):
 def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
     leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
     missed = np.where(np.arange(200) == 20, 60.0, 0.0)
-    rows = iter([(0.0 * missed, leaping, leaping > 0.0), (missed, leaping, leaping > 0.0)])
-    monkeypatch.setattr(setpoints, "missed_and_leaps", lambda record, model: next(rows))
+    untold = 0.0, math.inf
+    runs = iter([Followed(one, leaping, leaping > 0.0, untold) for one in (0.0 * missed, missed)])
+    monkeypatch.setattr(setpoints, "follow", lambda record, model: next(runs))
     records = [replace(record) for record in joint_case(6).fitted[:2]]
     assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]
+
+
+@pytest.mark.parametrize("between", [False, True])
+def test_only_a_curve_between_rows_goes_against_the_row_that_follows(between):
+    random = np.random.default_rng(5)
+    asked = np.convolve(random.standard_normal(16_000), np.hanning(24) / 6.0, "same").repeat(1 if between else 4)[
+        :16_000
+    ]
+    means = asked.reshape(-1, 4).mean(axis=1)
+    rows = asked[3::4]
+    taps = np.column_stack([np.ones_like(rows), rows, *(neighbour(rows, by) for by in TAPS.tolist())])[4:-4]
+    current = means[4:-4] + 0.005 * random.standard_normal(len(taps))
+    shares = [share_of_next(taps[part], current[part]) for part in np.array_split(np.arange(len(taps)), 3)]
+    assert (against_next(shares) > MISSED) is between
+    assert against_next([(0.0, math.inf)]) == 0.0, "rows that tell nothing"
 
 
 def test_a_wave_that_its_rows_show_does_not_leap():

@@ -10,7 +10,7 @@ from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import after_leaps, settling
+from leactl.gap.signals.setpoints import BENT, bend, settling, unknown_between
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 
@@ -123,10 +123,11 @@ def current(record: Record, s: Signals) -> Equation | None:
     following = s.following
     if clock.setpoints_between and not moved_by_a_servo(clock):
         earlier = neighbour(s.following, -1) - s.following
-        following = s.following + BEFORE * earlier
-        shared["setpoint_before"] = earlier, BEFORE
+        bends = bend(s.following)
+        following = s.following + BEFORE * earlier - BENT * bends
+        shared |= {"setpoint_before": (earlier, BEFORE), "setpoint_bend": (bends, BENT)}
         reference = clock.values["q_axis_current_reference", "test"]
-        mask &= ~after_leaps(reference, noise_of(measured), settles, s.interval)
+        mask &= ~unknown_between(reference, noise_of(measured), settles, s.interval)
     return Equation(
         "current",
         "q_axis_current",

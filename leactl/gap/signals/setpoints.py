@@ -2,12 +2,14 @@
 
 A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
 drive's current is then the same sum of its neighbours at every row. Where setpoints come into force somewhere inside
-their intervals, that sum misses where the reference leaps.
+their intervals, that sum misses where the reference leaps. And no drive knows the setpoint of the next row: where a
+current goes by that one too, it is because it tells of those between.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,15 +28,29 @@ LEAP, NEAR = 0.7, 3  # of the largest change so many rows near, by which a refer
 STEP = 0.05  # of a leap, that a reference may change in the rows beside it
 TELLING = 20.0  # standard deviations of what is missed elsewhere, from which on a leap tells
 MISSED, FEWEST = 5.0, 3  # of these deviations, and how many rows have to be missed by more
+DOUBTED = 4.0  # standard deviations, by which what tells of setpoints between rows must not differ from nothing
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
+BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
+
+
+class Followed(NamedTuple):
+    """How the current of one run follows its reference."""
+
+    missed: Array  # by the best sum of neighbours, in standard deviations of what it misses as a rule
+    leaping: Array  # how far the reference leaps, in the same
+    steps: Mask  # whether it leaps at once
+    foresight: tuple[float, float]  # share that the next row's setpoint has where none leaps, and its std
 
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
-    shown = [rows for record in records if (rows := missed_and_leaps(record, model)) is not None]
-    between = any(changes_between(missed, leaping) for missed, leaping, _ in shown)
-    held = not between and any(holds(*rows) for rows in shown) and not any(misses(*rows).any() for rows in shown)
+    shown = [followed for record in records if (followed := follow(record, model)) is not None]
+    between = any(changes_between(one.missed, one.leaping) for one in shown)
+    against = against_next([one.foresight for one in shown])
+    between |= against > MISSED
+    held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
+    held &= not between and against < DOUBTED
     return [
         replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
         if record.fast is not None
@@ -43,8 +59,21 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     ]
 
 
+def against_next(shares: Sequence[tuple[float, float]]) -> float:
+    """By how many standard deviations currents go against the next row's setpoint, as a curve between rows does.
+
+    A curve through four rows bends away from the outer two: between the inner ones its mean has -1/24 of each, and that
+    of the last two of four setpoints -1/32. A current that is stamped too late goes with the next row instead.
+
+    shares : of each run, with its standard deviation.
+    """
+    weights = [error**-2 for _, error in shares]
+    pulled = sum(share * weight for (share, _), weight in zip(shares, weights, strict=True))
+    return -pulled / math.sqrt(sum(weights)) if any(weights) else 0.0
+
+
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
-    """Whether every leap that steps at once is met, and there are enough of them; rows as in `missed_and_leaps`."""
+    """Whether every leap that steps at once is met, and there are enough of them; rows as in `Followed`."""
     enough = int(np.sum(steps & (leaping > TELLING))) >= FEWEST
     return enough and not bool(misses(missed, leaping, steps).any())
 
@@ -65,10 +94,8 @@ def changes_between(missed: Array, leaping: Array) -> bool:
     return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
 
 
-def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array, Mask] | None:
-    """By how much the best sum of neighbours misses a current, and how far its reference leaps, in the former's noise.
-
-    The last of the three says of each row whether its reference leaps at once (`steps`).
+def follow(record: Record, model: Model) -> Followed | None:
+    """How a run's current follows its reference.
 
     None where a run has no such pair, where stamps are not told, and where a servo inside the drive is known to move
     the reference between rows.
@@ -78,7 +105,7 @@ def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array, Mask] 
         return None
     if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
         return None
-    reference = clock.values[REFERENCE]
+    reference, current = clock.values[REFERENCE], clock.values[CURRENT]
     ends, means = loop(led(reference, model.bench, clock.interval), bandwidth, clock.interval)
     following = means if CURRENT in clock.means else ends
     use = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
@@ -86,10 +113,27 @@ def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array, Mask] 
     sums = np.column_stack([np.ones_like(following), following, *(neighbour(following, by) for by in TAPS.tolist())])
     if int(use.sum()) < 2 * sums.shape[1]:
         return None
-    weights = np.linalg.lstsq(sums[use], clock.values[CURRENT][use], rcond=None)[0]
-    missed = (clock.values[CURRENT] - sums @ weights)[use]
-    noise = float(np.median(np.abs(missed))) / 0.6745
-    return (missed / noise, leaps(reference)[use] / noise, steps(reference)[use]) if noise > 0.0 else None
+    missed = current - sums @ np.linalg.lstsq(sums[use], current[use], rcond=None)[0]
+    noise = float(np.median(np.abs(missed[use]))) / 0.6745
+    if noise == 0.0:
+        return None
+    leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
+    calm = use & ~leapt
+    foresight = share_of_next(sums[calm], current[calm])
+    return Followed(missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight)
+
+
+def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
+    """Share of the next row's setpoint in a current, and its standard deviation; infinite where rows do not tell it."""
+    count = sums.shape[1]
+    if len(current) < 2 * count:
+        return 0.0, math.inf
+    weights, _, rank, _ = np.linalg.lstsq(sums, current, rcond=None)
+    if rank < count:
+        return 0.0, math.inf
+    spread = float(np.sqrt(np.mean((current - sums @ weights) ** 2)))
+    at = 2 + TAPS.tolist().index(1)
+    return float(weights[at]), spread * float(np.linalg.norm(np.linalg.pinv(sums)[at])) or math.inf
 
 
 def leaps(reference: Array) -> Array:
@@ -115,9 +159,19 @@ def isolated(values: Array) -> Mask:
     return np.asarray(around < STEP * size, np.bool_)
 
 
-def after_leaps(reference: Array, noise: float, settles: float, interval: float) -> Mask:
-    """Rows at which a current depends on when inside its interval a leap came into force; a loop settles meanwhile."""
-    return settling(leaps(reference) > TELLING * noise, settles, interval)
+def bend(values: Array) -> Array:
+    """By how much the two rows around an interval's ends lie above these, as a curve through all four bends."""
+    return neighbour(values, 1) + neighbour(values, -2) - values - neighbour(values, -1)
+
+
+def unknown_between(reference: Array, noise: float, settles: float, interval: float) -> Mask:
+    """Rows whose current depends on when inside its interval a leap came into force, or on how a curve bends there.
+
+    A loop settles afterwards. A curve between rows lacks up to `BENT` of its bend; what is less than the noise is no
+    matter.
+    """
+    changing = (leaps(reference) > TELLING * noise) | (np.abs(bend(reference)) > noise / BENT)
+    return settling(changing, settles, interval)
 
 
 def settling(changing: Mask, settles: float, interval: float) -> Mask:
