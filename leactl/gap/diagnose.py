@@ -36,7 +36,7 @@ from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
 from leactl.gap.verdict.withdrawal import Applied, Fitted, Refit, apply
-from leactl.model.nominal import Model, read_model
+from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
 NAMED = 0.01  # probability above which an effect stands among the causes
@@ -81,7 +81,7 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
         faults += error.faults
     read: dict[Path, list[Record]] = {}
     try:
-        read = read_records([*runs, *held_out])
+        read = read_records([*runs, *held_out], BenchModel() if nominal is None else nominal.bench)
     except InputError as error:
         faults += error.faults
     if faults or nominal is None:

@@ -11,7 +11,7 @@ import numpy as np
 from leactl.gap.diagnose import Case, split
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.signals.record import build
-from leactl.model.nominal import Model
+from leactl.model.nominal import BenchModel, Model
 from leactl.runfile import layout
 from tests.gap import joints
 
@@ -58,7 +58,7 @@ def drawn_rig(seed, folder):
             written.append(path)
         else:
             records.append(build(path, str(kind), str(mechanical), spoilt, {}))
-    records += [record for several in read_records(written).values() for record in several]
+    records += [record for several in read_records(written, BenchModel()).values() for record in several]
     fitted, held_out = split(records)
     return Case(poor_model(joint, mechanical, random), fitted, held_out)
 

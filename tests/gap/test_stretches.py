@@ -12,6 +12,7 @@ import pytest
 from leactl.gap.diagnose import diagnose, read_case, split
 from leactl.gap.replay import stretches
 from leactl.gap.replay.stretches import STRETCHES, fair_share, read_records
+from leactl.model.nominal import BenchModel
 from leactl.runfile.hdf5 import text_heaps
 from tests.gap import nights
 
@@ -44,7 +45,7 @@ def test_what_some_do_not_need_is_for_the_others():
 
 
 def test_a_run_within_its_share_is_read_whole(pair):
-    (run,) = read_records([pair / "night-1.h5"])[pair / "night-1.h5"]
+    (run,) = read_records([pair / "night-1.h5"], BenchModel())[pair / "night-1.h5"]
     assert (run.name, len(run.fast.time), run.notes) == ("night-1", ROWS, [])
     assert len(run.slow.time) == ROWS // 4  # means of four: temperatures need no more
 
@@ -52,7 +53,7 @@ def test_a_run_within_its_share_is_read_whole(pair):
 def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample(pair, monkeypatch):
     monkeypatch.setattr(stretches, "ROWS", 1 << 14)
     monkeypatch.setattr(stretches, "SLOW_ROWS", 1 << 10)
-    whole, *several = read_records([pair / "night-1.h5"])[pair / "night-1.h5"]
+    whole, *several = read_records([pair / "night-1.h5"], BenchModel())[pair / "night-1.h5"]
     assert len(several) == STRETCHES
     assert sum(len(one.fast.time) for one in several) == 1 << 14
     begins = [float(one.fast.since_begin[0]) for one in several]
@@ -77,7 +78,9 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
 
 def test_stretches_of_a_run_are_held_out_together(pair, monkeypatch):
     monkeypatch.setattr(stretches, "ROWS", 1 << 14)
-    records = [one for several in read_records(sorted(pair.glob("night-*.h5"))).values() for one in several]
+    records = [
+        one for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for one in several
+    ]
     fitted, held_out = split(records)
     assert ({one.run for one in fitted}, {one.run for one in held_out}) == ({"night-1"}, {"night-2"})
     parts = split(fitted)  # a run alone is parted: each of its stretches is
@@ -93,7 +96,7 @@ def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
         stamps[ROWS // 2 :] += 1e9
         for column in file["streams/loop"].values():
             del column.attrs["sha256"]
-    records = read_records([path])[path]
+    records = read_records([path], BenchModel())[path]
     assert sum(len(one.fast.time) for one in records if one.fast is not None) <= ROWS
     assert all(np.ptp(one.fast.time) < ROWS / nights.RATE for one in records if one.fast is not None)
 

@@ -72,7 +72,7 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     """
     model, _ = read_model(model_file)
     spread = usual_noise() | dict(noise)
-    given = [record for several in read_records(runs).values() for record in several]
+    given = [record for several in read_records(runs, model.bench).values() for record in several]
     plans = [protocolfile.load(name) for name in protocols]
     known = {plan.name for plan in plans}
     further = [plan for name in protocolfile.names() if (plan := protocolfile.load(name)).name not in known]

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from leactl.gap.replay.bench_times import LATEST, samples, stretch
 from leactl.gap.replay.job import Job
 from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import led, moved_by_a_servo
@@ -12,10 +13,8 @@ from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
 Array = npt.NDArray[np.float64]
-LONGEST_DELAY_S = 0.012  # by which a drive may follow late
 BUSIEST = 2000  # samples that tell how a reference moves
 RECOVERS = 12  # samples around the ceiling in which the loop is still on its way back
-STANDS_S = 1.0  # how long a rounding error may stay the same
 
 
 def follow(job: Job) -> None:
@@ -104,7 +103,7 @@ def misfit(job: Job, over: Array) -> float:
     flowing, reference = (clock.values[name, "test"] for name in ("q_axis_current", "q_axis_current_reference"))
     _, mean = answered(over, over[0], job.plant.model.bench.current_loop_bandwidth, job.step)
     total = np.concatenate([[0.0], np.cumsum(mean)])
-    delays = np.arange(round(LONGEST_DELAY_S / job.step))
+    delays = np.arange(samples(LATEST, job.plant.model.bench, clock.interval) * parts)
     first = -(-len(delays) // parts) + 1
     busiest = first + np.argsort(-np.abs(np.diff(reference)[first - 1 :]))[:BUSIEST]
     ends = busiest[:, None] * parts - delays
@@ -120,7 +119,7 @@ def rounding(job: Job) -> Array | float:
     if job.disturbance is None or not moved_by_a_servo(job.clock):
         return 0.0
     step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
-    stands = max(1, round(STANDS_S / job.step))
+    stands = stretch(len(job.clock.time), job.plant.model.bench, job.clock.interval) * job.parts
     total = (len(job.clock.time) - 1) * job.parts
     taken = step * (job.disturbance.random(total // stands + 1) - 0.5)
     return np.asarray(np.repeat(taken, stands)[:total], np.float64)

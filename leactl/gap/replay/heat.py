@@ -1,7 +1,7 @@
 """Temperatures of many runs stepped side by side: the paper's network, exact for heat that is held over a step.
 
 Heat of the winding goes by its simulated temperature, half a step ahead. Speed is the measured one: the motion starts
-again from it every second in any case.
+again from it time after time in any case.
 """
 
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from scipy.linalg import expm
 
 from leactl.effects.plant import Array
 from leactl.gap.replay.job import Job
-from leactl.gap.signals.derived import binned
+from leactl.gap.signals.derived import binned, warming
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 
-START_S = 1.0  # to either side of the start
+STARTS, MOST_AT_START = 0.15, 10  # of a winding's time constant to either side of the start, and samples
 FED_WIDTH = 8.0  # samples, smoothing of a share that a camera tells
 AWAY = 1e9  # K/W of a body that is not there
 
@@ -50,7 +50,9 @@ class Network:
         assert job.record.slow is not None and job.plant.model.thermal is not None
         self.job, self.clock, thermal = job, job.record.slow, job.plant.model.thermal
         clock, plant = self.clock, job.plant
-        self.first = min(max(1, round(START_S / clock.interval)), 10, len(clock.time) // 4)
+        self.first = min(
+            max(1, round(STARTS * warming(plant.model) / clock.interval)), MOST_AT_START, len(clock.time) // 4
+        )
         self.count = len(clock.time) - self.first
         time = clock.time[self.first :] - clock.time[0]
         self.ambient = clock.values["ambient_temperature", "bench"][self.first :] + plant.model.ambient_offset

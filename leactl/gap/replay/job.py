@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.plant import Course, Plant
+from leactl.gap.replay.bench_times import steps_in_sample
 from leactl.gap.replay.servo_times import times_of
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
@@ -13,12 +14,6 @@ from leactl.gap.signals.rig import load_of
 Array = npt.NDArray[np.float64]
 SERVO_STEP = 0.02  # of the shortest time in which a servo answers: back-EMF then acts right to a percent
 MOST_PARTS = 80
-FINEST_S = 2.5e-4  # sub-step: a ninth of a period of the stiff shaft between two coupled rotors (350 Hz)
-
-
-def parts_of(interval: float) -> int:
-    """Sub-steps in a sample."""
-    return max(1, int(np.ceil(interval / FINEST_S - 1e-6)))
 
 
 @dataclass
@@ -44,7 +39,7 @@ class Job:
     fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
     slow: dict[Key, Array] = field(default_factory=dict)
     at_ceiling: int = 0  # samples at the ceiling of its voltage, where the measured current drives it
-    restarts: bool = False  # whether the motion starts again every second
+    restarts: bool = False  # whether the motion starts again time after time
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -57,7 +52,7 @@ class Job:
     def parts(self) -> int:
         """Sub-steps in a sample."""
         if not self.by_servo:
-            return parts_of(self.clock.interval)
+            return min(steps_in_sample(self.plant.model.bench, self.clock.interval), MOST_PARTS)
         return max(1, int(np.ceil(self.clock.interval / self._longest_step() - 1e-6)))
 
     def _longest_step(self) -> float:

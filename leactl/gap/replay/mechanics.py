@@ -1,8 +1,8 @@
 """Motion of whole runs, cut into stretches that are stepped side by side.
 
-A turning rotor starts again every second from its measured state: its angle is an integral, and what goes by the angle
-would drift apart. A locked one never does, for friction keeps what the last move left: its stretches are stepped at
-once, and again wherever one did not begin where the one before it ended. A rotor that is kept near its motion is
+A turning rotor starts again time after time from its measured state: its angle is an integral, and what goes by the
+angle would drift apart. A locked one never does, for friction keeps what the last move left: its stretches are stepped
+at once, and again wherever one did not begin where the one before it ended. A rotor that is kept near its motion is
 stepped likewise, for it forgets where it began. A position servo runs through.
 """
 
@@ -29,7 +29,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import Motion, State, stepped
 from leactl.gap.replay.starting import starting_motion
 
-SLOWEST_S = 0.05  # interval of samples, beyond which a start is lost before it is measured
+SLOWEST = 0.5  # of the time in which drag stops a rotor, between samples: in more a start is lost before it is measured
 SETTLED_AFTER = 128  # passes, beyond which a locked rotor that never slides may begin a stretch where it was guessed
 FORGOTTEN_AFTER = 3  # passes, after which a tracked rotor knows nothing of where it began
 CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
@@ -73,7 +73,8 @@ def kind_of(job: Job) -> str | None:
             job.notes.append(f"{name}: a servo's replay needs phase_resistance and torque_constant")
             return None
         return "servo"
-    if job.clock.interval > SLOWEST_S and job.record.mechanical != "locked":
+    inertia, damping = model.rotor_inertia or 0.0, model.viscous_damping or 0.0
+    if job.clock.interval * damping > SLOWEST * inertia and job.record.mechanical != "locked":
         job.notes.append(f"{name}: {1 / job.clock.interval:.3g} samples a second are too few to replay a motion")
         return None
     driven = job.current is not None and model.torque_constant is not None

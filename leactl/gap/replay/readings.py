@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leactl.effects.plant import Array, Becomes, Course
+from leactl.gap.replay.bench_times import REMEMBERED, samples
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
@@ -14,7 +15,6 @@ from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.gap.signals.stamps import restamped
 
 STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # equations
-REMEMBERED_S = 0.2  # of the motion before a start that filters may remember
 
 
 def read(job: Job) -> None:
@@ -97,7 +97,7 @@ def _from_starts(job: Job, steps: Array, through: Callable[[Array], Array]) -> A
     """Filter stretch by stretch: what a filter remembers at a start is the measured motion before it."""
     assert job.starts is not None
     past = np.repeat(measured_speed(job)[1:], job.parts)
-    reach = round(REMEMBERED_S / job.step)
+    reach = samples(REMEMBERED, job.plant.model.bench, job.clock.interval) * job.parts
     out = np.zeros_like(steps)
     edges = [*(int(start) * job.parts for start in job.starts), len(steps)]
     for begin, end in pairwise(edges):

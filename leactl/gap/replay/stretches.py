@@ -16,10 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.replay.job import parts_of
+from leactl.gap.replay.bench_times import steps_in_sample
+from leactl.gap.replay.job import MOST_PARTS
 from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
 from leactl.gap.signals.scales import TOP, absolute_speeds
 from leactl.gap.signals.smoothing import smooth
+from leactl.model.nominal import BenchModel
 from leactl.quantities import ChannelSpec
 from leactl.runfile.layout import BLOCK_ROWS
 from leactl.runfile.read.reader import Channel, Run
@@ -39,8 +41,8 @@ CURRENTS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "t
 SPEEDS = ("velocity", "angle", "velocity_reference", "angle_reference")
 
 
-def read_records(paths: Sequence[Path]) -> dict[Path, list[Record]]:
-    """Read runs of a case, each as one record, or as several where it is longer than its share.
+def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Record]]:
+    """Read runs of a case, each as one record, or as several where it is longer than its share by its model's replay.
 
     Raises
     ------
@@ -53,14 +55,14 @@ def read_records(paths: Sequence[Path]) -> dict[Path, list[Record]]:
         try:
             refuse_altered([path])
             with Run.open(path) as run:
-                costs[path] = cost_of(run)
+                costs[path] = cost_of(run, bench)
         except InputError as error:
             faults += error.faults
     share = fair_share(list(costs.values()), ROWS)
     for path, cost in costs.items():
         try:
             with Run.open(path) as run:
-                by_path[path] = [record_of(run, whole(run))] if cost <= share else records_of(run, share)
+                by_path[path] = [record_of(run, whole(run))] if cost <= share else records_of(run, share, bench)
         except InputError as error:
             faults += error.faults
     if faults:
@@ -79,7 +81,7 @@ def fair_share(costs: Sequence[float], most: float) -> float:
     return math.inf
 
 
-def cost_of(run: Run) -> float:
+def cost_of(run: Run, bench: BenchModel) -> float:
     """Rows that a run makes on the clock of its drive, those with many steps of a replay counted as several."""
     name = leading(run)
     if name is None or run.rows[name] < 2:
@@ -88,12 +90,12 @@ def cost_of(run: Run) -> float:
     stamps = run.values(name, "time", 0, min(rows, ROWS + 1))
     interval = bridging_interval(stamps)
     made = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
-    return math.inf if made > PAUSED * rows else max(made, rows) * weight(interval)
+    return math.inf if made > PAUSED * rows else max(made, rows) * weight(interval, bench)
 
 
-def weight(interval: float) -> float:
+def weight(interval: float, bench: BenchModel) -> float:
     """Rows that one sample counts for: more than one where a replay takes many steps from one to the next."""
-    return max(1.0, parts_of(interval) / PARTS)
+    return max(1.0, min(steps_in_sample(bench, interval), MOST_PARTS) / PARTS)
 
 
 def leading(run: Run) -> str | None:
@@ -108,7 +110,7 @@ def is_fast(spec: ChannelSpec) -> bool:
     return bool(spec.quantity) and not is_slow(spec.quantity)
 
 
-def records_of(run: Run, share: float) -> list[Record]:
+def records_of(run: Run, share: float, bench: BenchModel) -> list[Record]:
     """A long run as the records of its stretches and one of its temperatures, the notes with the first.
 
     share : rows that may be looked at.
@@ -121,7 +123,7 @@ def records_of(run: Run, share: float) -> list[Record]:
         slow, told = slow_record(run), list[str]()
     except InputError as error:  # a clock that jumps: there is no whole run to follow temperatures over
         slow, told = None, [f"{fault}; temperatures are left out" for fault in error.faults]
-    walk = Walk.of(run, share)
+    walk = Walk.of(run, share, bench)
     stretches = stretches_of(walk, slow)
     told.insert(0, walk.told(stretches))
     told += [note for note in stretches[0].notes if all(note in other.notes for other in stretches)]
@@ -257,12 +259,12 @@ class Walk:
     count: int  # of stretches, at most
 
     @classmethod
-    def of(cls, run: Run, share: float) -> Self:
+    def of(cls, run: Run, share: float, bench: BenchModel) -> Self:
         """A run of which so many rows may be looked at."""
         name = leading(run)
         assert name is not None  # a run without a drive is not too long for anything
         interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
-        looked_at = max(min(int(share / weight(interval)), run.rows[name]), 2)
+        looked_at = max(min(int(share / weight(interval, bench)), run.rows[name]), 2)
         count = min(STRETCHES, max(looked_at // SHORTEST, 2))
         return cls(run, name, looked_at // count, count)
 

@@ -25,8 +25,8 @@ from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-SLOW_SMOOTHING_S = 1.0
-REST_S = 6.0  # smoothing of what no network explains of a temperature
+SMOOTHED, FEWEST_SMOOTHED = 0.15, 2.0  # of a winding's time constant, and samples: smoothing of temperatures
+REST, FEWEST_OF_REST = 0.87, 6.0  # the same of what no network explains of them; samples where there is no network
 LOOSELY = 1.0  # K that a parameter of the network may cost where a run does not show it, per e-fold
 FARTHEST = 1.5  # e-folds of a parameter
 FOLLOWED = 8  # rounds at most
@@ -228,7 +228,8 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         name: clock.get(f"{name}_temperature", "bench" if name == "ambient" else "test")
         for name in ("winding", "housing", "ambient")
     }
-    width = max(SLOW_SMOOTHING_S / clock.interval, 2.0)
+    warms = warming(model) / clock.interval
+    width = max(SMOOTHED * warms, FEWEST_SMOOTHED)
     s.line_current = clock.get("line_current")
     winding, housing, ambient = raw["winding"], raw["housing"], raw["ambient"]
     s.ambient = smooth(ambient, width) if ambient is not None else None
@@ -248,16 +249,23 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
             valid = np.stack([clock.all_valid((f"{name}_temperature", "test")) for name in ("winding", "housing")])
             driven = following(model.thermal, clock.interval, heat, s.ambient, measured, valid)
             rest = np.where(valid, measured - driven, 0.0)
-            width = REST_S / clock.interval
+            width = REST * warms
             shares = [smooth(one.astype(float), width) for one in valid]
             s.winding, s.housing = driven + np.stack(
                 [smooth(one, width) / np.maximum(share, 1e-6) for one, share in zip(rest, shares, strict=True)]
             )
         s.winding_rise = s.winding - model.reference_temperature
         if clock.fed is not None:
-            s.extra["fed_rise"] = s.winding_rise + smooth(clock.fed - winding, REST_S / clock.interval)
+            width = REST * warms if warms else FEWEST_OF_REST
+            s.extra["fed_rise"] = s.winding_rise + smooth(clock.fed - winding, width)
     s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
     return s
+
+
+def warming(model: Model) -> float:
+    """Time constant [s] with which a winding warms towards its housing; zero without a network."""
+    thermal = model.thermal
+    return 0.0 if thermal is None else thermal.winding_capacitance * thermal.winding_housing_resistance
 
 
 def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array, valid: Mask) -> Array:

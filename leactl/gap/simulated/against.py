@@ -47,7 +47,7 @@ def read_simulated_case(
     pairs = paired(list(dict.fromkeys([*runs, *held_out])), list(dict.fromkeys(simulated)))
     kinds = {record.path: record.kind for record in (*case.fitted, *case.held_out)}
     real_of = {Path(pair.simulated): Path(pair.real) for pair in pairs}
-    found = read_records(list(real_of))
+    found = read_records(list(real_of), case.model.bench)
     records = [replace(r, kind=kinds[real]) for path, real in real_of.items() for r in found[path]]
     unused = [str(path) for path in dict.fromkeys(simulated) if path not in real_of]
     notes = (f"simulated runs that belong to no real run: {', '.join(unused)}",) if unused else ()
