@@ -8,14 +8,15 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
+from leactl.bench.benchfile import LineBus, SerialBus
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.far_end import LAST_OF_11_BITS, FdFrame, Frame
 from leactl.driver.i2c_port import I2cPort, SmBus
-from leactl.driver.probe import CanProbe, I2cProbe, LineProbe, Probe, Seen, Sighting
+from leactl.driver.probe import CanProbe, I2cProbe, LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialLine, SerialPort
 from leactl.errors import DeviceError, LeactlError
 
@@ -31,9 +32,13 @@ UNASKED_S, FLOOD_BYTES = 0.1, 64  # of a line on which nothing was asked
 KEPT_FRAMES, KEPT_IDENTIFIERS = 8, 4096
 SHOWN_BYTES = 24
 MOST_OF_A_KIND = 200  # sightings, and notes, of one wire
-KindOfProbe = TypeVar("KindOfProbe", bound=Probe)
-Step = Callable[[str], None]
-"""Called with what is done next; raises `Stopped` where a person has asked for the end."""
+
+
+class Watcher(NamedTuple):
+    """A person who follows a scan."""
+
+    show: Callable[[str], None]  # what is done next
+    check: Callable[[], None]  # raises `Stopped` where the end was asked for; called all the time
 
 
 class Answered(NamedTuple):
@@ -41,13 +46,14 @@ class Answered(NamedTuple):
 
     driver: str
     sighting: Sighting
-    baudrate: int | None = None
+    line: LineBus | None = None  # as it was open, for a device on one
 
 
 @dataclass
 class WireReport:
     """What one wire said."""
 
+    name: str
     answered: list[Answered] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # a line each
     fault: str = ""  # why it could not be asked, or not to the end
@@ -64,32 +70,44 @@ class ProbeOverrun(DeviceError):
 
 
 class _Allowance:
-    """The time of one probe."""
+    """The time of one probe, which a person may end."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock, self._until = clock, float("inf")
+    def __init__(self, clock: Clock, watcher: Watcher) -> None:
+        self._clock, self._watcher, self._until = clock, watcher, float("inf")
 
     def begin(self) -> None:
         """Begin with another probe."""
         self._until = self._clock.now() + PROBE_S
 
     def check(self) -> None:
-        """Raise ProbeOverrun where the time is over."""
+        """Raise ProbeOverrun where the time is over, Stopped where a person ended it."""
+        self._watcher.check()
         if self._clock.now() > self._until:
             raise ProbeOverrun(f"takes more than {PROBE_S:g} s")
 
 
-def probes_of(kind: type[KindOfProbe], transport: str = "") -> dict[str, KindOfProbe]:
-    """Probes of a kind by the names of their drivers; with `transport`, of those drivers that it suits.
+def can_probes() -> dict[str, CanProbe]:
+    """Probes for a CAN bus by the names of their drivers."""
+    return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, CanProbe)}
 
-    A driver that fails to load has none: `leactl driver list` tells of it.
-    """
-    drivers = {each.name: each.driver for each in registry.survey() if each.driver is not None}
+
+def i2c_probes() -> dict[str, I2cProbe]:
+    """Probes for an I2C bus by the names of their drivers."""
+    return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, I2cProbe)}
+
+
+def line_probes(kind: str) -> dict[str, LineProbe]:
+    """Probes by the names of their drivers for a line of this kind, "serial" or "visa"."""
     return {
         name: driver.probe
-        for name, driver in drivers.items()
-        if isinstance(driver.probe, kind) and transport in ("", driver.transport, *driver.further_transports)
+        for name, driver in _drivers()
+        if isinstance(driver.probe, LineProbe) and kind in (driver.transport, *driver.further_transports)
     }
+
+
+def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
+    """Every driver that can be loaded; `leactl driver list` tells of the others."""
+    return ((each.name, each.driver) for each in registry.survey() if each.driver is not None)
 
 
 def settings_left_open(driver: "type[Driver]", settings: Mapping[str, object]) -> list[str]:
@@ -175,7 +193,7 @@ def ask_can(
     connect: "Callable[[], can.BusABC]",
     clock: Clock,
     probes: Mapping[str, CanProbe],
-    step: Step,
+    watcher: Watcher,
     fd: bool = False,
 ) -> None:
     """Listen to a CAN bus, then ask by each probe, unless another host is at work; `fd`: it carries CAN-FD frames.
@@ -183,9 +201,9 @@ def ask_can(
     Raises
     ------
     DeviceError : the bus is absent, gone, or takes no frames; what was seen before stands in the report.
-    Stopped : by `step`.
+    Stopped : by the watcher.
     """
-    _CanScan(report, connect, clock, probes, step).run(fd)
+    _CanScan(report, connect, clock, probes, watcher).run(fd)
 
 
 class _CanScan:
@@ -197,11 +215,11 @@ class _CanScan:
         connect: "Callable[[], can.BusABC]",
         clock: Clock,
         probes: Mapping[str, CanProbe],
-        step: Step,
+        watcher: Watcher,
     ) -> None:
-        self._report, self._connect, self._clock, self._probes, self._step = report, connect, clock, probes, step
-        self._heard, self._allowance = _Heard(), _Allowance(clock)
-        self._port = CanPort(self._watched, clock)  # type: ignore[arg-type]  # it has what a port calls of a bus
+        self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
+        self._show, self._heard, self._allowance = watcher.show, _Heard(), _Allowance(clock, watcher)
+        self._port = CanPort(self._watched, clock, report.name)  # type: ignore[arg-type]  # it has what a port calls of a bus
         self._addresses: dict[str, frozenset[int]] = {}  # that were heard, by driver
         self._met: dict[str, set[int]] = {}  # and those that answered
 
@@ -212,7 +230,7 @@ class _CanScan:
     def run(self, fd: bool) -> None:
         """Listen, then ask those first that search, and those last that use CAN-FD frames."""
         report, port = self._report, self._port
-        self._step(f"listens for {LISTEN_S:g} s")
+        self._show(f"listens for {LISTEN_S:g} s")
         port.open()
         try:
             port.pump_until((False,), self._clock.now() + LISTEN_S)
@@ -233,7 +251,8 @@ class _CanScan:
         except DeviceError:
             if port.full.count:
                 raise DeviceError(
-                    "no frame is acknowledged: is a device switched on, at this bit rate, and the bus terminated?"
+                    f"bus '{report.name}': no frame is acknowledged: is a device switched on, at this bit rate, and the"
+                    " bus terminated?"
                 ) from None
             raise
         finally:
@@ -279,7 +298,7 @@ class _CanScan:
         return unsuited
 
     def _ask(self, name: str) -> None:
-        self._step(f"{name} asks")
+        self._show(f"{name} asks")
         self._report.asked = True
         self._bus.taken = frozenset(
             identifier
@@ -344,21 +363,21 @@ class _ReadOnlyBus:
 
 
 def ask_i2c(
-    report: WireReport, connect: Callable[[], SmBus], clock: Clock, probes: Mapping[str, I2cProbe], step: Step
+    report: WireReport, connect: Callable[[], SmBus], clock: Clock, probes: Mapping[str, I2cProbe], watcher: Watcher
 ) -> None:
     """Ask an I2C bus by each probe.
 
     Raises
     ------
     DeviceError : the bus is absent or fails; what was seen before stands in the report.
-    Stopped : by `step`.
+    Stopped : by the watcher.
     """
-    allowance = _Allowance(clock)
-    port = I2cPort(lambda: _ReadOnlyBus(connect(), allowance), "scan")
+    allowance = _Allowance(clock, watcher)
+    port = I2cPort(lambda: _ReadOnlyBus(connect(), allowance), report.name)
     port.open()
     try:
         for name, probe in sorted(probes.items()):
-            step(f"{name} asks")
+            watcher.show(f"{name} asks")
             report.asked = True
             for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
                 report.answered.append(Answered(name, sighting))
@@ -394,66 +413,78 @@ class _WatchedLine:
 
 def ask_line(
     report: WireReport,
-    connect: Callable[[int | None], SerialLine],
+    connect: Callable[[LineBus], SerialLine],
     clock: Clock,
     probes: Mapping[str, LineProbe],
-    baudrates: Sequence[int | None],
-    step: Step,
+    lines: Sequence[LineBus],
+    watcher: Watcher,
 ) -> None:
-    """Ask the device of a line by each probe at each of its rates, until one recognises it; a socket has the rate None.
+    """Ask one device by each probe, over one line after another (rates, or ports), until a probe recognises it.
 
     Raises
     ------
-    DeviceError : the line is absent or fails.
-    Stopped : by `step`.
+    DeviceError : the line is absent, each of the ports refuses, or the connection fails.
+    Stopped : by the watcher.
     """
-    heard: dict[int | None, bytes] = {}
-    for baudrate in baudrates:
-        at_rate = f" at {baudrate} baud" if baudrate else ""
-        step(f"asks{at_rate}")
+    spoken: dict[str, bytes] = {}
+    refused: list[str] = []
+    for line in lines:
+        watcher.show(f"asks at {how(line)}")
         try:
-            line = connect(baudrate)
+            connection = connect(line)
         except (OSError, ValueError, ImportError) as error:
-            raise DeviceError(str(error)) from None
+            refused.append(str(error))
+            if isinstance(line, SerialBus):  # at no other rate will it be there
+                break
+            continue
         try:
-            heard[baudrate] = _ask_at_rate(report, line, clock, probes, baudrate)
+            spoken[how(line)] = _ask_over(report, connection, clock, probes, line, watcher)
         except OSError as error:
-            raise DeviceError(f"the device is gone: {error}") from None
+            raise DeviceError(f"{report.name}: the device is gone: {error}") from None
         finally:
-            line.close()
-        if report.answered or report.fault:
+            connection.close()
+        if report.answered or report.notes:
             return
-        if not report.asked:
-            return
-    rates = ", ".join(str(rate) for rate in heard if rate)
-    spoken = {rate: data for rate, data in heard.items() if data}
-    for rate, data in spoken.items():
-        report.note(f"something answers{f' at {rate} baud' if rate else ''} that no driver can read: {data!r}")
     if not spoken:
-        report.note(f"silent at {rates} baud" if rates else "silent: it takes the connection and answers nothing")
+        raise DeviceError("; ".join(refused))
+    for place, data in spoken.items():
+        if data:
+            report.note(f"something answers at {place} what no driver can read: {data!r}")
+    if not any(spoken.values()):
+        rates = [str(line.baudrate) for line in lines if isinstance(line, SerialBus)]
+        report.note(f"silent at {', '.join(rates)} baud" if rates else f"silent at {' and '.join(spoken)}")
 
 
-def _ask_at_rate(
-    report: WireReport, line: SerialLine, clock: Clock, probes: Mapping[str, LineProbe], baudrate: int | None
+def how(line: LineBus) -> str:
+    """Rate of a serial line, or port of a socket, in words."""
+    return f"{line.baudrate} baud" if isinstance(line, SerialBus) else f"port {line.address[1]}"
+
+
+def _ask_over(
+    report: WireReport,
+    connection: SerialLine,
+    clock: Clock,
+    probes: Mapping[str, LineProbe],
+    line: LineBus,
+    watcher: Watcher,
 ) -> bytes:
-    """Ask at one rate; returns the first bytes that came."""
-    allowance = _Allowance(clock)
+    """Ask over one connection; returns the first bytes that came."""
+    allowance = _Allowance(clock, watcher)
+    watched = _WatchedLine(connection, allowance)
     unasked, until = 0, clock.now() + UNASKED_S
-    while (left := until - clock.now()) > 0.0 and unasked < FLOOD_BYTES:
-        unasked += len(line.read(left))
+    while (seconds_left := until - clock.now()) > 0.0 and unasked < FLOOD_BYTES:
+        unasked += len(watched.read(seconds_left))
     if unasked >= FLOOD_BYTES:
-        at_rate = f" at {baudrate} baud" if baudrate else ""
-        report.note(f"only listened{at_rate}: bytes come without a question, {unasked} in {UNASKED_S:g} s at least")
-        return b""
-    watched = _WatchedLine(line, allowance)
+        report.note(f"only listened: bytes come without a question at {how(line)}, such as {watched.heard!r}")
+        return watched.heard
     for name, probe in sorted(probes.items()):
-        if baudrate is not None and baudrate not in probe.baudrates:
+        if isinstance(line, SerialBus) and line.baudrate not in probe.baudrates:
             continue
         report.asked = True
-        port = SerialPort(lambda: watched, clock)
+        port = SerialPort(lambda: watched, clock, report.name)
         port.open()
         for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
-            report.answered.append(Answered(name, sighting, baudrate))
+            report.answered.append(Answered(name, sighting, line))
         port.close()
         if report.answered:
             break

@@ -1,0 +1,173 @@
+"""Scan wires of this machine that no run uses: which they are, how they are opened, and what each of them says.
+
+A wire is held like the bus of a run while it is asked: a run that comes meanwhile is refused, and a wire that a run
+holds is left alone.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from leactl.bench.benchfile import Bus, CanBus, I2cBus, SerialBus, VisaBus
+from leactl.bench.host_checks import bring_up, can_interfaces, i2c_buses, is_up
+from leactl.bench.scan import (
+    Watcher,
+    WireReport,
+    ask_can,
+    ask_i2c,
+    ask_line,
+    can_probes,
+    i2c_probes,
+    line_probes,
+    rates_of,
+)
+from leactl.bench.wiring import MachineWiring, Wiring, unknown_interface
+from leactl.errors import DeviceError, InputError
+from leactl.runner import locks
+
+SOCKET_PORTS = (5025, 5555)  # of instruments: IANA's scpi-raw, and what Rigol uses
+FD_MTU = "72"  # bytes of a CAN-FD frame in the kernel; 16 of a classic one
+ALWAYS_FD = ("virtual", "udp_multicast")  # interfaces of python-can without a controller
+LONGEST_NAME = 40
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A wire of this machine: its name in a bench file and for a person, and the ways in which it may be open."""
+
+    name: str
+    shown: str
+    buses: tuple[Bus, ...]
+
+
+def named_wires(
+    can: Sequence[str], i2c: Sequence[int], serial: Sequence[str], lan: Sequence[str], bitrate: int
+) -> list[Wire]:
+    """The wires that a person named; CAN as `[INTERFACE:]CHANNEL`, LAN as `ADDRESS[:PORT]`.
+
+    Raises
+    ------
+    InputError : every word that names no wire.
+    """
+    wires: list[Wire] = []
+    faults: list[str] = []
+    for words, make in ((can, lambda word: _can_wire(word, bitrate)), (serial, _serial_wire), (lan, _lan_wire)):
+        for word in words:
+            try:
+                wires.append(make(word))
+            except (InputError, ValidationError) as error:
+                text = (
+                    str(error)
+                    if isinstance(error, InputError)
+                    else error.errors()[0]["msg"].removeprefix("Value error, ")
+                )
+                faults.append(f"{word!r}: {text}")
+    if faults:
+        raise InputError(faults)
+    return [*wires, *(_i2c_wire(number) for number in i2c)]
+
+
+def wires_of_this_machine(root: Path = Path("/")) -> list[Wire]:
+    """CAN interfaces of the kernel, I2C buses and serial ports that are there."""
+    from serial.tools import list_ports
+
+    numbers = [int(path.name.removeprefix("i2c-")) for path in i2c_buses(root)]
+    ports = sorted(port.device for port in list_ports.comports())
+    bitrate = CanBus.model_fields["bitrate"].default
+    return named_wires(list(can_interfaces(root)), numbers, ports, [], bitrate)
+
+
+def scan(wire: Wire, report: WireReport, watcher: Watcher, wiring: Wiring | None = None) -> None:
+    """Ask one wire; a fault of it stands in the report, with what answered before.
+
+    Raises
+    ------
+    Stopped : by the watcher.
+    """
+    try:
+        with locks.bus_held(wire.buses[0]):
+            _ask(wire, report, watcher, wiring or MachineWiring())
+    except DeviceError as error:
+        report.fault = str(error)
+
+
+def _ask(wire: Wire, report: WireReport, watcher: Watcher, wiring: Wiring) -> None:
+    bus = wire.buses[0]
+    if isinstance(bus, CanBus):
+        ask_can(report, wiring.can(wire.name, bus), wiring.clock, can_probes(), watcher, fd=_ready(bus))
+    elif isinstance(bus, I2cBus):
+        ask_i2c(report, wiring.i2c(wire.name, bus), wiring.clock, i2c_probes(), watcher)
+    else:
+        lines = [each for each in wire.buses if isinstance(each, SerialBus | VisaBus)]
+        probes = line_probes(bus.kind)
+        ask_line(report, lambda line: wiring.serial(wire.name, line)(), wiring.clock, probes, lines, watcher)
+
+
+def _ready(bus: CanBus) -> bool:
+    """Whether an interface carries CAN-FD frames.
+
+    Raises
+    ------
+    DeviceError : the kernel has no such interface, or it is down.
+    """
+    if bus.interface != "socketcan":
+        return bus.interface in ALWAYS_FD
+    states = can_interfaces()
+    state = states.get(str(bus.channel))
+    if state is None:
+        raise DeviceError(
+            f"{bus.channel}: there is no such CAN interface; connect its adapter, then: {bring_up(str(bus.channel))}"
+        )
+    if not is_up(state):
+        raise DeviceError(f"{bus.channel}: the interface is {state}; {bring_up(str(bus.channel))}")
+    return bool(bus.options.get("fd"))
+
+
+def _can_wire(word: str, bitrate: int) -> Wire:
+    interface, colon, channel = word.partition(":")
+    if not colon:
+        interface, channel = "socketcan", word
+    if not channel:
+        raise InputError("can0 was expected, or INTERFACE:CHANNEL of python-can as in slcan:/dev/ttyACM0")
+    bus = CanBus(
+        kind="can", interface=interface, channel=channel, bitrate=bitrate, options=_options(interface, channel)
+    )
+    if fault := unknown_interface(bus):
+        raise InputError(fault)
+    return Wire(_name(channel), word, (bus,))
+
+
+def _options(interface: str, channel: str) -> dict[str, bool]:
+    if interface != "socketcan":
+        return {}
+    try:
+        mtu = (Path("/sys/class/net") / channel / "mtu").read_text(encoding="ascii").strip()
+    except (OSError, ValueError):
+        return {}
+    return {"fd": True} if mtu == FD_MTU else {}
+
+
+def _i2c_wire(number: int) -> Wire:
+    return Wire(f"i2c{number}", f"/dev/i2c-{number}", (I2cBus(kind="i2c", number=number),))
+
+
+def _serial_wire(port: str) -> Wire:
+    rates = rates_of(line_probes("serial").values())
+    buses = tuple(SerialBus(kind="serial", port=port, baudrate=rate) for rate in rates)
+    return Wire(_name(Path(port).name), port, buses)
+
+
+def _lan_wire(word: str) -> Wire:
+    host, colon, port = word.partition(":")
+    ports = [port] if colon else SOCKET_PORTS
+    buses = tuple(VisaBus(kind="visa", resource=f"TCPIP::{host}::{each}::SOCKET") for each in ports)
+    return Wire(_name(f"lan_{host}"), word, buses)
+
+
+def _name(text: str) -> str:
+    """A name that a bench file takes."""
+    plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_")
+    return f"{'' if plain[:1].isalpha() else 'bus_'}{plain}"[:LONGEST_NAME].rstrip("_")
