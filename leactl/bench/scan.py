@@ -31,6 +31,7 @@ FLOOD_HZ = 3000  # frames of a bus without a host, from which on nothing is adde
 UNASKED_S, FLOOD_BYTES = 0.1, 64  # of a line on which nothing was asked
 KEPT_FRAMES, KEPT_IDENTIFIERS = 8, 4096
 SHOWN_BYTES = 24
+ONE_RATE = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
 MOST_OF_A_KIND = 200  # sightings, and notes, of one wire
 
 
@@ -248,12 +249,11 @@ class _CanScan:
                 if reason := self._other_host():
                     self._only_listen(reason)
                     return
+            if self._heard.errors:
+                report.note(f"{self._heard.errors} error frames came while it was asked; {ONE_RATE}")
         except DeviceError:
             if port.full.count:
-                raise DeviceError(
-                    f"bus '{report.name}': no frame is acknowledged: is a device switched on, at this bit rate, and the"
-                    " bus terminated?"
-                ) from None
+                raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {ONE_RATE}") from None
             raise
         finally:
             port.close()
@@ -266,10 +266,7 @@ class _CanScan:
         """Why nothing may be sent, by what was heard; empty if it may."""
         heard, rate = self._heard, self._heard.count / LISTEN_S
         if heard.errors:
-            return (
-                f"{heard.errors} error frames came; have all devices and the interface one bit rate, and is the bus"
-                " terminated?"
-            )
+            return f"{heard.errors} error frames came; {ONE_RATE}"
         if reason := self._other_host():
             return reason
         return f"{rate:.0f} frames a second come without a host: a device babbles" if rate >= FLOOD_HZ else ""

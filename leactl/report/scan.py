@@ -8,6 +8,7 @@ import yaml
 from leactl.bench.benchfile import Bus, CanBus, I2cBus, LineBus
 from leactl.bench.scan import Answered, WireReport, how, settings_left_open
 from leactl.driver import registry
+from leactl.driver.probe import CanProbe, Probe
 from leactl.report.terminal import list_line
 from leactl.runner.scan import Wire
 
@@ -24,7 +25,7 @@ def lines(scanned: Scanned) -> Iterator[str]:
             yield list_line(head, "; ".join(_told(each)))
         for note in report.notes:
             yield list_line(f"{wire.shown}: ", note)
-        if not (report.answered or report.notes or report.fault):
+        if report.asked and not (report.answered or report.fault or isinstance(wire.buses[0], LineBus)):
             yield f"{wire.shown}: nothing answered"
 
 
@@ -91,7 +92,7 @@ def _expected(field: dict[str, Any], driver: str) -> str:
     """What a setting takes, in words."""
     if "enum" in field:
         return " or ".join(map(str, field["enum"]))
-    bounds = [f"{word} {field[key]:g}" for key, word in BOUNDS.items() if key in field]
+    bounds = [f"{word} {field[key]}" for key, word in BOUNDS.items() if key in field]
     return ", ".join((str(field.get("type", "")), *bounds, f"see: leactl driver info {driver}")).removeprefix(", ")
 
 
@@ -103,9 +104,15 @@ def _as_written(wire: Wire, answered: Sequence[Answered]) -> dict[str, Any]:
     bus: Bus | LineBus = answered[0].line or wire.buses[0]
     written = bus.model_dump(exclude_defaults=isinstance(bus, CanBus))
     if isinstance(bus, CanBus):
+        if not any(isinstance(probe, CanProbe) and probe.fd for probe in _probes_of(answered)):
+            written.pop("options", None)  # which the interface could have, and none of these devices needs
         return {"kind": "can", "interface": bus.interface, "channel": bus.channel} | written
     kept = ("kind", "number", "port", "baudrate", "resource")
     return {key: value for key, value in written.items() if key in kept}
+
+
+def _probes_of(answered: Sequence[Answered]) -> list[Probe | None]:
+    return [registry.load(each.driver).probe for each in answered]
 
 
 def _flow(mapping: dict[str, Any]) -> str:

@@ -137,7 +137,7 @@ def _can_wire(word: str, bitrate: int) -> Wire:
     )
     if fault := unknown_interface(bus):
         raise InputError(fault)
-    return Wire(_name(channel), word, (bus,))
+    return Wire(_name(channel if interface == "socketcan" else f"can_{Path(channel).name}"), word, (bus,))
 
 
 def _options(interface: str, channel: str) -> dict[str, bool]:

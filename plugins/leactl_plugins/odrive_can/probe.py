@@ -60,7 +60,8 @@ class OdriveProbe(CanProbe):
         for node in sorted(addresses):
             query = node << NODE_SHIFT | Command.GET_VERSION
             if query | Command.HEARTBEAT in taken:
-                continue  # what was heard are messages of another device
+                yield f"node {node}: what may be an ODrive's heartbeat has an identifier of another device; not asked"
+                continue
             if query == SYNC_ID or query in taken:
                 yield _unasked(node)
                 continue
