@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from leactl.driver.can_port import CanPort
     from leactl.driver.contract import Identity
 
-ANSWER_S = 0.3  # that an instrument on a line may take
+ANSWER_S = 0.5  # that an instrument on a line may take
 
 
 class Sighting(NamedTuple):

@@ -20,7 +20,7 @@ UPLOADED, ABORTED = 0x43, 0x80
 INITIATES = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first bytes of a client's request
 FIRST_OBJECT = 0x1000
 PACE_S = 0.003  # from one node to the next: request and answer take 2.2 ms at 125 kbit/s
-ANSWER_S = 0.25
+ANSWER_S = 0.5
 MOST_ANSWERS = 3  # that are kept of a node
 LONGEST_SHOWN = 8  # bytes
 

@@ -29,7 +29,7 @@ OF_A_HOST = (
     Command.SET_INPUT_VEL,
     Command.SET_INPUT_TORQUE,
 )
-ANSWER_S = 0.1
+ANSWER_S = 0.2
 MOST_ANSWERS = 3  # that are kept of a node
 
 
