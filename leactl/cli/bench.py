@@ -180,7 +180,7 @@ app.command(
         "bench scan --can can0 --serial /dev/ttyUSB0 --yaml",
         "bench scan --lan 192.168.0.10 --i2c 1",
         ends=(DeviceError,),
-        means={DeviceError: "a wire is absent, not permitted, used by a run, or fails; the others are asked"},
+        means={DeviceError: "a wire is absent or in use or fails; the others are asked"},
     ),
 )(bench_scan.scan)
 app.command(
