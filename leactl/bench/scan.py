@@ -59,6 +59,7 @@ class WireReport:
     notes: list[str] = field(default_factory=list)  # a line each
     fault: str = ""  # why it could not be asked, or not to the end
     asked: bool = False  # something was sent
+    complete: bool = False  # nothing ended it before its end
 
     def note(self, text: str) -> None:
         """Add a line, unless it stands there."""

@@ -35,14 +35,14 @@ def scan(
     from leactl.bench.scan import Watcher, WireReport
     from leactl.errors import DeviceError, InputError, Stopped
     from leactl.report import scan as told
-    from leactl.runner.scan import Wire, named_wires, scan, wires_of_this_machine
+    from leactl.runner.scan import ScannedWire, named_wires, scan, wires_of_this_machine
     from leactl.runner.signals import listening
 
     if as_json and as_yaml:
         raise InputError("--json and --yaml are both given; one was expected")
     named = can or i2c or serial or lan
     wires = named_wires(can, i2c, serial, lan, bitrate) if named else wires_of_this_machine()
-    scanned: list[tuple[Wire, WireReport]] = []
+    scanned: list[tuple[ScannedWire, WireReport]] = []
     end: DeviceError | Stopped | None = None
     with listening() as stop:
         try:

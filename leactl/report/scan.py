@@ -10,11 +10,11 @@ from leactl.bench.scan import Answered, WireReport, how, settings_left_open
 from leactl.driver import registry
 from leactl.driver.probe import CanProbe, Probe
 from leactl.report.terminal import list_line
-from leactl.runner.scan import Wire
+from leactl.runner.scan import ScannedWire
 
 FILL_IN = "FILL_IN"
 ROLES = "test, load or bench"
-Scanned = Sequence[tuple[Wire, WireReport]]
+Scanned = Sequence[tuple[ScannedWire, WireReport]]
 
 
 def lines(scanned: Scanned) -> Iterator[str]:
@@ -25,8 +25,10 @@ def lines(scanned: Scanned) -> Iterator[str]:
             yield list_line(head, "; ".join(_told(each)))
         for note in report.notes:
             yield list_line(f"{wire.shown}: ", note)
-        if report.asked and not (report.answered or report.fault or isinstance(wire.buses[0], LineBus)):
+        if report.asked and report.complete and not (report.answered or isinstance(wire.buses[0], LineBus)):
             yield f"{wire.shown}: nothing answered"
+        if not (report.complete or report.fault):
+            yield f"{wire.shown}: not asked to the end"
 
 
 def answer(scanned: Scanned) -> dict[str, Any]:
@@ -38,6 +40,7 @@ def answer(scanned: Scanned) -> dict[str, Any]:
             "bus": wire.name,
             "kind": wire.buses[0].kind,
             "asked": report.asked,
+            "complete": report.complete,
             "notes": report.notes,
             "fault": report.fault or None,
         }
@@ -76,7 +79,7 @@ def bench_file_part(scanned: Scanned) -> str:
     return f"{head}buses:\n{''.join(buses)}devices:\n{''.join(devices)}"
 
 
-def _device(name: str, wire: Wire, each: Answered) -> str:
+def _device(name: str, wire: ScannedWire, each: Answered) -> str:
     told = "; ".join(_told(each)[:-1])
     schema = registry.load(each.driver).Settings.model_json_schema()["properties"]
     text = f"  {name}:  # {told}\n    driver: {each.driver}\n    bus: {wire.name}\n    role: {FILL_IN}  # {ROLES}\n"
@@ -99,7 +102,7 @@ def _expected(field: dict[str, Any], driver: str) -> str:
 BOUNDS = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
 
 
-def _as_written(wire: Wire, answered: Sequence[Answered]) -> dict[str, Any]:
+def _as_written(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
     """A bus as a bench file has it; a line as it was open when its device answered."""
     bus: Bus | LineBus = answered[0].line or wire.buses[0]
     written = bus.model_dump(exclude_defaults=isinstance(bus, CanBus))
@@ -142,7 +145,7 @@ def _left_open(each: Answered) -> list[str]:
     return ["role", *settings_left_open(registry.load(each.driver), each.sighting.settings or {})]
 
 
-def _place(wire: Wire, each: Answered) -> str:
+def _place(wire: ScannedWire, each: Answered) -> str:
     if each.line is not None:
         return how(each.line)
     address = each.sighting.address or 0

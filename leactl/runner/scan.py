@@ -6,7 +6,7 @@ holds is left alone.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -31,11 +31,12 @@ from leactl.runner import locks
 SOCKET_PORTS = (5025, 5555)  # of instruments: IANA's scpi-raw, and what Rigol uses
 FD_MTU = "72"  # bytes of a CAN-FD frame in the kernel; 16 of a classic one
 ALWAYS_FD = ("virtual", "udp_multicast")  # interfaces of python-can without a controller
+CONSOLES = "sys/class/tty/console/active"  # on which a shell may take questions for commands
 LONGEST_NAME = 40
 
 
 @dataclass(frozen=True)
-class Wire:
+class ScannedWire:
     """A wire of this machine: its name in a bench file and for a person, and the ways in which it may be open."""
 
     name: str
@@ -45,14 +46,14 @@ class Wire:
 
 def named_wires(
     can: Sequence[str], i2c: Sequence[int], serial: Sequence[str], lan: Sequence[str], bitrate: int
-) -> list[Wire]:
+) -> list[ScannedWire]:
     """The wires that a person named; CAN as `[INTERFACE:]CHANNEL`, LAN as `ADDRESS[:PORT]`.
 
     Raises
     ------
     InputError : every word that names no wire.
     """
-    wires: list[Wire] = []
+    wires: list[ScannedWire] = []
     faults: list[str] = []
     for words, make in ((can, lambda word: _can_wire(word, bitrate)), (serial, _serial_wire), (lan, _lan_wire)):
         for word in words:
@@ -67,20 +68,32 @@ def named_wires(
                 faults.append(f"{word!r}: {text}")
     if faults:
         raise InputError(faults)
-    return [*wires, *(_i2c_wire(number) for number in i2c)]
+    wires += [_i2c_wire(number) for number in i2c]
+    once = {wire.shown: wire for wire in wires}
+    return [_with_a_name_of_its_own(wire, list(once.values())[:place]) for place, wire in enumerate(once.values())]
 
 
-def wires_of_this_machine(root: Path = Path("/")) -> list[Wire]:
-    """CAN interfaces of the kernel, I2C buses and serial ports that are there."""
+def _with_a_name_of_its_own(wire: ScannedWire, before: Sequence[ScannedWire]) -> ScannedWire:
+    """The wire with another name where wires before it have the same."""
+    alike = sum(other.name == wire.name for other in before)
+    return replace(wire, name=f"{wire.name[: LONGEST_NAME - 2]}_{alike + 1}") if alike else wire
+
+
+def wires_of_this_machine(root: Path = Path("/")) -> list[ScannedWire]:
+    """CAN interfaces of the kernel, I2C buses and serial ports that are there, but for the system's console."""
     from serial.tools import list_ports
 
     numbers = [int(path.name.removeprefix("i2c-")) for path in i2c_buses(root)]
-    ports = sorted(port.device for port in list_ports.comports())
+    try:
+        consoles = (root / CONSOLES).read_text(encoding="ascii").split()
+    except OSError:
+        consoles = []
+    ports = sorted(port.device for port in list_ports.comports() if Path(port.device).name not in consoles)
     bitrate = CanBus.model_fields["bitrate"].default
     return named_wires(list(can_interfaces(root)), numbers, ports, [], bitrate)
 
 
-def scan(wire: Wire, report: WireReport, watcher: Watcher, wiring: Wiring | None = None) -> None:
+def scan(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring | None = None) -> None:
     """Ask one wire; a fault of it stands in the report, with what answered before.
 
     Raises
@@ -90,11 +103,12 @@ def scan(wire: Wire, report: WireReport, watcher: Watcher, wiring: Wiring | None
     try:
         with locks.bus_held(wire.buses[0]):
             _ask(wire, report, watcher, wiring or MachineWiring())
+        report.complete = True
     except DeviceError as error:
         report.fault = str(error)
 
 
-def _ask(wire: Wire, report: WireReport, watcher: Watcher, wiring: Wiring) -> None:
+def _ask(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring) -> None:
     bus = wire.buses[0]
     if isinstance(bus, CanBus):
         ask_can(report, wiring.can(wire.name, bus), wiring.clock, can_probes(), watcher, fd=_ready(bus))
@@ -126,7 +140,7 @@ def _ready(bus: CanBus) -> bool:
     return bool(bus.options.get("fd"))
 
 
-def _can_wire(word: str, bitrate: int) -> Wire:
+def _can_wire(word: str, bitrate: int) -> ScannedWire:
     interface, colon, channel = word.partition(":")
     if not colon:
         interface, channel = "socketcan", word
@@ -137,7 +151,7 @@ def _can_wire(word: str, bitrate: int) -> Wire:
     )
     if fault := unknown_interface(bus):
         raise InputError(fault)
-    return Wire(_name(channel if interface == "socketcan" else f"can_{Path(channel).name}"), word, (bus,))
+    return ScannedWire(_name(channel if interface == "socketcan" else f"can_{Path(channel).name}"), word, (bus,))
 
 
 def _options(interface: str, channel: str) -> dict[str, bool]:
@@ -150,21 +164,21 @@ def _options(interface: str, channel: str) -> dict[str, bool]:
     return {"fd": True} if mtu == FD_MTU else {}
 
 
-def _i2c_wire(number: int) -> Wire:
-    return Wire(f"i2c{number}", f"/dev/i2c-{number}", (I2cBus(kind="i2c", number=number),))
+def _i2c_wire(number: int) -> ScannedWire:
+    return ScannedWire(f"i2c{number}", f"/dev/i2c-{number}", (I2cBus(kind="i2c", number=number),))
 
 
-def _serial_wire(port: str) -> Wire:
+def _serial_wire(port: str) -> ScannedWire:
     rates = rates_of(line_probes("serial").values())
     buses = tuple(SerialBus(kind="serial", port=port, baudrate=rate) for rate in rates)
-    return Wire(_name(Path(port).name), port, buses)
+    return ScannedWire(_name(Path(port).name), port, buses)
 
 
-def _lan_wire(word: str) -> Wire:
+def _lan_wire(word: str) -> ScannedWire:
     host, colon, port = word.partition(":")
     ports = [port] if colon else SOCKET_PORTS
     buses = tuple(VisaBus(kind="visa", resource=f"TCPIP::{host}::{each}::SOCKET") for each in ports)
-    return Wire(_name(f"lan_{host}"), word, buses)
+    return ScannedWire(_name(f"lan_{host}"), word, buses)
 
 
 def _name(text: str) -> str:

@@ -1,5 +1,8 @@
 """Scans at emulated wires: who is recognised, and that nothing but harmless reads is ever sent."""
 
+import re
+from pathlib import Path
+
 import can
 import pytest
 from hypothesis import given, settings
@@ -20,6 +23,7 @@ from leactl.bench.scan import (
     rates_of,
 )
 from leactl.driver import registry
+from leactl.driver.conversation import Unreadable
 from leactl.driver.far_end import FdFrame, Frame
 from leactl.driver.probe import CanProbe, I2cProbe, Sighting
 from leactl.emulation.clock import EmulatedClock
@@ -599,3 +603,21 @@ def test_an_instrument_that_is_no_supply_is_told():
     report = LineBench(Talker([b"", b"", b"", b"", b"KEITHLEY,2000,123,A1\n", b"KEITHLEY,2000,123,A1\n"])).scan()
     (each,) = report.answered
     assert (each.sighting.settings, each.sighting.identity.model) == (None, "KEITHLEY 2000")
+
+
+def test_the_probe_of_the_page_recognises_its_thermometer():
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "own-driver.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(from leactl.driver.contract import Identity.*?)```", page, re.DOTALL)
+
+    def value_of(answer):
+        if not answer.endswith(b"C"):
+            raise Unreadable("no temperature")
+        return float(answer[:-1])
+
+    known = {"value_of": value_of}
+    exec(block, known)
+    bench = LineBench(Talker([b"?\n", b"+23.4C\n"]))
+    line = SerialBus(kind="serial")
+    ask_line(bench.report, bench.connect, bench.clock, {"room_meter": known["RoomMeterProbe"]()}, [line], QUIET)
+    assert bench.report.answered[0].sighting.identity.model == "room meter"
+    assert bench.said == [b"READ?\n", b"READ?\n"]
