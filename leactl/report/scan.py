@@ -14,6 +14,7 @@ from leactl.runner.scan import ScannedWire
 
 FILL_IN = "FILL_IN"
 ROLES = "test, load or bench"
+BOUNDS = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
 Scanned = Sequence[tuple[ScannedWire, WireReport]]
 
 
@@ -81,25 +82,26 @@ def bench_file_part(scanned: Scanned) -> str:
 
 def _device(name: str, wire: ScannedWire, each: Answered) -> str:
     told = "; ".join(_told(each)[:-1])
-    schema = registry.load(each.driver).Settings.model_json_schema()["properties"]
+    driver = registry.load(each.driver)
+    schema, told_by = driver.Settings.model_json_schema()["properties"], f"; leactl driver info {each.driver}"
     text = f"  {name}:  # {told}\n    driver: {each.driver}\n    bus: {wire.name}\n    role: {FILL_IN}  # {ROLES}\n"
     settings = [f"      {_flow({key: value})[1:-1]}\n" for key, value in (each.sighting.settings or {}).items()]
     settings += [
-        f"      {key}: {FILL_IN}  # {_expected(schema[key], each.driver)}\n"
-        for key in settings_left_open(registry.load(each.driver), each.sighting.settings or {})
+        f"      {key}: {FILL_IN}  # {_expected(schema[key], driver.example.get(key))}{told_by}\n"
+        for key in settings_left_open(driver, each.sighting.settings or {})
     ]
     return f"{text}    settings:\n{''.join(settings)}" if settings else text
 
 
-def _expected(field: dict[str, Any], driver: str) -> str:
-    """What a setting takes, in words."""
+def _expected(field: dict[str, Any], example: Any) -> str:
+    """What a setting takes, in words; of a list an example."""
     if "enum" in field:
         return " or ".join(map(str, field["enum"]))
-    bounds = [f"{word} {field[key]}" for key, word in BOUNDS.items() if key in field]
-    return ", ".join((str(field.get("type", "")), *bounds, f"see: leactl driver info {driver}")).removeprefix(", ")
-
-
-BOUNDS = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
+    if field.get("type") == "array" and example:
+        return f"such as {_flow(list(example))}"
+    return ", ".join(
+        (str(field.get("type", "")), *(f"{word} {field[key]}" for key, word in BOUNDS.items() if key in field))
+    )
 
 
 def _as_written(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
@@ -118,8 +120,8 @@ def _probes_of(answered: Sequence[Answered]) -> list[Probe | None]:
     return [registry.load(each.driver).probe for each in answered]
 
 
-def _flow(mapping: dict[str, Any]) -> str:
-    return str(yaml.safe_dump(mapping, default_flow_style=True, sort_keys=False, width=1000)).strip()
+def _flow(value: dict[str, Any] | list[Any]) -> str:
+    return str(yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000)).strip()
 
 
 def _names(scanned: Scanned) -> dict[int, str]:

@@ -89,7 +89,7 @@ def test_the_devices_of_a_whole_bench_are_seen_and_written_as_a_bench_file_has_t
     assert not any(machine.read()[1] > 0.1 for machine in emulated.machines.values())
     part = bench_file_part(both)
     assert "  i2c1: {kind: i2c, number: 98}\n" in part
-    assert "      address: 72\n      inputs: FILL_IN  # array, see: leactl driver info ads1115\n" in part
+    assert "      address: 72\n      inputs: FILL_IN  # such as [{name: torque, quantity: torque, role: test," in part
     assert any(line.startswith("i2c1         0x48        ads1115") for line in lines(both))
 
 

@@ -1,7 +1,7 @@
 """Recognise ADS1115 converters at rest by their configuration, read at the four addresses that they can have.
 
-Nothing is written, and no other address is touched: the quick write by which `i2cdetect` looks for devices moves the
-pointer of an EEPROM and is a command to some chips.
+Nothing is written, and no other address is touched: by its manual page, the write without data by which `i2cdetect`
+looks for chips corrupts some EEPROMs (AT24RF08), and its read of a byte locks chips that can only be written.
 """
 
 from leactl.driver.contract import Identity
