@@ -59,22 +59,40 @@ def _plugins() -> Iterator[HostFinding]:
         yield HostFinding(f"driver {item.name}", fine, False, item.source if fine else item.error, mend)
 
 
-def _can(root: Path) -> Iterator[HostFinding]:
+def can_interfaces(root: Path = Path("/")) -> dict[str, str]:
+    """State of each CAN interface of the kernel, by its name."""
     folder = root / "sys/class/net"
     links = sorted(folder.iterdir()) if folder.is_dir() else []
-    interfaces = [link for link in links if _text(link / "type") == CAN_TYPE]
+    return {link.name: _text(link / "operstate") for link in links if _text(link / "type") == CAN_TYPE}
+
+
+def is_up(state: str) -> bool:
+    """Whether a CAN interface in this state passes frames; the state of a virtual one is unknown."""
+    return state in ("up", "unknown")
+
+
+def bring_up(interface: str) -> str:
+    """Command that brings a CAN interface up."""
+    return f"sudo ip link set {interface} up type can bitrate 1000000"
+
+
+def _can(root: Path) -> Iterator[HostFinding]:
+    interfaces = can_interfaces(root)
     if not interfaces:
-        mend = "connect an adapter, then: sudo ip link set can0 up type can bitrate 1000000"
-        yield HostFinding("CAN", False, False, "no SocketCAN interface", mend)
-    for link in interfaces:
-        state = _text(link / "operstate")
-        fine = state in ("up", "unknown")
-        mend = "" if fine else f"sudo ip link set {link.name} up type can bitrate 1000000"
-        yield HostFinding(f"CAN {link.name}", fine, False, state, mend)
+        yield HostFinding(
+            "CAN", False, False, "no SocketCAN interface", f"connect an adapter, then: {bring_up('can0')}"
+        )
+    for name, state in interfaces.items():
+        yield HostFinding(f"CAN {name}", is_up(state), False, state, "" if is_up(state) else bring_up(name))
+
+
+def i2c_buses(root: Path = Path("/")) -> list[Path]:
+    """I2C buses of the kernel."""
+    return sorted((root / "dev").glob("i2c-*"))
 
 
 def _i2c(root: Path) -> Iterator[HostFinding]:
-    buses = sorted((root / "dev").glob("i2c-*"))
+    buses = i2c_buses(root)
     if not buses:
         mend = "sudo modprobe i2c-dev; on a Raspberry Pi also: sudo raspi-config nonint do_i2c 0"
         yield HostFinding("I2C", False, False, "no /dev/i2c-*", mend)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from leactl.cli import bench_by_hand
+from leactl.cli import bench_by_hand, bench_scan
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import DeviceError
@@ -173,6 +173,16 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
 
 
+app.command(
+    "scan",
+    epilog=examples(
+        "bench scan",
+        "bench scan --can can0 --serial /dev/ttyUSB0 --yaml",
+        "bench scan --lan 192.168.0.10 --i2c 1",
+        ends=(DeviceError,),
+        means={DeviceError: "a wire is absent or in use or fails; the others are asked"},
+    ),
+)(bench_scan.scan)
 app.command(
     "stop",
     epilog=examples(

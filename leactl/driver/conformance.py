@@ -5,6 +5,7 @@ from types import UnionType
 from typing import Any
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
+from leactl.driver.probe import CanProbe, I2cProbe, LineProbe
 
 UNIT_SUFFIXES = (
     "_A",
@@ -37,6 +38,9 @@ def faults_of(driver: type[Driver]) -> list[str]:
         faults.append(f"transport '{driver.transport}' is none of can, i2c, serial, none")
     if driver.further_transports and (driver.transport, driver.further_transports) != ("serial", ("visa",)):
         faults.append("further_transports is only known as ('visa',), of a driver over serial")
+    kinds = {"can": CanProbe, "i2c": I2cProbe, "serial": LineProbe}
+    if driver.probe is not None and not isinstance(driver.probe, kinds.get(driver.transport, ())):
+        faults.append(f"probe is none for a bus of kind {driver.transport}")
     if not issubclass(driver.Settings, DriverSettings):
         return [*faults, "Settings does not derive from DriverSettings"]
     config = driver.Settings.model_config

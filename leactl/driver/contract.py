@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_c
 from leactl import yamlblock
 from leactl.driver.clock import Clock
 from leactl.driver.far_end import BuslessEmulator, CanEmulator, I2cEmulator, Physics, SerialEmulator
+from leactl.driver.probe import Probe
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
@@ -148,6 +149,7 @@ class Driver(ABC):
     example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` tries driver and emulator
     baudrate: ClassVar[int] = 9600  # of the serial line that `leactl driver check` uses
     synchronised: ClassVar[bool] = False  # its CAN bus carries CANopen's SYNC once a cycle, after the outputs
+    probe: ClassVar[Probe | None] = None  # how `leactl bench scan` recognises such a device
 
     @abstractmethod
     def __init__(self, name: str, role: str, settings: Any, port: Any, clock: Clock) -> None: ...

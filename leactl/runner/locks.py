@@ -54,6 +54,22 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
         yield [stack.enter_context(alone(place, f"{what} is driven by another run")) for place, what in places.items()]
 
 
+@contextmanager
+def bus_held(bus: Bus) -> Iterator[None]:
+    """Hold one bus, which no bench file needs to describe, until the block is left.
+
+    Raises
+    ------
+    DeviceError : a run drives devices on it; with its process.
+    InputError : this is no Linux.
+    """
+    if sys.platform != "linux":
+        raise InputError("devices are asked on Linux alone")
+    place, shown = _place(bus)
+    with alone(place, f"{shown} is driven by a run"):
+        yield
+
+
 def name_of(bench: BenchFile) -> str:
     """A bench as the machine knows it; served ones of one name are several, by where their state is kept."""
     if bench.emulated is None:

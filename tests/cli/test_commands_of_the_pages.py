@@ -39,6 +39,7 @@ ELSEWHERE = {
     "bench pause": ("tests/cli/test_bench_stop.py", '"pause"'),
     "bench resume": ("tests/cli/test_bench_stop.py", '"resume"'),
     "bench remark": ("tests/cli/test_bench_stop.py", '"remark"'),
+    "bench scan": ("tests/cli/test_bench_scan.py", '"bench", "scan"'),
     "driver replay": ("tests/runner/test_wire_traces.py", '"driver", "replay"'),
     "bench read mine.yaml --follow": ("tests/cli/test_bench_follow.py", '"--follow"'),
     "bench recording": ("tests/driver/test_elmo_serial_wire.py", '"bench", "recording"'),

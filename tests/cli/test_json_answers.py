@@ -34,6 +34,7 @@ ELSEWHERE = {  # answers of several lines, or that take minutes or a drive: the 
     "A closed loop": "tests/exchange/test_loop.py",
     "A trace, replayed": "tests/runner/test_wire_traces.py",
     "A recording of a drive": "tests/driver/test_elmo_serial_wire.py",
+    "A scan of wires": "tests/cli/test_bench_scan.py",
 }
 
 

@@ -39,6 +39,12 @@ def test_a_driver_over_a_further_bus_that_gives_it_another_port_breaks_the_contr
     assert conformance.faults_of(driver) == ["further_transports is only known as ('visa',), of a driver over serial"]
 
 
+def test_a_probe_for_another_wire_breaks_the_contract():
+    probe = registry.load("ads1115").probe
+    driver = type("Elsewhere", (registry.load("elmo_can"),), {"probe": probe, "__doc__": "Elsewhere."})
+    assert conformance.faults_of(driver) == ["probe is none for a bus of kind can"]
+
+
 def test_a_supply_that_cannot_be_cut_at_once_breaks_the_contract():
     supply = registry.load("scpi_supply")
 

@@ -8,12 +8,14 @@ import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 from leactl_plugins.elmo_can.commissioning import Commissioning
 from leactl_plugins.elmo_can.driver import ElmoCan
+from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.scpi_supply.driver import ScpiSupply
 
 from leactl.driver import conformance, registry
-from leactl.driver.contract import Confirmation, Driver, DriverSettings
-from leactl.emulation.trial import running
-from leactl.emulation.trial.running import try_driver
+from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
+from leactl.driver.probe import Sighting
+from leactl.emulation.trial import probing, running
+from leactl.emulation.trial.running import outcome, plain, try_driver
 from leactl.errors import DeviceError, InputError
 
 ANGLE, VELOCITY = 5, 4  # among the values of the drive
@@ -250,6 +252,55 @@ def faults_of(driver):
 def test_a_planted_defect_is_found_and_named(driver, trial, said):
     faults = faults_of(driver)
     assert any(name.startswith(trial) and said in fault for name, fault in faults), faults
+
+
+class OffByOne(ElmoProbe):
+    """Tells another node than answered."""
+
+    def ask(self, port, addresses, taken):
+        for seen in super().ask(port, addresses, taken):
+            yield seen._replace(settings={"node": seen.address + 1})
+
+
+class SeesGhosts(ElmoProbe):
+    """Tells a device whatever is there."""
+
+    def ask(self, port, addresses, taken):
+        yield Sighting(1, Identity(), {"node": 1})
+
+
+class Enables(ElmoProbe):
+    """Makes the drive follow a current to see whether it is one."""
+
+    def ask(self, port, addresses, taken):
+        port.send(0x000, bytes((0x01, 0x00)))
+        for write in ("2f6060000a000000", "2b40600006000000", "2b40600007000000", "2b4060000f000000"):
+            port.send(0x601, bytes.fromhex(write))
+        yield from super().ask(port, addresses, taken)
+
+
+class Waits(ElmoProbe):
+    """Waits for an answer for ever."""
+
+    def ask(self, port, addresses, taken):
+        while True:
+            port.pump_until((False,), port.clock.now() + 1.0)
+        yield ""
+
+
+@pytest.mark.parametrize(
+    ("probe", "trial", "said"),
+    [
+        (OffByOne, "its probe recognises its device", "gives it node 2; 1 was expected"),
+        (SeesGhosts, "its probe ends on a silent wire", "saw a device"),
+        (Enables, "its probe moves and energises nothing", "the machine follows ('current'"),
+        (Waits, "its probe ends on a silent wire", "it takes more than 20 s"),
+    ],
+)
+def test_a_defect_of_a_probe_is_found_and_named(probe, trial, said, tmp_path):
+    driver = type("Probed", (ElmoCan,), {"probe": probe()})
+    faults = {plain(each): outcome(each, driver, tmp_path) for each in probing.TRIALS}
+    assert said in faults[trial], faults
 
 
 @pytest.mark.parametrize("name", registry.names())

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from leactl.driver.batch import BatchSource
 from leactl.driver.contract import Driver, MotionDevice, PowerSupply
-from leactl.emulation.trial import drives, measuring, supplies
+from leactl.emulation.trial import drives, measuring, probing, supplies
 from leactl.emulation.trial.stand import Broken, Stand, example_of
 from leactl.errors import InputError, LeactlError
 
@@ -53,6 +53,10 @@ def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
     except ValueError as error:
         raise InputError(f"its `example` is no settings of one: {' '.join(str(error).split())}") from None
     stand = Stand(driver, folder)
+    return (*_of_its_kind(stand), *(probing.TRIALS if driver.probe is not None else ()))
+
+
+def _of_its_kind(stand: Stand) -> tuple[Trial, ...]:
     if isinstance(stand.driver, MotionDevice):
         return drives.TRIALS
     if isinstance(stand.driver, PowerSupply):

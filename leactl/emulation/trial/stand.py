@@ -5,9 +5,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from leactl.bench.benchfile import SerialBus
+from leactl.bench.scan import Watcher, WireReport, ask_can, ask_i2c, ask_line
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Driver, MotionDevice
 from leactl.driver.i2c_port import I2cPort
+from leactl.driver.probe import CanProbe, I2cProbe, LineProbe
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.trial.known import KnownBench, KnownMachine
@@ -32,20 +35,24 @@ class Stand:
         self.settings = example_of(driver, folder)
         far_end: Any = driver.far_end(self.settings, ROLE, self.bench)
         self._wire: Any = None
+        self._connect: Any = None
         port: Any = far_end
         if driver.transport == "can":
             wire = self._wire = CanWire(self.clock)
             wire.attach(far_end)
-            port = CanPort(lambda: EmulatedCanBus(wire), self.clock)
+            self._connect = lambda: EmulatedCanBus(wire)
+            port = CanPort(self._connect, self.clock)
         elif driver.transport == "i2c":
             address, far_end = far_end
             bus = self._wire = EmulatedI2cBus(self.clock)
             bus.devices[address] = far_end
-            port = I2cPort(lambda: bus)
+            self._connect = lambda: bus
+            port = I2cPort(self._connect)
         elif driver.transport == "serial":
             line = self._wire = SerialWire(self.clock, BITS / driver.baudrate)
             line.device = far_end
-            port = SerialPort(lambda: EmulatedSerialLine(line), self.clock)
+            self._connect = lambda: EmulatedSerialLine(line)
+            port = SerialPort(self._connect, self.clock)
         else:
             self.clock.follow(far_end.tick)
             self.clock.stop_at(lambda: far_end.due)
@@ -69,6 +76,18 @@ class Stand:
             self._wire.silent += self._wire.devices.values()
         elif self._wire is not None:
             self._wire.cut = True
+
+    def scanned(self) -> WireReport:
+        """What a scan of the wire by the driver's probe alone tells; the driver stays closed."""
+        report, probe, watcher = WireReport("tried"), self.driver.probe, Watcher(lambda _text: None, lambda: None)
+        if isinstance(probe, CanProbe):
+            ask_can(report, self._connect, self.clock, {"tried": probe}, watcher, fd=True)
+        elif isinstance(probe, I2cProbe):
+            ask_i2c(report, self._connect, self.clock, {"tried": probe}, watcher)
+        elif isinstance(probe, LineProbe):
+            line = SerialBus(kind="serial", baudrate=probe.baudrates[0])
+            ask_line(report, lambda _line: self._connect(), self.clock, {"tried": probe}, [line], watcher)
+        return report
 
     def wait(self, seconds: float) -> None:
         """Let time pass with nothing sent."""

@@ -14,12 +14,20 @@ from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl.quantities import UNITS, ChannelSpec
-from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, AdcInput, Ads1115Settings
+from leactl_plugins.ads1115.probe import Ads1115Probe
+from leactl_plugins.ads1115.settings import (
+    COMPARATOR_OFF,
+    CONFIG,
+    CONVERSION,
+    MUX,
+    RANGES_V,
+    RATES_SPS,
+    SINGLE_SHOT,
+    START,
+    AdcInput,
+    Ads1115Settings,
+)
 
-CONVERSION, CONFIG = 0x00, 0x01
-START = 0x8000  # OS: start when written, idle when read
-SINGLE_SHOT = 0x0100
-COMPARATOR_OFF = 0x0003
 CONVERTED_BY = 0x7FE0  # mask of pins, range, mode and rate; the comparator's bits are ignored, since it is off
 POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
 RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
@@ -58,6 +66,7 @@ class Ads1115(Driver):
     Settings = Ads1115Settings
     transport = "i2c"
     summary = "ADS1115 16-bit converter over I2C (torque sensor, voltages)"
+    probe = Ads1115Probe()
     example: ClassVar[Mapping[str, Any]] = {
         "inputs": [
             {

@@ -7,6 +7,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from leactl.driver.contract import DriverSettings, Shown
 from leactl.quantities import ROLES, UNITS
 
+CONVERSION, CONFIG = 0x00, 0x01  # registers
+START = 0x8000  # OS: start when written, idle when read
+SINGLE_SHOT = 0x0100
+COMPARATOR_OFF = 0x0003
 MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6, "A3": 7}
 RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
 RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)

@@ -1,11 +1,13 @@
 """Parse a supply's replies: digits without a decimal point, then `OK`; anything else is Unreadable."""
 
 import re
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 from leactl.driver.conversation import Unreadable
 
 OK = b"OK"
+Value = TypeVar("Value")
 
 
 class LevelCounts(NamedTuple):
@@ -58,6 +60,11 @@ def display(answer: bytes) -> Display:
     if match is None:
         raise Unreadable(f"{_shown(answer)} where nine digits and OK were expected")
     return Display(int(match[1]) / 100, int(match[2]) / 100, match[3] == b"1")
+
+
+def at_the_end(lines: int, means: Callable[[bytes], Value]) -> Callable[[bytes], Value]:
+    """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
+    return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
 def _shown(answer: bytes) -> str:

@@ -12,8 +12,8 @@ from leactl.driver.conversation import Query, Reply, Script, Unreadable
 from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
-from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts
-from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V
+from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts, at_the_end
+from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V, is_near
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
@@ -21,7 +21,6 @@ DISPLAY = Query("GETD", answers.display, last=OK)
 LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
-RATED = 0.15  # share of its rating by which a model's own limits may differ
 BEYOND = 1.2  # times its limits: what a supply does not show
 REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
 REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
@@ -43,7 +42,7 @@ class Bk1688bDialogue:
 
     def in_step(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
-        held: LevelCounts = yield from _ask(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
+        held: LevelCounts = yield from _ask(Query("GETS", at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -54,11 +53,11 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from _ask(Query(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query(OFF, at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _ask(Query(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
-            yield from _ask(Query("GETS", _at_the_end(2, _levels_with(volts)), patient=True, last=OK))
+            yield from _ask(Query(f"VOLT{volts:03d}", at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _ask(Query("GETS", at_the_end(2, _levels_with(volts)), patient=True, last=OK))
             shown: Display = yield from _ask(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_display_text(shown)}")
@@ -81,8 +80,7 @@ class Bk1688bDialogue:
             yield from self.in_step()
         else:
             volts, amperes = most.volts * STEP_V, most.amperes * self._step
-            near = abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED
-            if not near:
+            if not is_near(most, rating):
                 raise DeviceError(
                     f"limits of {volts:.1f} V and {amperes:.1f} A answer; a {self._settings.model} with"
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"
@@ -177,11 +175,6 @@ class Bk1688bDialogue:
 
     def _spelt(self, held: LevelCounts) -> str:
         return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
-
-
-def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
-    return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
 def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:

@@ -12,6 +12,7 @@ from leactl.driver.serial_supply import SupplyLine
 from leactl.errors import InputError
 from leactl_plugins.bk1688b.dialogue import Bk1688bDialogue
 from leactl_plugins.bk1688b.models import LEAST_V, STEP_V
+from leactl_plugins.bk1688b.probe import Bk1688bProbe
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 OPEN_S = 5.0
@@ -31,6 +32,7 @@ class Bk1688b(Driver):
         "voltage_limit_V": 10.0,
         "current_limit_A": 10.0,
     }
+    probe = Bk1688bProbe()
 
     def __init__(self, name: str, role: str, settings: Bk1688bSettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

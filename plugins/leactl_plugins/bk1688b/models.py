@@ -2,8 +2,11 @@
 
 from typing import Final, NamedTuple
 
+from leactl_plugins.bk1688b.answers import LevelCounts
+
 LEAST_V: Final = 1.0  # lowest voltage that can be set
 STEP_V: Final = 0.1
+RATED: Final = 0.15  # share of its rating by which a model's own limits may differ
 
 
 class Rating(NamedTuple):
@@ -20,3 +23,9 @@ RATINGS: Final = {
     "1688B": Rating(18.0, 20.0, 0.1),
 }
 HIGHEST: Final = max(one.voltage for one in RATINGS.values()), max(one.current for one in RATINGS.values())
+
+
+def is_near(most: LevelCounts, rating: Rating) -> bool:
+    """Whether a supply that tells these limits can be of the model with this rating."""
+    volts, amperes = most.volts * STEP_V, most.amperes * rating.step_A
+    return abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED

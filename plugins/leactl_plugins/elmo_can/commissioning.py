@@ -39,6 +39,46 @@ def event_tpdo(settings: ElmoSettings) -> int | None:
     return free[0] if free else None
 
 
+def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
+    """Value of an optional object; None if the node lacks it.
+
+    Raises
+    ------
+    NoAnswer : the node does not answer.
+    """
+    try:
+        return sdo.read(index, sub, kind)
+    except NoAnswer:
+        raise
+    except DeviceError:
+        return None
+
+
+def identity_of(sdo: Sdo) -> Identity:
+    """Name, serial number and software version of a node; a field that it lacks is empty.
+
+    Raises
+    ------
+    NoAnswer : the node does not answer.
+    """
+    name, hardware, software = (_text(sdo, index) for index in (0x1008, 0x1009, 0x100A))
+    model = f"{name}, hardware {hardware}" if name and hardware else name
+    serial = held(sdo, 0x1018, 4, "u32")
+    if not model:
+        kind, product, revision = (
+            held(sdo, index, sub, "u32") or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
+        )
+        model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
+    return Identity(model, str(serial or ""), software)
+
+
+def _text(sdo: Sdo, index: int) -> str:
+    try:
+        return sdo.read_text(index, 0)
+    except DeviceError:
+        return ""
+
+
 class Commissioning:
     """The set-up of one drive; every method raises `DeviceError` if the drive does not answer or refuses."""
 
@@ -55,32 +95,11 @@ class Commissioning:
 
     def identity(self) -> Identity:
         """Return name, serial number and software version; a field that the drive lacks is empty."""
-        name, hardware, software = (self._text(index) for index in (0x1008, 0x1009, 0x100A))
-        model = f"{name}, hardware {hardware}" if name and hardware else name
-        serial = self._number(0x1018, 4)
-        if not model:
-            kind, product, revision = self._number(0x1000, 0), self._number(0x1018, 2), self._number(0x1018, 3)
-            model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
-        return Identity(model, str(serial or ""), software)
-
-    def _text(self, index: int) -> str:
-        try:
-            return self._sdo.read_text(index, 0)
-        except DeviceError:
-            return ""
+        return identity_of(self._sdo)
 
     def _number(self, index: int, sub: int, kind: str = "u32") -> int:
         """Value of an optional object; 0 if the drive lacks it. Raises NoAnswer if the drive does not answer."""
-        return self._held(index, sub, kind) or 0
-
-    def _held(self, index: int, sub: int, kind: str) -> int | None:
-        """Value of an optional object; None if the drive lacks it."""
-        try:
-            return self._sdo.read(index, sub, kind)
-        except NoAnswer:
-            raise
-        except DeviceError:
-            return None
+        return held(self._sdo, index, sub, kind) or 0
 
     def disable_voltage(self) -> None:
         """Take the drive out of operation, in which an earlier program may have left it."""
@@ -178,7 +197,7 @@ class Commissioning:
         DeviceError : an offset reads back as another value.
         """
         for index, kind in ((0x60B0, "i32"), (0x60B1, "i32"), (0x60B2, "i16")):
-            if self._held(index, 0, kind):  # a firmware without it adds nothing
+            if held(self._sdo, index, 0, kind):  # a firmware without it adds nothing
                 self._sdo.write_verified(index, 0, kind, 0)
 
     def position_range(self) -> tuple[int, int]:
@@ -196,7 +215,7 @@ class Commissioning:
         ------
         DeviceError : the time reads back as another value.
         """
-        units, exponent = self._held(0x60C2, 1, "u8"), self._held(0x60C2, 2, "i8")
+        units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
         if units is None or exponent is None:
             return None
         self.set_interpolation(*interpolation_time(period))

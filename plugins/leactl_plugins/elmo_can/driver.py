@@ -21,6 +21,7 @@ from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS, DriveState
 from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
+from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
@@ -114,6 +115,7 @@ class ElmoCan(Driver):
     summary = "Elmo Gold servo drive over CANopen (CiA 402)"
     example: ClassVar[Mapping[str, Any]] = {"node": 1, "counts_per_turn": 40000}
     synchronised = True
+    probe = ElmoProbe()
 
     def __init__(self, name: str, role: str, settings: ElmoSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -28,6 +28,11 @@ class ClockObject(BaseModel):
     subindex: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
 
 
+def identifiers_of(node: int) -> frozenset[int]:
+    """Network management, SYNC, and all that CiA 301 gives a node."""
+    return frozenset((0x000, 0x080, *(base + node for base in range(0x080, 0x780, 0x80))))
+
+
 class ElmoSettings(DriverSettings):
     """Everything that differs from drive to drive; scales come from the drive itself."""
 
@@ -57,8 +62,7 @@ class ElmoSettings(DriverSettings):
     @property
     def bus_identifiers(self) -> frozenset[int]:
         """Network management, SYNC, both heartbeats, and all that CiA 301 gives a node."""
-        of_node = (base + self.node for base in range(0x080, 0x780, 0x80))
-        return frozenset((0x000, 0x080, 0x700 + self.host_node, *of_node))
+        return identifiers_of(self.node) | {0x700 + self.host_node}
 
     @property
     def host_bus_address(self) -> int:

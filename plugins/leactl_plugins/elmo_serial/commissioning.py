@@ -25,6 +25,12 @@ class DriveLimits(NamedTuple):
     high: float  # VH[2], counts/s
 
 
+def identity_of(version: str, serial: str) -> Identity:
+    """Identity of a drive with this answer to VR and this serial number; either may be empty."""
+    model, _, firmware = version.partition(" ")
+    return Identity(f"Elmo {model}" if model else "", serial, firmware)
+
+
 class SerialCommissioning:
     """The set-up of one drive; every method raises `DeviceError` if the drive does not answer."""
 
@@ -55,8 +61,7 @@ class SerialCommissioning:
         """Model and firmware from the version (VR), and the serial number (SN[4])."""
         replies = self._interpreter.ask("VR", "SN[4]", within_s=self._answer_s)
         version = replies.text("VR") if "VR" in replies else ""
-        model, _, firmware = version.partition(" ")
-        return Identity(f"Elmo {model}" if model else "", replies.text("SN[4]") if "SN[4]" in replies else "", firmware)
+        return identity_of(version, replies.text("SN[4]") if "SN[4]" in replies else "")
 
     def check_status(self) -> Status:
         """Check that the drive is off, has no fault, and runs its program.

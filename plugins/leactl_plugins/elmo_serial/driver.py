@@ -30,6 +30,7 @@ from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_serial.commissioning import COUNTS_OF_32_BITS, READINGS, DriveLimits, SerialCommissioning
 from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Interpreter, Replies
 from leactl_plugins.elmo_serial.outliers import Outliers
+from leactl_plugins.elmo_serial.probe import ElmoSerialProbe
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status, left_operation
 
@@ -77,6 +78,7 @@ class ElmoSerial(EngagingDrive):
     modes = FOLLOWED
     connection = "over this line"
     enable_time_s = ENABLE_TIME_S
+    probe = ElmoSerialProbe()
 
     def __init__(self, name: str, role: str, settings: ElmoSerialSettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -4,9 +4,7 @@ All modes are the controller's position mode with some of its parts switched off
 alone. The README of this plug-in lists the sources, and what only a real controller can show.
 """
 
-import base64
 import math
-import struct
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, ClassVar
@@ -21,6 +19,7 @@ from leactl_plugins.moteus_can import configuration as conf
 from leactl_plugins.moteus_can.configuration import Configuration
 from leactl_plugins.moteus_can.exchange import Exchange, query
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, parse, write
+from leactl_plugins.moteus_can.probe import WHO, MoteusProbe, identity_of
 from leactl_plugins.moteus_can.registers import (
     MAP_VERSION,
     TORQUE_FACTOR,
@@ -54,12 +53,6 @@ STATUS = query(
     (Register.FAULT, 1, Resolution.INT8),
     (Register.COMMAND_TIMEOUT, 1, Resolution.FLOAT),
 )
-WHO = query(
-    (Register.MODE, 1, Resolution.INT8),
-    (Register.FAULT, 1, Resolution.INT8),
-    (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
-    (Register.SERIAL_NUMBER, 3, Resolution.INT32),
-)
 WITH_SUPPLY = query(  # in place of the time-out: a frame holds no more beside a command
     (Register.MODE, 1, Resolution.INT8),
     (Register.POSITION, 4, Resolution.FLOAT),
@@ -81,6 +74,7 @@ class MoteusCan(Driver):
     transport = "can"
     summary = "mjbots moteus r4, c1, n1 or x1 over CAN-FD (register map 5)"
     example: ClassVar[Mapping[str, Any]] = {"node": 3}
+    probe = MoteusProbe()
 
     def __init__(self, name: str, role: str, settings: MoteusSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -454,14 +448,12 @@ class MoteusCan(Driver):
                 f"{self.name}: node {self.settings.node} does not tell who it is; number, power, bit rates of 1 and"
                 " 5 Mbit/s, a bus with options: {fd: true}?"
             )
-        model, firmware, registers = (int(self._answer[Register.MODEL_NUMBER + word]) for word in range(3))
-        words = [int(self._answer[Register.SERIAL_NUMBER + word]) for word in range(3)]
-        serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
-        version = ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
-        self._identity = Identity(f"moteus, model 0x{model:04X}", serial, version)
+        self._identity = identity_of(self._answer)
+        registers = int(self._answer[Register.REGISTER_MAP_VERSION])
         if registers != MAP_VERSION:
             raise DeviceError(
-                f"{self.name}: firmware {version} has register map {registers}; {MAP_VERSION} was expected"
+                f"{self.name}: firmware {self._identity.firmware} has register map {registers}; {MAP_VERSION} was"
+                " expected"
             )
         self._port.pump_until((False,), now() + SECOND_ANSWER_S)
         self._expect_one_controller()

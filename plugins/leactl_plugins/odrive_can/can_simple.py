@@ -4,6 +4,7 @@ Source: ODrive Robotics, "CAN Protocol" of firmware 0.6 (docs.odriverobotics.com
 """
 
 import struct
+from collections.abc import Sequence
 from enum import IntEnum
 
 
@@ -87,6 +88,17 @@ HEARTBEAT = struct.Struct("<IBBBB")  # errors, state, result of a procedure, end
 VERSION = struct.Struct(
     "<8B"
 )  # protocol, hardware line, version and variant, firmware major, minor, revision, unreleased
+
+
+def hardware_and_firmware(version: Sequence[int]) -> tuple[str, str]:
+    """Hardware and firmware of a drive, by the fields of `VERSION`."""
+    _protocol, *hardware, major, minor, revision, _unreleased = version
+    return ".".join(str(number) for number in hardware), f"{major}.{minor}.{revision}"
+
+
+def identifiers_of(node: int) -> frozenset[int]:
+    """The 32 identifiers of a node."""
+    return frozenset(range(node << NODE_SHIFT, node + 1 << NODE_SHIFT))
 
 
 def described(errors: int) -> str:

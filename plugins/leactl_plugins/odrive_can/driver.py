@@ -34,8 +34,10 @@ from leactl_plugins.odrive_can.can_simple import (
     ControlMode,
     InputMode,
     described,
+    hardware_and_firmware,
 )
 from leactl_plugins.odrive_can.parameters import Parameters
+from leactl_plugins.odrive_can.probe import OdriveProbe
 from leactl_plugins.odrive_can.settings import OdriveSettings
 
 CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
@@ -63,6 +65,7 @@ class OdriveCan(EngagingDrive):
     example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED}
     modes = FOLLOWED
     enable_time_s = ENABLE_TIME_S
+    probe = OdriveProbe()
 
     def __init__(self, name: str, role: str, settings: OdriveSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -386,8 +389,7 @@ class OdriveCan(EngagingDrive):
         """Check that the drive answers and has the firmware of the table of endpoints."""
         if not any(self._has_taken_all(self._clock.now() + 0.25) for _ in range(3)):
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
-        protocol, *hardware, major, minor, revision, _unreleased = self._version
-        firmware, board = f"{major}.{minor}.{revision}", ".".join(str(number) for number in hardware)
+        protocol, (board, firmware) = self._version[0], hardware_and_firmware(self._version)
         self._identity = Identity(f"ODrive {board}", "", firmware)
         table = self.settings.table
         if protocol != PROTOCOL:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
-from leactl_plugins.odrive_can.can_simple import NODE_SHIFT
+from leactl_plugins.odrive_can.can_simple import identifiers_of
 from leactl_plugins.odrive_can.endpoints import EndpointTable, read_table
 
 
@@ -43,7 +43,7 @@ class OdriveSettings(DriverSettings):
     @property
     def bus_identifiers(self) -> frozenset[int]:
         """The 32 identifiers of the node."""
-        return frozenset(range(self.node << NODE_SHIFT, self.node + 1 << NODE_SHIFT))
+        return identifiers_of(self.node)
 
     @property
     def host_silence_s(self) -> float:

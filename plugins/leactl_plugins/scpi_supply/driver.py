@@ -13,6 +13,7 @@ from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyLine
 from leactl.errors import InputError
 from leactl_plugins.scpi_supply.dialogue import ROUNDED, ROUNDED_BESIDE, ScpiDialogue
+from leactl_plugins.scpi_supply.probe import ScpiProbe, identity_of
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 OPEN_S = 8.0  # some forty exchanges at 9600 baud take 2.5 s
@@ -34,6 +35,7 @@ class ScpiSupply(Driver):
         "voltage_limit_V": 8.0,
         "current_limit_A": 10.0,
     }
+    probe = ScpiProbe()
 
     def __init__(self, name: str, role: str, settings: ScpiSupplySettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -60,11 +62,7 @@ class ScpiSupply(Driver):
 
     def identity(self) -> Identity:
         """Maker with model, serial number and revision from `*IDN?`, in which 0 means that there is none."""
-        met = self._dialogue.met
-        if met is None:
-            return Identity()
-        serial, revision = (text if text.strip("0") else "" for text in (met.serial_number, met.revision))
-        return Identity(f"{met.maker} {met.model}", serial, revision)
+        return identity_of(self._dialogue.met) if self._dialogue.met else Identity()
 
     def close(self) -> None:
         """Close the line."""

@@ -1,0 +1,494 @@
+"""Ask what is on a wire by the probes of all drivers; nothing is sent but what a probe reads with.
+
+Each function asks one wire and notes in a `WireReport` what answered, as it answers: what was seen remains there if a
+person stops the scan. A CAN bus is listened to first, and only listened to where another host is at work on it.
+"""
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from leactl.bench.benchfile import LineBus, SerialBus
+from leactl.driver import registry
+from leactl.driver.can_port import CanPort
+from leactl.driver.clock import Clock
+from leactl.driver.far_end import LAST_OF_11_BITS, FdFrame, Frame
+from leactl.driver.i2c_port import I2cPort, SmBus
+from leactl.driver.probe import CanProbe, I2cProbe, LineProbe, Seen, Sighting
+from leactl.driver.serial_port import SerialLine, SerialPort
+from leactl.errors import DeviceError, LeactlError
+
+if TYPE_CHECKING:
+    import can
+
+    from leactl.driver.contract import Driver
+
+LISTEN_S = 1.2  # heartbeats come once a second at the slowest, as most devices are shipped
+PROBE_S = 20.0  # that one probe may take on one bus, or at one rate of a line
+FLOOD_HZ = 3000  # frames of a bus without a host, from which on nothing is added to them
+UNASKED_S, FLOOD_BYTES = 0.1, 64  # of a line on which nothing was asked
+KEPT_FRAMES, KEPT_IDENTIFIERS = 8, 4096
+SHOWN_BYTES = 24
+ONE_RATE = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
+MOST_OF_A_KIND = 200  # sightings, and notes, of one wire
+
+
+class Watcher(NamedTuple):
+    """A person who follows a scan."""
+
+    show: Callable[[str], None]  # what is done next
+    check: Callable[[], None]  # raises `Stopped` where the end was asked for; called all the time
+
+
+class Answered(NamedTuple):
+    """A device that answered a driver's probe."""
+
+    driver: str
+    sighting: Sighting
+    line: LineBus | None = None  # as it was open, for a device on one
+
+
+@dataclass
+class WireReport:
+    """What one wire said."""
+
+    name: str
+    answered: list[Answered] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # a line each
+    fault: str = ""  # why it could not be asked, or not to the end
+    asked: bool = False  # something was sent
+    complete: bool = False  # nothing ended it before its end
+
+    def note(self, text: str) -> None:
+        """Add a line, unless it stands there."""
+        if text not in self.notes and len(self.notes) < MOST_OF_A_KIND:
+            self.notes.append(text)
+
+
+class ProbeOverrun(DeviceError):
+    """A probe took longer than `PROBE_S`, or sent what a scan refuses."""
+
+
+class _Allowance:
+    """The time of one probe, which a person may end."""
+
+    def __init__(self, clock: Clock, watcher: Watcher) -> None:
+        self._clock, self._watcher, self._until = clock, watcher, float("inf")
+
+    def begin(self) -> None:
+        """Begin with another probe."""
+        self._until = self._clock.now() + PROBE_S
+
+    def check(self) -> None:
+        """Raise ProbeOverrun where the time is over, Stopped where a person ended it."""
+        self._watcher.check()
+        if self._clock.now() > self._until:
+            raise ProbeOverrun(f"takes more than {PROBE_S:g} s")
+
+
+def can_probes() -> dict[str, CanProbe]:
+    """Probes for a CAN bus by the names of their drivers."""
+    return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, CanProbe)}
+
+
+def i2c_probes() -> dict[str, I2cProbe]:
+    """Probes for an I2C bus by the names of their drivers."""
+    return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, I2cProbe)}
+
+
+def line_probes(kind: str) -> dict[str, LineProbe]:
+    """Probes by the names of their drivers for a line of this kind, "serial" or "visa"."""
+    return {
+        name: driver.probe
+        for name, driver in _drivers()
+        if isinstance(driver.probe, LineProbe) and kind in (driver.transport, *driver.further_transports)
+    }
+
+
+def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
+    """Every driver that can be loaded; `leactl driver list` tells of the others."""
+    return ((each.name, each.driver) for each in registry.survey() if each.driver is not None)
+
+
+def settings_left_open(driver: "type[Driver]", settings: Mapping[str, object]) -> list[str]:
+    """Settings that a bench file must have and that do not follow from what a device answered."""
+    fields = driver.Settings.model_fields
+    return [name for name, described in fields.items() if described.is_required() and name not in settings]
+
+
+# -- CAN -------------------------------------------------------------------------------------------------------------
+
+
+class _Heard:
+    """Frames of other participants: the last ones of each identifier."""
+
+    def __init__(self) -> None:
+        self.begin()
+        self.sent: set[Frame] = set()  # which some adapters bring back
+
+    def begin(self) -> None:
+        """Forget what was heard."""
+        self._frames: dict[int, deque[Frame]] = {}
+        self.count = self.errors = self.of_29_bits = 0
+
+    @property
+    def frames(self) -> list[Frame]:
+        """What is kept of them."""
+        return [frame for kept in self._frames.values() for frame in kept]
+
+    @property
+    def classic(self) -> bool:
+        """Whether a frame was a classic one."""
+        return any(not isinstance(frame, FdFrame) for frame in self.frames)
+
+    def add(self, message: "can.Message") -> None:
+        """Take a frame."""
+        self.count += 1
+        if message.is_error_frame:
+            self.errors += 1
+            return
+        kind = FdFrame if message.is_fd else Frame
+        frame = kind(message.arbitration_id, bytes(message.data))
+        if message.is_remote_frame or frame in self.sent:
+            return
+        self.of_29_bits += frame.identifier > LAST_OF_11_BITS and not message.is_fd
+        kept = self._frames.get(frame.identifier)
+        if kept is None and len(self._frames) < KEPT_IDENTIFIERS:
+            kept = self._frames[frame.identifier] = deque(maxlen=KEPT_FRAMES)
+        if kept is not None:
+            kept.append(frame)
+
+
+class _WatchedBus:
+    """A connection whose frames are noted, and which sends no identifier of another protocol's device."""
+
+    def __init__(self, bus: "can.BusABC", heard: _Heard, allowance: _Allowance) -> None:
+        self._bus, self._heard, self._allowance = bus, heard, allowance
+        self.taken: Collection[int] = ()
+
+    def recv(self, timeout: float | None = None) -> "can.Message | None":
+        """Take a frame and note it."""
+        self._allowance.check()
+        message = self._bus.recv(timeout)
+        if message is not None:
+            self._heard.add(message)
+        return message
+
+    def send(self, message: "can.Message", timeout: float | None = None) -> None:
+        """Send a frame."""
+        self._allowance.check()
+        if not message.is_extended_id and message.arbitration_id in self.taken:
+            raise ProbeOverrun(f"would send 0x{message.arbitration_id:03X}, on which another device acts")
+        kind = FdFrame if message.is_fd else Frame
+        self._heard.sent.add(kind(message.arbitration_id, bytes(message.data)))
+        self._bus.send(message, timeout)
+
+    def shutdown(self) -> None:
+        """Let go."""
+        self._bus.shutdown()
+
+
+def ask_can(
+    report: WireReport,
+    connect: "Callable[[], can.BusABC]",
+    clock: Clock,
+    probes: Mapping[str, CanProbe],
+    watcher: Watcher,
+    fd: bool = False,
+) -> None:
+    """Listen to a CAN bus, then ask by each probe, unless another host is at work; `fd`: it carries CAN-FD frames.
+
+    Raises
+    ------
+    DeviceError : the bus is absent, gone, or takes no frames; what was seen before stands in the report.
+    Stopped : by the watcher.
+    """
+    _CanScan(report, connect, clock, probes, watcher).run(fd)
+
+
+class _CanScan:
+    """One bus, listened to and then asked."""
+
+    def __init__(
+        self,
+        report: WireReport,
+        connect: "Callable[[], can.BusABC]",
+        clock: Clock,
+        probes: Mapping[str, CanProbe],
+        watcher: Watcher,
+    ) -> None:
+        self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
+        self._show, self._heard, self._allowance = watcher.show, _Heard(), _Allowance(clock, watcher)
+        self._port = CanPort(self._watched, clock, report.name)  # type: ignore[arg-type]  # it has what a port calls of a bus
+        self._addresses: dict[str, frozenset[int]] = {}  # that were heard, by driver
+        self._met: dict[str, set[int]] = {}  # and those that answered
+
+    def _watched(self) -> _WatchedBus:
+        self._bus = _WatchedBus(self._connect(), self._heard, self._allowance)
+        return self._bus
+
+    def run(self, fd: bool) -> None:
+        """Listen, then ask those first that search, and those last that use CAN-FD frames."""
+        report, port = self._report, self._port
+        self._show(f"listens for {LISTEN_S:g} s")
+        port.open()
+        try:
+            port.pump_until((False,), self._clock.now() + LISTEN_S)
+            frames = self._heard.frames
+            self._addresses = {name: frozenset(probe.heard(frames)) for name, probe in self._probes.items()}
+            self._met = {name: set(nodes) for name, nodes in self._addresses.items()}
+            if self._heard.of_29_bits:
+                report.note("frames with identifiers of 29 bits come, of a protocol that no driver here speaks")
+            if reason := self._reason_to_listen():
+                self._only_listen(reason)
+                return
+            for name in sorted(self._probes, key=self._turn):
+                if name not in self._unasked(fd):
+                    self._ask(name)
+                if reason := self._other_host():
+                    self._only_listen(reason)
+                    return
+            if self._heard.errors:
+                report.note(f"{self._heard.errors} error frames came while it was asked; {ONE_RATE}")
+        except DeviceError:
+            if port.full.count:
+                raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {ONE_RATE}") from None
+            raise
+        finally:
+            port.close()
+
+    def _turn(self, name: str) -> tuple[bool, bool, str]:
+        probe = self._probes[name]
+        return probe.fd, not probe.searches, name
+
+    def _reason_to_listen(self) -> str:
+        """Why nothing may be sent, by what was heard; empty if it may."""
+        heard, rate = self._heard, self._heard.count / LISTEN_S
+        if heard.errors:
+            return f"{heard.errors} error frames came; {ONE_RATE}"
+        if reason := self._other_host():
+            return reason
+        return f"{rate:.0f} frames a second come without a host: a device babbles" if rate >= FLOOD_HZ else ""
+
+    def _other_host(self) -> str:
+        for probe in self._probes.values():
+            if command := probe.host(self._heard.frames):
+                return f"another host is at work, {command} was heard; end it, then scan again"
+        return ""
+
+    def _only_listen(self, reason: str) -> None:
+        self._report.note(f"only listened{' from then on' if self._report.asked else ''}: {reason}")
+        for name, nodes in self._addresses.items():
+            unmet = nodes - {each.sighting.address for each in self._report.answered if each.driver == name}
+            if unmet:
+                self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(unmet)))}")
+
+    def _unasked(self, fd: bool) -> list[str]:
+        """Drivers whose probes this bus does not suit; noted."""
+        unsuited = [name for name, probe in self._probes.items() if probe.fd]
+        if fd and not (self._heard.classic or any(not self._probes[each.driver].fd for each in self._report.answered)):
+            return []
+        reason = "errors to the classic devices on the bus" if fd else "more than this interface carries"
+        for name in unsuited:
+            self._report.note(f"{name} was not asked: its CAN-FD frames are {reason}")
+        return unsuited
+
+    def _ask(self, name: str) -> None:
+        self._show(f"{name} asks")
+        self._report.asked = True
+        self._bus.taken = frozenset(
+            identifier
+            for other, nodes in self._met.items()
+            if other != name
+            for node in nodes
+            for identifier in self._probes[other].identifiers(node)
+        )
+        ask = partial(self._probes[name].ask, self._port, self._addresses[name], self._bus.taken)
+        for sighting in _sightings(self._report, name, ask, self._allowance):
+            self._report.answered.append(Answered(name, sighting))
+            if sighting.address is not None:
+                self._met[name].add(sighting.address)
+
+
+def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance: _Allowance) -> Iterator[Sighting]:
+    """Devices that a probe recognises; its texts, and its own failure, become notes.
+
+    Raises
+    ------
+    DeviceError : the wire failed.
+    """
+    allowance.begin()
+    try:
+        for number, seen in enumerate(ask()):
+            if number >= MOST_OF_A_KIND:
+                report.note(f"the probe of {name} was ended: more than {MOST_OF_A_KIND} answers")
+                return
+            if isinstance(seen, str):
+                report.note(f"{name}: {seen}")
+            else:
+                yield seen
+    except ProbeOverrun as error:
+        report.note(f"the probe of {name} was ended: it {error}")
+    except LeactlError:
+        raise
+    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; the others are asked all the same)
+        report.note(f"the probe of {name} breaks with {type(error).__name__}: {error}")
+
+
+# -- I2C -------------------------------------------------------------------------------------------------------------
+
+
+class _ReadOnlyBus:
+    """A connection that takes no write."""
+
+    def __init__(self, bus: SmBus, allowance: _Allowance) -> None:
+        self._bus, self._allowance = bus, allowance
+
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        """Read a word."""
+        self._allowance.check()
+        return self._bus.read_word_data(i2c_addr, register)
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        """Refuse."""
+        raise ProbeOverrun(f"would write to address 0x{i2c_addr:02X}")
+
+    def close(self) -> None:
+        """Let go."""
+        self._bus.close()
+
+
+def ask_i2c(
+    report: WireReport, connect: Callable[[], SmBus], clock: Clock, probes: Mapping[str, I2cProbe], watcher: Watcher
+) -> None:
+    """Ask an I2C bus by each probe.
+
+    Raises
+    ------
+    DeviceError : the bus is absent or fails; what was seen before stands in the report.
+    Stopped : by the watcher.
+    """
+    allowance = _Allowance(clock, watcher)
+    port = I2cPort(lambda: _ReadOnlyBus(connect(), allowance), report.name)
+    port.open()
+    try:
+        for name, probe in sorted(probes.items()):
+            watcher.show(f"{name} asks")
+            report.asked = True
+            for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
+                report.answered.append(Answered(name, sighting))
+    finally:
+        port.close()
+
+
+# -- serial lines and sockets ----------------------------------------------------------------------------------------
+
+
+class _WatchedLine:
+    """A connection that several ports use in turn, and whose bytes are noted."""
+
+    def __init__(self, line: SerialLine, allowance: _Allowance) -> None:
+        self._line, self._allowance = line, allowance
+        self.heard = b""  # the first of it
+
+    def read(self, timeout: float) -> bytes:
+        """Take what has arrived."""
+        self._allowance.check()
+        read = self._line.read(timeout)
+        self.heard = (self.heard + read)[:SHOWN_BYTES]
+        return read
+
+    def write(self, data: bytes) -> int:
+        """Send."""
+        self._allowance.check()
+        return self._line.write(data)
+
+    def close(self) -> None:
+        """Keep the connection for the next port."""
+
+
+def ask_line(
+    report: WireReport,
+    connect: Callable[[LineBus], SerialLine],
+    clock: Clock,
+    probes: Mapping[str, LineProbe],
+    lines: Sequence[LineBus],
+    watcher: Watcher,
+) -> None:
+    """Ask one device by each probe, over one line after another (rates, or ports), until a probe recognises it.
+
+    Raises
+    ------
+    DeviceError : the line is absent, each of the ports refuses, or the connection fails.
+    Stopped : by the watcher.
+    """
+    spoken: dict[str, bytes] = {}
+    refused: list[str] = []
+    for line in lines:
+        watcher.show(f"asks at {how(line)}")
+        try:
+            connection = connect(line)
+        except (OSError, ValueError, ImportError) as error:
+            refused.append(str(error))
+            if isinstance(line, SerialBus):  # at no other rate will it be there
+                break
+            continue
+        try:
+            spoken[how(line)] = _ask_over(report, connection, clock, probes, line, watcher)
+        except OSError as error:
+            raise DeviceError(f"{report.name}: the device is gone: {error}") from None
+        finally:
+            connection.close()
+        if report.answered or report.notes:
+            return
+    if not spoken:
+        raise DeviceError("; ".join(refused))
+    for place, data in spoken.items():
+        if data:
+            report.note(f"something answers at {place} what no driver can read: {data!r}")
+    if not any(spoken.values()):
+        rates = [str(line.baudrate) for line in lines if isinstance(line, SerialBus)]
+        report.note(f"silent at {', '.join(rates)} baud" if rates else f"silent at {' and '.join(spoken)}")
+
+
+def how(line: LineBus) -> str:
+    """Rate of a serial line, or port of a socket, in words."""
+    return f"{line.baudrate} baud" if isinstance(line, SerialBus) else f"port {line.address[1]}"
+
+
+def _ask_over(
+    report: WireReport,
+    connection: SerialLine,
+    clock: Clock,
+    probes: Mapping[str, LineProbe],
+    line: LineBus,
+    watcher: Watcher,
+) -> bytes:
+    """Ask over one connection; returns the first bytes that came."""
+    allowance = _Allowance(clock, watcher)
+    watched = _WatchedLine(connection, allowance)
+    unasked, until = 0, clock.now() + UNASKED_S
+    while (seconds_left := until - clock.now()) > 0.0 and unasked < FLOOD_BYTES:
+        unasked += len(watched.read(seconds_left))
+    if unasked >= FLOOD_BYTES:
+        report.note(f"only listened: bytes come without a question at {how(line)}, such as {watched.heard!r}")
+        return watched.heard
+    for name, probe in sorted(probes.items()):
+        if isinstance(line, SerialBus) and line.baudrate not in probe.baudrates:
+            continue
+        report.asked = True
+        port = SerialPort(lambda: watched, clock, report.name)
+        port.open()
+        for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
+            report.answered.append(Answered(name, sighting, line))
+        port.close()
+        if report.answered:
+            break
+    return watched.heard
+
+
+def rates_of(probes: Iterable[LineProbe]) -> list[int]:
+    """Every rate at which one of the probes asks, the lowest first."""
+    return sorted({rate for probe in probes for rate in probe.baudrates})

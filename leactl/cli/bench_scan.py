@@ -1,0 +1,74 @@
+"""`leactl bench scan`: what answers on the wires of this machine, asked by reads alone."""
+
+import json
+import sys
+from functools import partial
+
+import typer
+
+from leactl.cli import print_answer
+
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+
+
+def scan(
+    can: list[str] = typer.Option(
+        [], "--can", metavar="CHANNEL", help="A CAN bus, as can0 or slcan:/dev/ttyACM0; repeatable."
+    ),
+    i2c: list[int] = typer.Option([], "--i2c", min=0, max=255, help="An I2C bus by its number; repeatable."),
+    serial: list[str] = typer.Option([], "--serial", metavar="PORT", help="A serial port; repeatable."),
+    lan: list[str] = typer.Option(
+        [], "--lan", metavar="ADDRESS[:PORT]", help="An instrument on the network, IPv4; repeatable."
+    ),
+    bitrate: int = typer.Option(
+        1_000_000, min=10_000, max=1_000_000, help="Bit rate of a CAN adapter that is not set up by the system."
+    ),
+    as_yaml: bool = typer.Option(False, "--yaml", help="Print the buses and devices of a bench file."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Ask who is on CAN, I2C, serial and LAN, by reads alone: nothing moves and no setting changes.
+
+    Without an option, every CAN interface, I2C bus and serial port of this machine is asked; LAN where it is named.
+    What is asked is what each driver's probe reads. A CAN bus on which another host is at work is only listened to.
+    The status is 0 as well where nothing answers.
+    """
+    from leactl.bench.scan import Watcher, WireReport
+    from leactl.errors import DeviceError, InputError, Stopped
+    from leactl.report import scan as told
+    from leactl.runner.scan import ScannedWire, named_wires, scan, wires_of_this_machine
+    from leactl.runner.signals import listening
+
+    if as_json and as_yaml:
+        raise InputError("--json and --yaml are both given; one was expected")
+    named = can or i2c or serial or lan
+    wires = named_wires(can, i2c, serial, lan, bitrate) if named else wires_of_this_machine()
+    scanned: list[tuple[ScannedWire, WireReport]] = []
+    end: DeviceError | Stopped | None = None
+    with listening() as stop:
+        try:
+            for wire in wires:
+                scanned.append((wire, WireReport(wire.shown)))
+                scan(wire, scanned[-1][1], Watcher(partial(_show, wire.shown), stop.check))
+        except Stopped as error:
+            end = error
+    lines = list(told.lines(scanned))
+    if not wires:
+        lines = ["this machine has no CAN interface, I2C bus or serial port; see: leactl doctor"]
+    if as_yaml:
+        print("\n".join(lines), file=sys.stderr)
+    text = told.bench_file_part(scanned) if as_yaml else "\n".join(lines)
+    if as_json:
+        text = json.dumps(told.answer(scanned))
+    unread = print_answer(text.rstrip("\n")) if text else None
+    faults = [report.fault for _wire, report in scanned if report.fault]
+    end = end or (DeviceError(faults.pop()) if faults else None)
+    if end is not None:
+        for fault in faults:
+            end.add_note(fault)
+        raise end
+    if unread is not None:
+        raise unread
+
+
+def _show(wire: str, text: str) -> None:
+    print(f"{wire}: {text} ...", file=sys.stderr, flush=True)

@@ -1,0 +1,49 @@
+"""What the probe of a driver must keep: it sees the device alone, by reads, and ends in time."""
+
+from leactl.emulation.trial.known import KnownMachine
+from leactl.emulation.trial.stand import ROLE, Broken, Stand
+
+
+def its_probe_recognises_its_device(stand: Stand) -> None:
+    """One device is recognised, with settings that it really has."""
+    report = stand.scanned()
+    if report.notes:
+        raise Broken(f"a scan of its emulator says: {report.notes[0]}")
+    if len(report.answered) != 1:
+        raise Broken(f"a scan of its emulator saw {len(report.answered)} devices; 1 was expected")
+    sighting, expected = report.answered[0].sighting, stand.settings
+    if sighting.settings is None:
+        raise Broken(f"a scan of its emulator says that it is for another driver: {sighting.detail}")
+    if sighting.address != expected.bus_address:
+        raise Broken(f"a scan saw it at address {sighting.address}; {expected.bus_address} was expected")
+    for name, value in sighting.settings.items():
+        if name not in type(expected).model_fields:
+            raise Broken(f"a scan gives it a setting '{name}', which its Settings lack")
+        if getattr(expected, name) != value:
+            raise Broken(f"a scan gives it {name} {value!r}; {getattr(expected, name)!r} was expected")
+
+
+def its_probe_moves_and_energises_nothing(stand: Stand) -> None:
+    """The machine stays off, and a supply feeds nothing, during a scan and after it."""
+    stand.scanned()
+    stand.wait(1.0)
+    machine, fed = stand.bench.machines.get(ROLE, KnownMachine()), stand.bench.load.fed
+    if machine.following[0] != "off" or any(fed):
+        raise Broken(f"after a scan the machine follows {machine.following} and {fed[0]:g} V are put out")
+
+
+def its_probe_ends_on_a_silent_wire(stand: Stand) -> None:
+    """Nothing is recognised where nothing answers, and the scan does not have to end the probe."""
+    stand.cut()
+    report = stand.scanned()
+    if report.answered:
+        raise Broken("a scan of a silent wire saw a device")
+    if ended := [note for note in report.notes if "was ended" in note or "breaks" in note]:
+        raise Broken(f"a scan of a silent wire says: {ended[0]}")
+
+
+TRIALS = (
+    its_probe_recognises_its_device,
+    its_probe_moves_and_energises_nothing,
+    its_probe_ends_on_a_silent_wire,
+)

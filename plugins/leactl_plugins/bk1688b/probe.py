@@ -1,0 +1,37 @@
+"""Recognise a BK Precision supply by its limits (GMAX), or by its settings where it does not tell those (GETS)."""
+
+from typing import Any
+
+from leactl.driver.contract import Identity
+from leactl.driver.conversation import Query
+from leactl.driver.probe import LineProbe, Seen, Sighting
+from leactl.driver.serial_port import SerialPort
+from leactl_plugins.bk1688b import answers
+from leactl_plugins.bk1688b.answers import OK, LevelCounts
+from leactl_plugins.bk1688b.models import RATINGS, STEP_V, is_near
+
+LIMITS = Query("GMAX", answers.at_the_end(2, answers.levels), last=OK)
+SETTINGS = LIMITS._replace(text="GETS")
+MAKER = "BK Precision"
+
+
+class Bk1688bProbe(LineProbe):
+    """Reads two pairs of digits; a supply says nothing of its serial number and firmware."""
+
+    baudrates = (9600,)
+
+    def ask(self, port: SerialPort) -> Seen:
+        """Ask for the limits, then for the settings."""
+        port.line_end = b"\r"
+        most: LevelCounts | None = self.answer(port, LIMITS)
+        if most is None:
+            levels: LevelCounts | None = self.answer(port, SETTINGS)
+            if levels is not None:
+                detail = f"does not tell its limits; set to {levels.volts * STEP_V:.1f} V"
+                yield Sighting(None, Identity(f"{MAKER}, model unknown"), {}, detail)
+            return
+        detail = f"limits of {most.volts * STEP_V:.1f} V and {most.amperes} steps of current"
+        models = [model for model, rating in RATINGS.items() if is_near(most, rating)]
+        settings: dict[str, Any] | None = {"model": models[0]} if len(models) == 1 else None
+        model = models[0] if settings else "unknown to this driver"
+        yield Sighting(None, Identity(f"{MAKER} {model}"), settings, detail)

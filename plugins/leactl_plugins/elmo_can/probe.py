@@ -1,0 +1,129 @@
+"""Recognise CANopen nodes, and Elmo's among them, by SDO uploads alone: nothing is written, no NMT or SYNC is sent."""
+
+import struct
+from collections.abc import Collection, Sequence
+from functools import partial
+
+from leactl.driver.can_port import NMT_ID, SYNC_ID, CanPort
+from leactl.driver.far_end import Frame
+from leactl.driver.probe import CanProbe, Seen, Sighting
+from leactl.errors import NoAnswer
+from leactl_plugins.elmo_can.commissioning import held, identity_of
+from leactl_plugins.elmo_can.sdo import Sdo
+from leactl_plugins.elmo_can.settings import ElmoSettings, identifiers_of
+
+NODES = range(1, 128)
+REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, each plus the node
+NETWORK_STATES = (0x00, 0x04, 0x05, 0x7F)
+READ_DEVICE_TYPE = bytes.fromhex("4000100000000000")  # 0x1000:0, which every node has
+UPLOADED, ABORTED = 0x43, 0x80
+INITIATES = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first bytes of a client's request
+FIRST_OBJECT = 0x1000
+PACE_S = 0.003  # from one node to the next: request and answer take 2.2 ms at 125 kbit/s
+ANSWER_S = 0.5
+MOST_ANSWERS = 3  # that are kept of a node
+LONGEST_SHOWN = 8  # bytes
+
+
+class ElmoProbe(CanProbe):
+    """Uploads the device type from every node, then the identity from those that answer."""
+
+    def heard(self, frames: Sequence[Frame]) -> Collection[int]:
+        """Nodes that sent a heartbeat or a boot-up message."""
+        return {
+            frame.identifier - HEARTBEAT
+            for frame in frames
+            if frame.identifier - HEARTBEAT in NODES and len(frame.data) == 1 and frame.data[0] in NETWORK_STATES
+        }
+
+    def host(self, frames: Sequence[Frame]) -> str:
+        """SYNC, network management, or an SDO request."""
+        for identifier, data in frames:
+            if identifier == SYNC_ID and len(data) <= 1:
+                return "CANopen's SYNC"
+            if identifier == NMT_ID and len(data) == 2:
+                return "a command of CANopen's network management"
+            if identifier - REQUEST in NODES and len(data) == 8 and data[0] in INITIATES:
+                (index,) = struct.unpack_from("<H", data, 1)
+                if index >= FIRST_OBJECT:
+                    return f"an SDO request to node {identifier - REQUEST}"
+        return ""
+
+    def identifiers(self, address: int) -> Collection[int]:
+        """Those that CiA 301 gives a node."""
+        return identifiers_of(address)
+
+    def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
+        """Ask every node for its device type, and who answers for its identity."""
+        left_out = [node for node in NODES if REQUEST + node in taken]
+        if left_out:
+            yield f"the nodes {_numbers(left_out)} were not asked by SDO: another device acts on these identifiers"
+        answers = _sweep(port, [node for node in NODES if node not in left_out])
+        nodes = [node for node, frames in answers.items() if any(map(_is_answer, frames))]
+        settings = ElmoSettings.model_fields
+        host, vendor = settings["host_node"].default, settings["vendor_id"].default
+        if host in nodes:  # whose heartbeat would be taken for the host's
+            host = max(set(NODES) - set(nodes))
+        for node, frames in sorted(answers.items()):
+            fitting = [data for data in frames if _is_answer(data)]
+            for data in frames:
+                if not _is_answer(data):
+                    shown = data[:LONGEST_SHOWN].hex(" ") or "no byte"
+                    yield f"node {node}: sent {shown} after an upload of 0x1000:0; garbled, or another host's"
+            if len(fitting) > 1:
+                yield (
+                    f"node {node}: {len(fitting)} answers to one question: two devices have this number; connect one of"
+                    " them alone and give it another"
+                )
+            elif fitting:
+                yield _meet(port, node, vendor, {} if host == settings["host_node"].default else {"host_node": host})
+        for node in sorted(set(addresses) - set(answers) - set(left_out)):
+            yield f"node {node}: sends heartbeats and answers no SDO: is it stopped, or another host?"
+
+
+def _sweep(port: CanPort, nodes: Sequence[int]) -> dict[int, list[bytes]]:
+    """Ask each node for its device type; the first answers of those that sent any."""
+    answers: dict[int, list[bytes]] = {}
+
+    def take(node: int, data: bytearray, _timestamp: float) -> None:
+        kept = answers.setdefault(node, [])
+        if len(kept) < MOST_ANSWERS:
+            kept.append(bytes(data))
+
+    for node in nodes:
+        port.listen(ANSWER + node, partial(take, node))
+    try:
+        for node in nodes:
+            port.send(REQUEST + node, READ_DEVICE_TYPE)
+            port.pump_until((False,), port.clock.now() + PACE_S)
+        port.pump_until((False,), port.clock.now() + ANSWER_S)
+    finally:
+        for node in nodes:
+            port.listen(ANSWER + node, None)
+    return answers
+
+
+def _is_answer(data: bytes) -> bool:
+    """Whether a node has answered the upload of its device type: by a value, or by a refusal."""
+    return len(data) == 8 and data[0] in (UPLOADED, ABORTED) and data[1:4] == READ_DEVICE_TYPE[1:4]
+
+
+def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Sighting | str:
+    sdo = Sdo(port, node, ANSWER_S)
+    port.listen(ANSWER + node, sdo.on_frame)
+    try:
+        vendor, product, revision = (held(sdo, 0x1018, sub, "u32") for sub in (1, 2, 3))
+        identity = identity_of(sdo)
+    except NoAnswer as error:
+        return f"{error}, although it answered before"
+    finally:
+        port.listen(ANSWER + node, None)
+    told = (("vendor", vendor), ("product", product), ("revision", revision))
+    detail = ", ".join(f"{word} 0x{value:08X}" for word, value in told if value is not None)
+    if vendor != of_elmo:
+        return Sighting(node, identity, None, f"CANopen, {detail or 'no identity object'}; not Elmo's")
+    return Sighting(node, identity, {"node": node, **further}, detail)
+
+
+def _numbers(nodes: Sequence[int]) -> str:
+    return ", ".join(map(str, nodes))

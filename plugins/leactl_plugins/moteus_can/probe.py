@@ -1,0 +1,94 @@
+"""Recognise moteus controllers by reading their identity: no register is written, the one of the mode included."""
+
+import base64
+import struct
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+
+from leactl.driver.can_port import CanPort
+from leactl.driver.contract import Identity
+from leactl.driver.far_end import LAST_OF_11_BITS, FdFrame, Frame
+from leactl.driver.probe import CanProbe, Seen, Sighting
+from leactl_plugins.moteus_can.exchange import query
+from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, padded, parse
+from leactl_plugins.moteus_can.registers import MAP_VERSION, Register
+from leactl_plugins.moteus_can.settings import HOST
+
+WHO = query(
+    (Register.MODE, 1, Resolution.INT8),
+    (Register.FAULT, 1, Resolution.INT8),
+    (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
+    (Register.SERIAL_NUMBER, 3, Resolution.INT32),
+)
+NODES = range(1, 127)  # 127 is everybody
+ASKED_BY_A_HOST = 0x8000  # bit of an identifier
+PACE_S = 0.002  # from one controller to the next: frame and answer take 0.3 ms at 1 and 5 Mbit/s
+ANSWER_S = 0.1
+MOST_ANSWERS = 3  # that are kept of a node
+
+
+class MoteusProbe(CanProbe):
+    """Reads model, versions and serial number of every number that a controller can have."""
+
+    fd = True
+
+    def host(self, frames: Sequence[Frame]) -> str:
+        """A frame to a controller that asks for an answer."""
+        for frame in frames:
+            if isinstance(frame, FdFrame) and frame.identifier >> 16 == 0 and frame.identifier & ASKED_BY_A_HOST:
+                return f"a command to the moteus at node {frame.identifier & 0x7F}"
+        return ""
+
+    def identifiers(self, address: int) -> Collection[int]:
+        """Those whose low byte is the node, from whatever source, and that of its answers."""
+        return frozenset((*range(address, LAST_OF_11_BITS + 1, 0x100), identifier(address, HOST)))
+
+    def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
+        """Ask every node who it is."""
+        answers: dict[int, list[bytes]] = {}
+        for node in NODES:
+            port.listen_fd(identifier(node, HOST), partial(_keep, answers, node))
+        try:
+            for node in NODES:
+                port.send_fd(identifier(HOST | FROM_HOST, node), padded(WHO.subframes))
+                port.pump_until((False,), port.clock.now() + PACE_S)
+            port.pump_until((False,), port.clock.now() + ANSWER_S)
+        finally:
+            for node in NODES:
+                port.listen_fd(identifier(node, HOST), None)
+        for node, frames in sorted(answers.items()):
+            yield _read(node, frames)
+
+
+def identity_of(values: Mapping[int, float]) -> Identity:
+    """Identity of a controller, by the registers of `WHO`."""
+    model, firmware = int(values[Register.MODEL_NUMBER]), int(values[Register.FIRMWARE_VERSION])
+    words = [int(values[Register.SERIAL_NUMBER + word]) for word in range(3)]
+    serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
+    return Identity(
+        f"moteus, model 0x{model:04X}", serial, ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
+    )
+
+
+def _keep(answers: dict[int, list[bytes]], node: int, data: bytearray, _timestamp: float) -> None:
+    kept = answers.setdefault(node, [])
+    if len(kept) < MOST_ANSWERS:
+        kept.append(bytes(data))
+
+
+def _read(node: int, frames: Sequence[bytes]) -> Sighting | str:
+    if len(frames) > 1:
+        return (
+            f"node {node}: {len(frames)} answers to one question: two controllers have this number; connect one of them"
+            " alone and give it another id.id"
+        )
+    try:
+        values = parse(frames[0]).values
+    except ValueError as error:
+        return f"node {node}: its answer {error}"
+    if not WHO.registers <= values.keys():
+        return f"node {node}: does not tell who it is; a moteus with firmware of another kind?"
+    identity, registers = identity_of(values), int(values[Register.REGISTER_MAP_VERSION])
+    if registers != MAP_VERSION:
+        return Sighting(node, identity, None, f"register map {registers}; {MAP_VERSION} is known here")
+    return Sighting(node, identity, {"node": node})

@@ -1,0 +1,113 @@
+"""Recognise ODrives by their heartbeats, and ask those that sent one for their version."""
+
+from collections.abc import Collection, Sequence
+from functools import partial
+
+from leactl.driver.can_port import SYNC_ID, CanPort
+from leactl.driver.contract import Identity
+from leactl.driver.far_end import Frame
+from leactl.driver.probe import CanProbe, Seen, Sighting
+from leactl_plugins.odrive_can.can_simple import (
+    ERRORS,
+    HEARTBEAT,
+    NODE_SHIFT,
+    PROTOCOL,
+    VERSION,
+    Command,
+    hardware_and_firmware,
+    identifiers_of,
+)
+
+LAST_NODE = 62  # 63 is that of a drive without a node
+STATES = range(1, 15)  # of an axis, as heartbeats show them (firmware 0.6)
+KNOWN_ERRORS = sum(ERRORS)
+OF_A_HOST = (
+    Command.RX_SDO,
+    Command.SET_AXIS_STATE,
+    Command.SET_CONTROLLER_MODE,
+    Command.SET_INPUT_POS,
+    Command.SET_INPUT_VEL,
+    Command.SET_INPUT_TORQUE,
+)
+ANSWER_S = 0.2
+MOST_ANSWERS = 3  # that are kept of a node
+
+
+class OdriveProbe(CanProbe):
+    """Asks no node from which nothing was heard: the questions have identifiers that CANopen gives to commands."""
+
+    searches = False
+
+    def heard(self, frames: Sequence[Frame]) -> Collection[int]:
+        """Nodes that sent a heartbeat."""
+        return {frame.identifier >> NODE_SHIFT for frame in frames if _is_heartbeat(frame)}
+
+    def host(self, frames: Sequence[Frame]) -> str:
+        """A command to a node that sends heartbeats."""
+        nodes = self.heard(frames)
+        for identifier, data in frames:
+            node, command = identifier >> NODE_SHIFT, identifier & (1 << NODE_SHIFT) - 1
+            if node in nodes and command in OF_A_HOST and data:
+                return f"a command to the ODrive at node {node}"
+        return ""
+
+    def identifiers(self, address: int) -> Collection[int]:
+        """The 32 identifiers of the node."""
+        return identifiers_of(address)
+
+    def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
+        """Ask the nodes that were heard for their version."""
+        for node in sorted(addresses):
+            query = node << NODE_SHIFT | Command.GET_VERSION
+            if query | Command.HEARTBEAT in taken:
+                yield f"node {node}: what may be an ODrive's heartbeat has an identifier of another device; not asked"
+                continue
+            if query == SYNC_ID or query in taken:
+                yield _unasked(node)
+                continue
+            answers: list[bytes] = []
+            port.listen(query, partial(_keep, answers))
+            try:
+                port.send(query, b"")
+                port.pump_until((False,), port.clock.now() + ANSWER_S)
+            finally:
+                port.listen(query, None)
+            yield _read(node, answers)
+
+
+def _is_heartbeat(frame: Frame) -> bool:
+    identifier, data = frame
+    if identifier & (1 << NODE_SHIFT) - 1 != Command.HEARTBEAT or identifier >> NODE_SHIFT > LAST_NODE:
+        return False
+    if len(data) != HEARTBEAT.size:
+        return False
+    errors, state, _result, trajectory_ended, _reserved = HEARTBEAT.unpack(data)
+    return not errors & ~KNOWN_ERRORS and state in STATES and trajectory_ended <= 1
+
+
+def _keep(answers: list[bytes], data: bytearray, _timestamp: float) -> None:
+    if len(answers) < MOST_ANSWERS:
+        answers.append(bytes(data))
+
+
+def _unasked(node: int) -> Sighting:
+    reason = "its version was not asked for: to CANopen devices that question is a command"
+    return Sighting(node, Identity("ODrive"), {"node": node}, f"heard by its heartbeat; {reason}")
+
+
+def _read(node: int, answers: Sequence[bytes]) -> Sighting | str:
+    if not answers:
+        return f"node {node}: sends an ODrive's heartbeats and does not tell its version"
+    if len(answers) > 1:
+        return (
+            f"node {node}: {len(answers)} answers to one question: two drives have this node; connect one of them alone"
+            " and give it another"
+        )
+    if len(answers[0]) != VERSION.size:
+        return f"node {node}: tells its version by {answers[0].hex(' ') or 'no byte'}; 8 bytes were expected"
+    version = VERSION.unpack(answers[0])
+    board, firmware = hardware_and_firmware(version)
+    identity = Identity(f"ODrive {board}", "", firmware)
+    if version[0] != PROTOCOL:
+        return Sighting(node, identity, None, f"protocol {version[0]}; {PROTOCOL} of firmware 0.6 is known here")
+    return Sighting(node, identity, {"node": node}, "endpoints: the maker's flat_endpoints.json of that firmware")

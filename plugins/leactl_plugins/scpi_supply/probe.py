@@ -1,0 +1,32 @@
+"""Recognise an SCPI supply by `*IDN?`; nothing else is sent, and remote control is not asked for."""
+
+from leactl.driver.contract import Identity
+from leactl.driver.probe import LineProbe, Seen, Sighting
+from leactl.driver.serial_port import SerialPort
+from leactl_plugins.scpi_supply.answers import InstrumentIdentity
+from leactl_plugins.scpi_supply.dialogue import IDENTIFY
+from leactl_plugins.scpi_supply.models import RANGES, dialect_of
+
+
+class ScpiProbe(LineProbe):
+    """Asks for maker, model, serial number and revision."""
+
+    baudrates = (9600, 19200, 38400, 57600, 115200)
+
+    def ask(self, port: SerialPort) -> Seen:
+        """Ask who it is."""
+        who: InstrumentIdentity | None = self.answer(port, IDENTIFY)
+        if who is None:
+            return
+        identity, dialect = identity_of(who), dialect_of(who.model)
+        if dialect is None:
+            yield Sighting(None, identity, None, f"no supply of this driver ({', '.join(RANGES)})")
+            return
+        number = {"serial_number": identity.serial} if identity.serial else {}
+        yield Sighting(None, identity, {"dialect": dialect, "model": who.model, **number})
+
+
+def identity_of(who: InstrumentIdentity) -> Identity:
+    """Maker with model, serial number and revision, in which 0 means that there is none."""
+    serial, revision = (text if text.strip("0") else "" for text in (who.serial_number, who.revision))
+    return Identity(f"{who.maker} {who.model}", serial, revision)
