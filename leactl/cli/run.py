@@ -5,19 +5,38 @@ import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
+from typer.core import TyperCommand
 
 from leactl.cli import print_answer
 from leactl.cli.completion import benches, protocols, settings
 
 if TYPE_CHECKING:
+    from leactl.report.web.feed import RunPage
     from leactl.runner.session import Outcome, Request
 
 ATTENDED = typer.Option(
     False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
 )
+
+WEB, FREE_PORT_HERE = "--web", "127.0.0.1:0"
+
+
+class RunWithPage(TyperCommand):
+    """Lets `--web` stand alone or before an address."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put this machine's own address behind a `--web` that none follows; an address has a colon or is a number."""
+        words: list[str] = []
+        for index, word in enumerate(args):
+            words.append(word)
+            following = args[index + 1] if index + 1 < len(args) else ""
+            is_address = ":" in following or following.isdigit()
+            if word == WEB and (following.startswith("-") or not is_address):
+                words.append(FREE_PORT_HERE)
+        return super().parse_args(ctx, words)
 
 
 def run(
@@ -45,6 +64,9 @@ def run(
     events: Path | None = typer.Option(
         None, "--events", metavar="FILE", help="Tell the run as it goes, one JSON line at a time; - is stdout."
     ),
+    web: str = typer.Option(
+        "", WEB, metavar="[ADDRESS:PORT]", help="Show the run in a browser, on this machine unless an address follows."
+    ),
     at_end: str = typer.Option(
         "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
     ),
@@ -57,6 +79,7 @@ def run(
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
     from leactl.bench.wire_trace import WireTrace
     from leactl.errors import InputError
+    from leactl.report.web.feed import RunPage
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
@@ -68,6 +91,7 @@ def run(
     words = _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
+    page = RunPage(web, request.bench.name) if web else nullcontext()
     if dry_run:
         print_rehearsal(request, as_json)
         return
@@ -75,8 +99,9 @@ def run(
         to_the_end(),
         EventLines(events) if events else nullcontext() as lines,
         WireTrace(trace) if trace else nullcontext() as traced,
+        page as shown,
     ):
-        outcome = perform(replace(request, lines=lines, trace=traced))
+        outcome = perform(replace(request, lines=lines, trace=traced), page=shown)
         acceptance, unmet = judge_all(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:
@@ -85,7 +110,7 @@ def run(
         if as_json or events != STDOUT:
             unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [log.fault for log in (lines, traced) if log is not None]
+    faults = [log.fault for log in (lines, traced, shown) if log is not None]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet, unread)
@@ -146,8 +171,8 @@ def print_rehearsal(request: "Request", as_json: bool) -> None:
     typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
 
 
-def perform(request: "Request", heading: str = "") -> "Outcome":
-    """Execute a run request with the live view on stderr; `heading` begins the title of the view."""
+def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":
+    """Execute a run request with the live view on stderr, and on a page; `heading` begins the title of the view."""
     from contextlib import AbstractContextManager
 
     from rich.console import Console
@@ -161,14 +186,27 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     emulated = request.bench.emulated is not None
     check_operator(request)
     warn_overdue(request)
+    if page is not None:
+        print(f"leactl: the run's page: {page.url}", file=sys.stderr)
+        if not page.is_of_this_machine_alone:
+            print(
+                "leactl: warning: who reads this network's traffic can use the page: it is not encrypted",
+                file=sys.stderr,
+            )
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
             progress.hint = keys.hint or f"leactl bench stop {request.bench.name} stops the run"
             progress.title = f"{heading}{progress.title}"
+            if page is not None:
+                page.show(progress)
             return live_view(progress, console)
 
-        return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
+        stops = [keys.pressed] if page is None else [keys.pressed, page.stop_cause]
+        outcome = execute(request, granted if emulated else keys.ask, watch, stops, [keys.pause_pressed])
+    if page is not None:
+        page.end(outcome.status, outcome.reason, str(outcome.path))
+    return outcome
 
 
 def warn_overdue(request: "Request") -> None:

@@ -1,0 +1,1 @@
+"""A run's page in a browser: `leactl run --web`."""
