@@ -28,15 +28,21 @@ class RunWithPage(TyperCommand):
     """Lets `--web` stand alone or before an address."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put this machine's own address behind a `--web` that none follows; an address has a colon or is a number."""
+        """Parse the words once they are complete."""
+        return super().parse_args(ctx, self.completed(args))
+
+    def completed(self, args: list[str]) -> list[str]:
+        """Return the words with this machine's own address behind a `--web` that none follows.
+
+        An address has a colon or is a number; the name of a protocol is neither.
+        """
         words: list[str] = []
-        for index, word in enumerate(args):
+        for word, following in zip(args, [*args[1:], ""], strict=True):
             words.append(word)
-            following = args[index + 1] if index + 1 < len(args) else ""
-            is_address = ":" in following or following.isdigit()
-            if word == WEB and (following.startswith("-") or not is_address):
+            is_address = not following.startswith("-") and (":" in following or following.isdigit())
+            if word == WEB and not is_address:
                 words.append(FREE_PORT_HERE)
-        return super().parse_args(ctx, words)
+        return words
 
 
 def run(
@@ -110,7 +116,7 @@ def run(
         if as_json or events != STDOUT:
             unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [log.fault for log in (lines, traced, shown) if log is not None]
+    faults = [log.fault for log in (lines, traced, shown) if log is not None and log.fault not in outcome.notes]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet, unread)
@@ -189,10 +195,8 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
     if page is not None:
         print(f"leactl: the run's page: {page.url}", file=sys.stderr)
         if not page.is_of_this_machine_alone:
-            print(
-                "leactl: warning: who reads this network's traffic can use the page: it is not encrypted",
-                file=sys.stderr,
-            )
+            warning = "the page is not encrypted: who can read this network's traffic can see the run and stop it"
+            print(f"leactl: warning: {warning}", file=sys.stderr)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:

@@ -1,10 +1,10 @@
 """The run's side of its page: a process that serves it, a thread that feeds that process, and the STOP that comes back.
 
-Why no client can harm the run: clients speak to `server`, a process with a lower priority that holds nothing of the run.
+Why no client can harm the run: clients speak to `server`, a process of lower priority that holds nothing of the run.
 The run's process accepts no connection and parses no request. Four times a second a thread of it copies what the loop
 publishes in `Progress`, some 0.1 ms of the interpreter's time, and writes a line into a pipe that never blocks: a line
-that has no room is left out. The loop waits for neither. What comes back is one byte, which the thread turns into a cause
-to stop; the loop looks at that once a cycle, as at the stop keys, and ends the run through its supervisor.
+that has no room is left out. The loop waits for neither. What comes back is one byte, which the thread turns into a
+cause to stop; the loop looks at that once a cycle, as at the stop keys, and ends the run through its supervisor.
 """
 
 import errno

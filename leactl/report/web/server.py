@@ -1,7 +1,7 @@
 """The page's own process: `python -m leactl.report.web.server LISTENER`, started by `leactl.report.web.feed`.
 
-stdin brings a line of JSON at a time: first the page, its token and its hosts, then what the run shows. A STOP becomes one
-byte on stdout. Clients may do what they like: no work of theirs is done in the run's process, and here connections,
+stdin brings a line of JSON at a time: first the page, its token and its hosts, then what the run shows. A STOP becomes
+one byte on stdout. Clients may do what they like: no work of theirs is done in the run's process, and here connections,
 bytes, time and requests per second are bounded. The end of stdin is the end of the run, and soon of this process.
 """
 
@@ -123,7 +123,7 @@ class Exchange(BaseHTTPRequestHandler):
             self._send(HTTPStatus.OK, json.dumps(site.shown.as_json(known)), "application/json")
 
     def _refusal(self, path: str, query: str) -> tuple[HTTPStatus, str] | None:
-        """Return status and line of text by which the request is refused; nothing is said of paths to whoever has no token."""
+        """Return status and text of a refusal; without the token nothing is said of what there is."""
         if self.headers.get("Host", "").lower() not in self._site.hosts:
             return HTTPStatus.FORBIDDEN, "not the address that this page was opened at"
         offered = self.headers.get("Authorization", "").removeprefix("Bearer ")
