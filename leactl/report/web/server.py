@@ -94,6 +94,7 @@ class Exchange(BaseHTTPRequestHandler):
     """One request and its answer, both as bytes: the standard library reads and writes HTTP, and no socket."""
 
     protocol_version = "HTTP/1.1"
+    default_request_version = "HTTP/1.0"  # 0.9, where a request names none, has answers without a status
     METHODS: Final = {"/": "GET", "/state": "GET", "/stop": "POST"}
 
     def __init__(self, request: bytes, site: Site) -> None:
