@@ -189,6 +189,13 @@ def test_a_page_is_given_each_row_once_and_the_last_minute_at_first(client, prog
     assert shown.as_json(MOST_ROWS + 99)["rows"] == []
 
 
+def test_silence_grows_from_the_newest_row_on(client):
+    assert Shown().as_json(0)["silent_s"] == 0.0  # nothing has begun
+    client.until(lambda state: state["rows"])
+    first, second = (client.state()["silent_s"] for _ in range(2))
+    assert 0.0 < first < second
+
+
 def test_a_number_that_is_none_asks_for_all(page):
     site = Site("", "t", ["h"])
     site.shown.take({"row": [1]})

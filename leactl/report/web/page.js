@@ -2,6 +2,7 @@
 // when the server has gone, and every text of the run is set as text.
 const EVERY_MS = 500, PATIENCE_MS = 3000;
 const FAILURES = 2; // in a row, from which the connection counts as lost
+const SILENT_S = 3; // without a new cycle of the loop, from which the values count as old
 const SPAN_S = 60; // of wall time that the charts keep
 const CURVES = { false: "reading", true: "setpoint" };
 
@@ -197,7 +198,10 @@ function end({ status, reason, run }) {
 function show(state) {
   if (state.title) showRun(state);
   showChannels(state);
-  if (state.ended) end(state.ended); else say(state.title ? "live" : "waits for the run", "");
+  if (state.ended) end(state.ended);
+  else if (state.silent_s > SILENT_S)
+    say("silent", `Nothing new from the run for ${duration(state.silent_s)}: these values are old. To stop it, ${OTHERWISE}.`);
+  else say(state.title ? "live" : "waits for the run", "");
 }
 
 // What the server answers; null where it does not.

@@ -54,6 +54,7 @@ class Shown:
         self.ended: Mapping[str, str] | None = None  # status, reason and file
         self._rows: deque[Sequence[float | None]] = deque(maxlen=MOST_ROWS)
         self._count = 0  # of rows that came, kept or not
+        self._row_at = time.monotonic()  # a row comes while the loop makes cycles
 
     def take(self, line: Mapping[str, Any]) -> None:
         """Take a line of the feed."""
@@ -63,6 +64,7 @@ class Shown:
         if "row" in line:
             self._rows.append(line["row"])
             self._count += 1
+            self._row_at = time.monotonic()
 
     def as_json(self, since: int) -> dict[str, Any]:
         """Return all that a page lacks that has the rows up to `since`; the channels where it has none."""
@@ -72,6 +74,7 @@ class Shown:
             "channels": self.channels if since == 0 else None,
             "rows": list(self._rows)[len(self._rows) - lacking :],
             "next": self._count,
+            "silent_s": time.monotonic() - self._row_at if self._count else 0.0,
             "ended": self.ended,
         }
 
