@@ -73,7 +73,7 @@ def look_at_scripts(tab):
 @needs_chromium
 def test_a_browser_shows_the_run_and_its_stop_ends_it(here):
     run = subprocess.Popen(
-        [*COMMAND, *SPINNING, "--realtime", "--set", "hold_s=600"],
+        [*COMMAND, *SPINNING, "--set", "hold_s=3600"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -97,7 +97,8 @@ def test_a_browser_shows_the_run_and_its_stop_ends_it(here):
             page.press("Enter", 13)
             page.until("document.getElementById('stop').textContent === 'ENDED'")
             out, errors = run.communicate()
-            assert CAUSE in page.look("document.getElementById('state').textContent")
+            assert page.look("document.getElementById('notice').textContent") == CAUSE
+            assert json.loads(out)["run"] in page.look("document.getElementById('state').textContent")
             assert page.look("document.getElementById('values').rows.length") > 10
             page.picture(Path("page-ended.png"))
             assert page.console == []

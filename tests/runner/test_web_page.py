@@ -168,9 +168,9 @@ def test_the_state_has_what_the_loop_has_published(client, progress):
         {"role": "test", "estimate_degC": 40.0, "bound_degC": 60.0, "limit_degC": 130.0, "to_limit_s": 12.0}
     ]
     assert [(one["name"], one["unit"], one["chart"]) for one in state["channels"]] == [
-        ("iq_ref", "A", "test q axis current"),
-        ("iq", "A", "test q axis current"),
-        (f"enabled{SCRIPT}", "", "test drive enabled"),
+        ("iq_ref", "A", "q axis current, test"),
+        ("iq", "A", "q axis current, test"),
+        (f"enabled{SCRIPT}", "", "drive enabled, test"),
     ]
 
 
@@ -201,7 +201,7 @@ def test_a_number_that_is_none_asks_for_all(page):
     site.shown.take({"row": [1]})
     for since in ("x", "-1", "9" * 20, "%00", ""):
         request = f"GET /state?since={since} HTTP/1.1\r\nHost: h\r\nAuthorization: Bearer t\r\n\r\n"
-        assert json.loads(Exchange(request.encode(), site).wfile.getvalue().split(b"\r\n\r\n")[1])["rows"] == [[1]]
+        assert json.loads(Exchange(request.encode(), site).answer.split(b"\r\n\r\n")[1])["rows"] == [[1]]
 
 
 def test_an_open_page_is_told_how_the_run_ended():
@@ -348,6 +348,7 @@ def test_a_server_that_is_killed_is_noted_in_the_file_and_no_more(spin):
 
 def test_a_full_pipe_costs_lines_and_nothing_waits_or_grows(spin, monkeypatch):
     monkeypatch.setattr(feed, "LINES_A_SECOND", 1000)
+    monkeypatch.setattr(feed, "PATIENCE_S", 0.2)
 
     def fill(_client):
         os.kill(page._server.pid, signal.SIGSTOP)

@@ -216,7 +216,7 @@ def channels(streams: Mapping[str, Sequence[ChannelSpec]]) -> list[dict[str, Any
         {
             "name": spec.name if stream == "loop" else f"{stream}/{spec.name}",
             "unit": "" if spec.unit == "1" else spec.unit,
-            "chart": " ".join(filter(None, [spec.role, _quantity(spec), spec.location])),
+            "chart": ", ".join(filter(None, [_quantity(spec), spec.role, spec.location])),
             "is_setpoint": spec.quantity.endswith("_reference"),
             "drawn": spec.role == "test" and _quantity(spec).replace(" ", "_") in DRAWN_FIRST,
         }

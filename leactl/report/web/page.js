@@ -50,7 +50,7 @@ function showRun(run) {
   put(byId("step"), run.step || "starting");
   put(byId("pause"), run.prompt ? `${run.prompt} (answer at the run's terminal)` : run.pause);
   byId("share").value = run.share;
-  const left = run.left_s === null ? "" : `, ${duration(run.left_s)} left`;
+  const left = run.ended || run.left_s === null ? "" : `, ${duration(run.left_s)} left`;
   put(byId("times"), `${Math.round(100 * run.share)} %, ${duration(run.done_s)} of ${duration(run.total_s)}${left}`);
   showWarnings(run.warnings, run.warnings_before);
   showWindings(run.windings);
@@ -76,7 +76,7 @@ function showWindings(windings) {
     meter.setAttribute("aria-label", `${winding.role} winding`);
     bound.append(`${degrees(winding.bound_degC, 1)} `, meter);
     row.append(name, bound, element("td", degrees(winding.limit_degC, 0)),
-      element("td", degrees(winding.estimate_degC, 1)), element("td", duration(winding.to_limit_s)));
+      element("td", duration(winding.to_limit_s)), element("td", degrees(winding.estimate_degC, 1)));
     return row;
   }));
 }
@@ -189,9 +189,7 @@ function end({ status, reason, run }) {
   stop.disabled = true;
   put(stop, "ENDED");
   unheard = "";
-  const how = reason ? `${status}, ${reason}` : status;
-  say(`The run has ended: ${how}. ${run ? `Its file is ${run}. ` : ""}This page stays as it is.`,
-    status === "complete" ? "" : how);
+  say(`The run has ended: ${status}. ${run ? `Its file is ${run}. ` : ""}This page stays as it is.`, reason);
   document.title = `${status}: ${document.title}`;
 }
 

@@ -20,13 +20,15 @@ STYLE = (
   color: #ffffff; background: var(--stop); border: 0; border-radius: 8px; cursor: pointer; }
 #stop:focus-visible { outline: 4px solid var(--ink); outline-offset: 2px; }
 #stop:disabled { opacity: 0.5; cursor: default; }
-@media (min-width: 45rem) { .top { grid-template-columns: minmax(0, 1fr) 18rem; }
+meter { width: 4rem; vertical-align: middle; }
+@media (min-width: 45rem) { meter { width: 12rem; } .top { grid-template-columns: minmax(0, 1fr) 18rem; }
   .top > .what { grid-column: 1; grid-row: 1; } .top > #stop { grid-column: 2; grid-row: 1; } }
 #notice:not(:empty), .warning { background: var(--alarm); color: var(--alarm-ink); border-radius: 6px;
   padding: 0.5rem 0.75rem; margin: 0.5rem 0; max-width: none; }
 #warnings { list-style: none; margin: 0; padding: 0; }
 progress { width: 100%; height: 1rem; accent-color: var(--reading); }
-meter { width: 8rem; vertical-align: middle; }
+.what { margin-top: 0.25rem; }
+details { margin-bottom: 0.75rem; }
 .figures { font-variant-numeric: tabular-nums; }
 .choice { display: flex; flex-wrap: wrap; gap: 0.25rem 1.25rem; border: 0; margin: 0; padding: 0.5rem 0; }
 .choice label { display: inline-flex; gap: 0.4rem; align-items: center; min-height: 1.75rem; }
@@ -62,7 +64,7 @@ def page(bench: str) -> str:
         tag("p", "none", id="no-warnings"),
         tag("ul", id="warnings", role="log", aria_live="polite", aria_label="warnings"),
         tag("h2", "Windings"),
-        _table(["winding", "at most", "limit", "estimate", "at its limit in"], "windings"),
+        _table(["winding", "at most", "limit", "limit in", "estimate"], "windings"),
         tag("h2", "Channels"),
         tag("details", tag("summary", "Which channels are drawn"), tag("fieldset", id="choice", class_="choice")),
         tag("div", id="charts", class_="charts"),

@@ -27,6 +27,7 @@ MOST_ROWS: Final = 240  # a minute at the pace of the feed
 MOST_OPEN: Final = 32  # connections; one more closes the oldest
 MOST_A_SECOND: Final = 40  # connections that are accepted; a page makes two a second
 MOST_BYTES: Final = 16384  # of a request
+MOST_PARTS_AFTER: Final = 4  # of that size, that are read and dropped behind an answer
 DEADLINE_S: Final = 5.0  # from a connection's start to its end
 PART_PAUSE_S: Final = 0.05  # before more of a request is read that came in parts
 NICENESS: Final = 10  # the control loop comes first where cores are short
@@ -88,7 +89,7 @@ class Site:
         self.asked_at = float("-inf")  # by a page with the token, on the clock of `time.monotonic`
 
     def stop(self) -> None:
-        """Ask the run to stop; what it has been told once it is not told again for want of a reader."""
+        """Ask the run to stop; a pipe that is full of such requests needs no further one."""
         with suppress(BlockingIOError, BrokenPipeError):
             os.write(sys.stdout.fileno(), STOP)
 
@@ -101,12 +102,13 @@ class Exchange(BaseHTTPRequestHandler):
     METHODS: Final = {"/": "GET", "/state": "GET", "/stop": "POST"}
 
     def __init__(self, request: bytes, site: Site) -> None:
-        self.rfile, self.wfile = io.BytesIO(request), io.BytesIO()
+        self.rfile, self.wfile = io.BytesIO(request), (written := io.BytesIO())
         self._site = site
         self.command, self.requestline, self.request_version = "", "", self.protocol_version
         self.raw_requestline = self.rfile.readline()
         if self.parse_request():  # else it has answered
             self._answer()
+        self.answer = written.getvalue()
 
     def _answer(self) -> None:
         path, _, query = self.path.partition("?")
@@ -166,7 +168,7 @@ def answer(request: bytes, site: Site) -> bytes:
     """Return the answer to the head of a request."""
     if len(request) > MOST_BYTES:
         return b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-    return Exchange(request, site).wfile.getvalue()
+    return Exchange(request, site).answer
 
 
 async def serve(listener: socket.socket, site: Site) -> None:
@@ -197,6 +199,10 @@ async def _converse(connection: socket.socket, site: Site) -> None:
                     return
                 request += part
             await loop.sock_sendall(connection, answer(request, site))
+            connection.shutdown(socket.SHUT_WR)
+            for _ in range(MOST_PARTS_AFTER):  # what is closed with bytes unread takes the answer away from its reader
+                if not await loop.sock_recv(connection, MOST_BYTES):
+                    return
 
 
 async def _follow_the_run(feed: asyncio.StreamReader, site: Site) -> None:
