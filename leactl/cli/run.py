@@ -1,9 +1,11 @@
 """`leactl run`: execute a protocol on a bench and record the run."""
 
 import json
+import re
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,7 @@ ATTENDED = typer.Option(
 )
 
 WEB, FREE_PORT_HERE = "--web", "127.0.0.1:0"
+ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # well-formed or not, which its reader tells
 
 
 class RunWithPage(TyperCommand):
@@ -34,13 +37,12 @@ class RunWithPage(TyperCommand):
     def completed(self, args: list[str]) -> list[str]:
         """Return the words with this machine's own address behind a `--web` that none follows.
 
-        An address has a colon or is a number; the name of a protocol is neither.
+        The name of a protocol has no colon, and is no number.
         """
         words: list[str] = []
-        for word, following in zip(args, [*args[1:], ""], strict=True):
+        for word, following in pairwise([*args, ""]):
             words.append(word)
-            is_address = not following.startswith("-") and (":" in following or following.isdigit())
-            if word == WEB and not is_address:
+            if word == WEB and not ADDRESS_LIKE.fullmatch(following):
                 words.append(FREE_PORT_HERE)
         return words
 
@@ -70,8 +72,11 @@ def run(
     events: Path | None = typer.Option(
         None, "--events", metavar="FILE", help="Tell the run as it goes, one JSON line at a time; - is stdout."
     ),
-    web: str = typer.Option(
-        "", WEB, metavar="[ADDRESS:PORT]", help="Show the run in a browser, on this machine unless an address follows."
+    web: str | None = typer.Option(
+        None,
+        WEB,
+        metavar="[ADDRESS:PORT]",
+        help="Show the run in a browser, on this machine unless an address follows.",
     ),
     at_end: str = typer.Option(
         "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
@@ -97,7 +102,7 @@ def run(
     words = _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
-    page = RunPage(web, request.bench.name) if web else nullcontext()
+    page = RunPage(web, request.bench.name) if web is not None else nullcontext()
     if dry_run:
         print_rehearsal(request, as_json)
         return

@@ -35,7 +35,14 @@ def test_a_taken_port_and_a_strange_address_are_refused_before_the_bench_is_touc
         done = leactl("run", "spin.yaml", "--web", address)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"leactl: --web {address}: another program has this port; 0 takes a free one\n"
-    for words in (("--web", "8080"), ("--web=lab-pc:80",), ("--web", "8080", "--dry-run")):
+    assert leactl("run").stderr == "leactl: missing argument 'protocol'; leactl run --help tells the usage\n"
+    for words in (
+        ("--web", "8080"),
+        ("--web", "192.0.2.7"),
+        ("--web", ":80"),
+        ("--web=lab-pc:80",),
+        ("--web=", "--dry-run"),
+    ):
         done = leactl("run", "spin.yaml", *words, "--json")
         assert done.returncode == 2
         assert json.loads(done.stdout)["faults"][0]["message"].startswith("--web ")
@@ -68,6 +75,22 @@ def look_at_scripts(tab):
     assert tab.look("document.body.textContent").count(SCRIPT) >= 9
     assert tab.look("globalThis.harmed === undefined")
     assert tab.console == []
+
+
+def lose_the_connection(tab):
+    with RunPage("127.0.0.1:0", "mine") as page:
+        page.show(Progress("spin", 1.0, {}))
+        tab.call("Page.navigate", url=page.url)
+        tab.until("document.getElementById('state') && document.getElementById('state').textContent === 'live'")
+        page._server.kill()
+        tab.until("document.getElementById('state').textContent === 'not connected'")
+        notice = tab.look("document.getElementById('notice').textContent")
+        assert notice.startswith("Connection lost: the run goes on.")
+        assert "leactl bench stop mine" in notice
+        assert tab.look("document.getElementById('title').textContent") == "spin"
+        tab.press("Tab", 9)
+        tab.press("Enter", 13)
+        tab.until("document.getElementById('notice').textContent.includes('STOP did not reach the run')")
 
 
 @needs_chromium
@@ -103,6 +126,7 @@ def test_a_browser_shows_the_run_and_its_stop_ends_it(here):
             page.picture(Path("page-ended.png"))
             assert page.console == []
             look_at_scripts(page)
+            lose_the_connection(page)
     finally:
         run.kill()
         run.communicate()
