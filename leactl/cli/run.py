@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -90,7 +90,6 @@ def run(
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
     from leactl.bench.wire_trace import WireTrace
     from leactl.errors import InputError
-    from leactl.report.web.feed import RunPage
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
@@ -102,15 +101,19 @@ def run(
     words = _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
-    page = RunPage(web, request.bench.name) if web is not None else nullcontext()
+    page: AbstractContextManager[RunPage | None] = nullcontext()
+    if web is not None:
+        from leactl.report.web import feed
+
+        page = feed.RunPage(web, request.bench.name)
     if dry_run:
         print_rehearsal(request, as_json)
         return
     with (
         to_the_end(),
+        page as shown,
         EventLines(events) if events else nullcontext() as lines,
         WireTrace(trace) if trace else nullcontext() as traced,
-        page as shown,
     ):
         outcome = perform(replace(request, lines=lines, trace=traced), page=shown)
         acceptance, unmet = judge_all(request.plan, outcome)
@@ -184,8 +187,6 @@ def print_rehearsal(request: "Request", as_json: bool) -> None:
 
 def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":
     """Execute a run request with the live view on stderr, and on a page; `heading` begins the title of the view."""
-    from contextlib import AbstractContextManager
-
     from rich.console import Console
 
     from leactl.report.live import live_view

@@ -32,7 +32,7 @@ def here(tmp_path, monkeypatch):
 def test_a_taken_port_and_a_strange_address_are_refused_before_the_bench_is_touched(here):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = leactl("run", "spin.yaml", "--web", address)
+        done = leactl("run", "spin.yaml", "--web", address, "--events", "events.jsonl")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"leactl: --web {address}: another program has this port; 0 takes a free one\n"
     assert leactl("run").stderr == "leactl: missing argument 'protocol'; leactl run --help tells the usage\n"

@@ -15,9 +15,9 @@ import pytest
 
 from leactl.errors import InputError, Stopped
 from leactl.quantities import ChannelSpec
-from leactl.report.web import feed
+from leactl.report.web import STOP, feed
 from leactl.report.web.feed import CAUSE, RunPage
-from leactl.report.web.server import MOST_BYTES, MOST_OPEN, MOST_ROWS, STOP, Exchange, Shown, Site, answer
+from leactl.report.web.server import MOST_BYTES, MOST_OPEN, MOST_ROWS, Exchange, Shown, Site, answer
 from leactl.runfile.read.reader import Run
 from leactl.runner.progress import Progress
 
@@ -272,6 +272,15 @@ def test_stop_ends_the_run_and_its_file_tells_the_cause(spin):
         assert (run.attributes["status"], run.attributes["status_reason"]) == ("stopped", CAUSE)
 
 
+def sockets(process="self"):
+    """Those that a process holds."""
+    found = []
+    for place in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(FileNotFoundError):
+            found.append(str(place.readlink()))
+    return [name for name in found if name.startswith("socket")]
+
+
 def slow(client):
     """Requests that never end, answers that are never read, and lines without sense, from ever more connections."""
     held = []
@@ -297,6 +306,7 @@ def test_the_run_is_complete_beside_hostile_clients_and_the_page_still_answers(s
         held.append(threading.Thread(target=flood))
         held[-1].start()
         assert "title" in client.state()
+        assert len(sockets(page._server.pid)) <= MOST_OPEN + 4  # its listener, a pair of its own, one that is answered
 
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(watch=lambda progress: shown(page, progress, attack), stops=[page.stop_cause])
@@ -309,22 +319,12 @@ def test_the_run_is_complete_beside_hostile_clients_and_the_page_still_answers(s
         assert [event.message for event in run.events if event.level != "info"] == []
 
 
-def descriptors():
-    """What the files of this process are."""
-    found = []
-    for place in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):
-            found.append(str(place.readlink()))
-    return found
-
-
 def test_the_process_of_the_run_holds_no_connection_to_a_client(spin):
-    before = [name for name in descriptors() if name.startswith("socket")]
-    seen = []
+    before, seen = sockets(), []
 
     def look(client):
         with client.connect():
-            seen.extend(name for name in descriptors() if name.startswith("socket"))
+            seen.extend(sockets())
 
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(watch=lambda progress: shown(page, progress, look))

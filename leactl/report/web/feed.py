@@ -27,8 +27,8 @@ from typing import Any, Final, Self
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.report.web import LAST_LOOK_S, STOP
 from leactl.report.web.page import page
-from leactl.report.web.server import LAST_LOOK_S, STOP
 from leactl.runner.progress import Progress
 
 DEFAULT: Final = "127.0.0.1:0"

@@ -22,7 +22,8 @@ from http.server import BaseHTTPRequestHandler
 from typing import Any, Final
 from urllib.parse import parse_qs
 
-STOP: Final = b"!"  # what the run's process reads of a STOP
+from leactl.report.web import LAST_LOOK_S, STOP
+
 MOST_ROWS: Final = 240  # a minute at the pace of the feed
 MOST_OPEN: Final = 32  # connections; one more closes the oldest
 MOST_A_SECOND: Final = 40  # connections that are accepted; a page makes two a second
@@ -32,7 +33,6 @@ DEADLINE_S: Final = 5.0  # from a connection's start to its end
 PART_PAUSE_S: Final = 0.05  # before more of a request is read that came in parts
 NICENESS: Final = 10  # the control loop comes first where cores are short
 WATCHED_S: Final = 3.0  # since a page asked last, within which somebody is taken to look at it
-LAST_LOOK_S: Final = 1.5  # that a page has to ask for the end of the run
 MOST_LINE: Final = 1 << 20  # bytes of a line on stdin
 NO_WORD: Final = "nothing comes from the run any more; its terminal or its file tell how it ended"
 HEADERS: Final = {
