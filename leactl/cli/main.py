@@ -43,10 +43,12 @@ app.command(
 )(report.report)
 app.command(
     "run",
+    cls=run.RunWithPage,
     epilog=examples(
         "run friction --bench emulated --out runs",
         "run torque-constant --bench mine.yaml --set hold_s=6 --actuator LEA-2",
         "run friction --bench mine.yaml --dry-run",
+        "run friction --bench mine.yaml --web",
         ends=(*ON_A_BENCH, AcceptanceFailed),
     ),
 )(run.run)

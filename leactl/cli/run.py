@@ -1,23 +1,50 @@
 """`leactl run`: execute a protocol on a bench and record the run."""
 
 import json
+import re
 import sys
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
+from typer.core import TyperCommand
 
 from leactl.cli import print_answer
 from leactl.cli.completion import benches, protocols, settings
 
 if TYPE_CHECKING:
+    from leactl.report.web.feed import RunPage
     from leactl.runner.session import Outcome, Request
 
 ATTENDED = typer.Option(
     False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
 )
+
+WEB, FREE_PORT_HERE = "--web", "127.0.0.1:0"
+ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # well-formed or not, which its reader tells
+
+
+class RunWithPage(TyperCommand):
+    """Lets `--web` stand alone or before an address."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words once they are complete."""
+        return super().parse_args(ctx, self.completed(args))
+
+    def completed(self, args: list[str]) -> list[str]:
+        """Return the words with this machine's own address behind a `--web` that none follows.
+
+        The name of a protocol has no colon, and is no number.
+        """
+        words: list[str] = []
+        for word, following in pairwise([*args, ""]):
+            words.append(word)
+            if word == WEB and not ADDRESS_LIKE.fullmatch(following):
+                words.append(FREE_PORT_HERE)
+        return words
 
 
 def run(
@@ -45,6 +72,12 @@ def run(
     events: Path | None = typer.Option(
         None, "--events", metavar="FILE", help="Tell the run as it goes, one JSON line at a time; - is stdout."
     ),
+    web: str | None = typer.Option(
+        None,
+        WEB,
+        metavar="[ADDRESS:PORT]",
+        help="Show the run in a browser, on this machine unless an address follows.",
+    ),
     at_end: str = typer.Option(
         "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
     ),
@@ -68,15 +101,21 @@ def run(
     words = _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
+    page: AbstractContextManager[RunPage | None] = nullcontext()
+    if web is not None:
+        from leactl.report.web import feed
+
+        page = feed.RunPage(web, request.bench.name)
     if dry_run:
         print_rehearsal(request, as_json)
         return
     with (
         to_the_end(),
+        page as shown,
         EventLines(events) if events else nullcontext() as lines,
         WireTrace(trace) if trace else nullcontext() as traced,
     ):
-        outcome = perform(replace(request, lines=lines, trace=traced))
+        outcome = perform(replace(request, lines=lines, trace=traced), page=shown)
         acceptance, unmet = judge_all(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:
@@ -85,7 +124,7 @@ def run(
         if as_json or events != STDOUT:
             unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [log.fault for log in (lines, traced) if log is not None]
+    faults = [log.fault for log in (lines, traced, shown) if log is not None and log.fault not in outcome.notes]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet, unread)
@@ -146,10 +185,8 @@ def print_rehearsal(request: "Request", as_json: bool) -> None:
     typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
 
 
-def perform(request: "Request", heading: str = "") -> "Outcome":
-    """Execute a run request with the live view on stderr; `heading` begins the title of the view."""
-    from contextlib import AbstractContextManager
-
+def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":
+    """Execute a run request with the live view on stderr, and on a page; `heading` begins the title of the view."""
     from rich.console import Console
 
     from leactl.report.live import live_view
@@ -161,14 +198,25 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     emulated = request.bench.emulated is not None
     check_operator(request)
     warn_overdue(request)
+    if page is not None:
+        print(f"leactl: the run's page: {page.url}", file=sys.stderr)
+        if not page.is_of_this_machine_alone:
+            warning = "the page is not encrypted: who can read this network's traffic can see the run and stop it"
+            print(f"leactl: warning: {warning}", file=sys.stderr)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
             progress.hint = keys.hint or f"leactl bench stop {request.bench.name} stops the run"
             progress.title = f"{heading}{progress.title}"
+            if page is not None:
+                page.show(progress)
             return live_view(progress, console)
 
-        return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
+        stops = [keys.pressed] if page is None else [keys.pressed, page.stop_cause]
+        outcome = execute(request, granted if emulated else keys.ask, watch, stops, [keys.pause_pressed])
+    if page is not None:
+        page.end(outcome.status, outcome.reason, str(outcome.path))
+    return outcome
 
 
 def warn_overdue(request: "Request") -> None:

@@ -4,6 +4,7 @@ import re
 from base64 import b64encode
 from hashlib import sha256
 from html import escape
+from importlib import resources
 
 VOID = frozenset({"meta", "br", "path", "line"})
 # what neither XML 1.0 nor UTF-8 can carry: control characters, and the halves that stand for bytes of a file's name
@@ -51,14 +52,24 @@ def table(headings: list[str], rows: list[list[str]], class_: str = "") -> Html:
     return tag("div", tag("table", head, body, class_=class_), class_="scroll", tabindex="0")
 
 
-def document(title: str, style: str, body: Html, script: str = "") -> str:
-    """Return a whole page that loads nothing; its policy allows the given script alone, by its hash."""
+def scripts(*names: str) -> str:
+    """Return scripts of this room as one, in this order."""
+    room = resources.files("leactl.report")
+    return "\n".join((room / name).read_text(encoding="utf-8") for name in names)
+
+
+def document(title: str, style: str, body: Html, script: str = "", asks_its_server: bool = False) -> str:
+    """Return a whole page that loads nothing; its policy allows the given script alone, by its hash.
+
+    `asks_its_server` lets that script send requests to the server that the page is from.
+    """
     policy = "default-src 'none'; style-src 'unsafe-inline'"
-    scripts = []
+    policy += "; connect-src 'self'" if asks_its_server else ""
+    elements = []
     if script:
         digest = b64encode(sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
-        scripts = [tag("script", Html(script))]
+        elements = [tag("script", Html(script))]
     head = tag(
         "head",
         tag("meta", charset="utf-8"),
@@ -67,4 +78,4 @@ def document(title: str, style: str, body: Html, script: str = "") -> str:
         tag("title", title),
         tag("style", Html(style)),
     )
-    return f"<!DOCTYPE html>\n{tag('html', head, tag('body', body, *scripts), lang='en')}\n"
+    return f"<!DOCTYPE html>\n{tag('html', head, tag('body', body, *elements), lang='en')}\n"

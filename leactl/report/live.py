@@ -27,7 +27,6 @@ FRAMES_PER_S = 4
 FIRST_LINE_S = 5.0  # a shorter run needs no line
 SLOWEST_LINE_S = 30.0
 LINES_A_DECADE = 10  # the next line comes after a tenth of the time so far, so that long runs write few lines
-WARM_DEGC = 50.0  # winding temperature from which the time to its limit is shown
 PATIENCE_S = 1.0  # how long a view may take to clear the screen
 CELL = 40  # characters that a name and its value need side by side
 WIDEST_CELL = 56  # characters; wider cells separate a value from its name
@@ -209,7 +208,7 @@ def _values(progress: Progress) -> list[tuple[str, str]]:
     for stream, channels in progress.streams.items():
         cells += _cells(channels, progress.values if stream == "loop" else progress.own.get(stream, ()))
     estimates, bounds = progress.windings
-    going = progress.time_left() if max(bounds.values(), default=0.0) > WARM_DEGC else {}
+    going = progress.time_to_limit()
     for role, estimate in estimates.items():
         cells.append((f"{role} winding", f"{estimate:.0f}, at most {bounds[role]:.0f} degC"))
         if math.isfinite(going.get(role, math.inf)):

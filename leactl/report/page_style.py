@@ -1,4 +1,4 @@
-"""The look of every page, light, dark and on paper."""
+"""The look of every page, light, dark and on paper, and of the curves of a run's channels."""
 
 PAGE = """
 :root { color-scheme: light dark; --ground: #ffffff; --card: #f6f7f8; --ink: #1b1f23; --faint: #5b6570;
@@ -50,4 +50,11 @@ thead th { color: var(--faint); }
 details, .scroll { margin-top: 0.75rem; }
 @media print { body { font-size: 11pt; } details::details-content { content-visibility: visible; }
   .card, figure { break-inside: avoid; } .swatch { print-color-adjust: exact; } .scroll { overflow: visible; } }
+"""
+
+CHANNELS = """
+:root { --reading: #1f6fb4; --setpoint: #c2570c; }
+@media (prefers-color-scheme: dark) { :root { --reading: #6cb2f0; --setpoint: #f0954a; } }
+path.reading { stroke: var(--reading); } path.setpoint { stroke: var(--setpoint); }
+.swatch.reading { background: var(--reading); } .swatch.setpoint { background: var(--setpoint); }
 """

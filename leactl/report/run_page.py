@@ -5,24 +5,22 @@ stands for; a short part of the run is drawn with all its samples.
 """
 
 from collections.abc import Sequence
-from importlib import resources
 
 import numpy as np
 
 from leactl.report.chart import AxisRange, Layer, LineMarks, chart
-from leactl.report.html import Html, document, table, tag
-from leactl.report.page_style import PAGE
+from leactl.report.html import Html, document, scripts, table, tag
+from leactl.report.page_style import CHANNELS, PAGE
 from leactl.runfile.read.reader import Run, Step
 from leactl.runfile.read.traces import ChannelTrace
 
 BINS = 2000  # of a channel: more than the pixels of a wide screen
 STYLE = (
     PAGE
+    + CHANNELS
     + """
-:root { --reading: #1f6fb4; --setpoint: #c2570c; --step: #8a94a0; }
-@media (prefers-color-scheme: dark) { :root { --reading: #6cb2f0; --setpoint: #f0954a; --step: #7d8894; } }
-path.reading { stroke: var(--reading); } path.setpoint { stroke: var(--setpoint); }
-.swatch.reading { background: var(--reading); } .swatch.setpoint { background: var(--setpoint); }
+:root { --step: #8a94a0; }
+@media (prefers-color-scheme: dark) { :root { --step: #7d8894; } }
 svg path.step { fill: var(--step); fill-opacity: 0.15; }
 .swatch.step { background: var(--step); opacity: 0.3; }
 .drawing { touch-action: pan-y; cursor: crosshair; }
@@ -56,8 +54,7 @@ def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) ->
         tag("h2", "Steps"),
         table(["name", "start [s]", "stop [s]", "settle [s]"], rows),
     )
-    script = (resources.files("leactl.report") / "zoom.js").read_text(encoding="utf-8")
-    return document(title, STYLE, body, script)
+    return document(title, STYLE, body, scripts("axes.js", "zoom.js"))
 
 
 def controls(steps: Sequence[Step]) -> Html:

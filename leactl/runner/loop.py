@@ -93,6 +93,7 @@ class Loop:
         self._bench.pace(self._period)
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
+        self._progress.winding_limit = self._supervisor.winding_limit
         self._start = self._next = self._clock.now()  # what was made ready until now is no standstill
         self._watchdog.begin(self._period)
         try:

@@ -1,10 +1,13 @@
 """How far a run is, for whoever shows it: written by the loop, read at any time from another thread."""
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from leactl.quantities import ChannelSpec
+
+WARM_DEGC = 50.0  # winding temperature from which the time to its limit is shown
 
 
 @dataclass
@@ -20,6 +23,7 @@ class Progress:
         {},
         {},
     )  # by role: estimate, and bound of the hottest phase
+    winding_limit: float = math.nan  # degC, that no bound may pass
     time_left: Callable[[], Mapping[str, float]] = dict  # by role, at what flows now [s]
     step: str = ""
     prompt: str = ""
@@ -41,3 +45,7 @@ class Progress:
         """Wall seconds that are left at the pace so far; NaN before there is a pace."""
         share = self.share
         return (time.monotonic() - self.began) * (1 - share) / share if share > 0 else float("nan")
+
+    def time_to_limit(self) -> Mapping[str, float]:
+        """Time until each winding's bound is at its limit, at what flows now [s], by role; empty while all are cold."""
+        return self.time_left() if max(self.windings[1].values(), default=0.0) > WARM_DEGC else {}

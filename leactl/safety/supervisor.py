@@ -143,7 +143,7 @@ class Supervisor:
         guard.begin(now)
         self._heating = guard.flowing, math.inf
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
-        self.time_left = guard.time_left
+        self.time_left, self.winding_limit = guard.time_left, guard.limit
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
         panel = Panel(channels, self._limits, self._interlocks, self.trip, self.warnings.append)

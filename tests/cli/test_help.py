@@ -49,7 +49,7 @@ def by_words(words):
         named = rest and rest[0] in command.commands
         # `leactl campaign FILE` is `leactl campaign run FILE`
         command = command.get_command(None, rest.pop(0) if named else "run")
-    return command, rest
+    return command, getattr(command, "completed", list)(rest)  # with what an option that stands alone stands for
 
 
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)

@@ -75,6 +75,7 @@ class ThermalGuard:
         InputError : a motor without tolerances.
         """
         self.roles, self._settings = tuple(motors), settings
+        self.limit = settings.limit  # degC, of the hottest phase of any role
         self.boxes = {role: Box.of(motor) for role, motor in motors.items()}
         boxes = list(self.boxes.values())
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)

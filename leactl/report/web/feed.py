@@ -1,0 +1,278 @@
+"""The run's side of its page: a process that serves it, a thread that feeds that process, and the STOP that comes back.
+
+Why no client can harm the run: clients speak to `server`, a process of lower priority that holds nothing of the run.
+The run's process accepts no connection and parses no request. Four times a second a thread of it copies what the loop
+publishes in `Progress`, some 0.1 ms of the interpreter's time, and writes a line into a pipe that never blocks: a line
+that has no room is left out. The loop waits for neither. What comes back is one byte, which the thread turns into a
+cause to stop; the loop looks at that once a cycle, as at the stop keys, and ends the run through its supervisor.
+"""
+
+import errno
+import ipaddress
+import json
+import math
+import os
+import re
+import secrets
+import select
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.report.web import LAST_LOOK_S, STOP
+from leactl.report.web.page import page
+from leactl.runner.progress import Progress
+
+DEFAULT: Final = "127.0.0.1:0"
+CAUSE: Final = "stopped by the operator: STOP in the run's page"
+LINES_A_SECOND: Final = 4
+MOST_WARNINGS: Final = 50  # the newest, that are shown
+PATIENCE_S: Final = 2.0  # that the server may take to end beyond its last look
+WAITING: Final = 16  # connections that are not accepted yet
+ADDRESS: Final = re.compile(r"\[?(?P<host>[^\[\]]+)\]?:(?P<port>[0-9]{1,5})")
+DRAWN_FIRST: Final = ("torque", "velocity", "q_axis_current")  # of the test actuator
+REASONS: Final = {
+    errno.EADDRINUSE: "another program has this port; 0 takes a free one",
+    errno.EADDRNOTAVAIL: "not an address of this machine",
+    errno.EACCES: "this user may not take this port; 0 takes a free one",
+}
+
+
+class RunPage:
+    """The page of one run: `with RunPage(address, bench) as page: ...` around it."""
+
+    def __init__(self, address: str, bench: str) -> None:
+        """Read the address, ADDRESS:PORT, and name the bench that the page says how to stop.
+
+        Raises
+        ------
+        InputError : the address is none of one machine, or this system has no such page.
+        """
+        self._host, self._port = _address(address)
+        self._given, self._bench = address, bench
+        self._token = secrets.token_urlsafe(24)
+        self._progress: Progress | None = None
+        self._cause = ""
+        self._ended: Mapping[str, str] | None = None
+        self._ending = threading.Event()
+        self.fault = ""  # why the page has not been fed to its end
+        self.url = ""  # with the token in it
+        self._thread = threading.Thread(target=self._feed_until_end, name="leactl-page", daemon=True)
+
+    @property
+    def is_of_this_machine_alone(self) -> bool:
+        """Whether no other machine can reach the page."""
+        return self._host.is_loopback
+
+    def __enter__(self) -> Self:
+        """Serve the page from now on.
+
+        Raises
+        ------
+        InputError : the address is not this machine's, or its port is taken.
+        """
+        family = socket.AF_INET if self._host.version == 4 else socket.AF_INET6
+        try:
+            listener = socket.create_server((str(self._host), self._port), family=family, backlog=WAITING)
+        except OSError as error:
+            reason = REASONS.get(error.errno or 0, error.strerror)
+            raise InputError(f"--web {self._given}: {reason}") from None
+        with listener:
+            port = listener.getsockname()[1]
+            # no Ctrl-C reaches it, and the token is in no list of processes
+            self._server = subprocess.Popen(
+                [sys.executable, "-P", "-m", "leactl.report.web.server", str(listener.fileno())],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(listener.fileno(),),
+                start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(place or str(Path.cwd()) for place in sys.path)},
+            )
+        host = f"[{self._host}]" if self._host.version == 6 else str(self._host)
+        self.url = f"http://{host}:{port}/?token={self._token}"
+        names = [host, "localhost"] if self.is_of_this_machine_alone else [host]
+        hosts = [f"{name}:{port}" for name in names] + (names if port == 80 else [])
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        self._to, self._from = self._server.stdin.fileno(), self._server.stdout.fileno()
+        os.set_blocking(self._to, False)
+        self._unsent = _line({"page": page(self._bench), "token": self._token, "hosts": hosts})
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if self._ended is None:
+            reason = (str(error) or type(error).__name__).splitlines()[0] if error is not None else ""
+            self.end("failed", reason, "")
+        self._thread.join(PATIENCE_S)
+        for pipe in (self._server.stdin, self._server.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        try:
+            self._server.wait(LAST_LOOK_S + PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._server.kill()
+            self._server.wait()
+
+    def show(self, progress: Progress) -> None:
+        """Show this run from now on."""
+        self._progress = progress
+
+    def stop_cause(self) -> str:
+        """Return the cause to stop for, once STOP was pressed; else an empty text."""
+        return self._cause
+
+    def end(self, status: str, reason: str, run: str) -> None:
+        """Show how the run ended, last of all."""
+        self._ended = {"status": status, "reason": reason, "run": run}
+        self._ending.set()
+
+    # -- in the thread ------------------------------------------------------------------------------------------------
+
+    def _feed_until_end(self) -> None:
+        try:
+            self._feed()
+        except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
+            told = "its server has ended" if isinstance(error, BrokenPipeError) else f"{type(error).__name__}: {error}"
+            self.fault = f"the run's page is no longer fed: {told}"
+            if self._progress is not None:
+                self._progress.view_fault = self.fault
+
+    def _feed(self) -> None:
+        progress, time_s = None, -math.inf
+        while not self._ending.is_set():
+            self._hear(1.0 / LINES_A_SECOND)
+            if progress is None:
+                progress = self._progress
+                if progress is not None:
+                    self._unsent += _line({"channels": channels(progress.streams)})
+            if not self._send() or progress is None:
+                continue
+            line: dict[str, Any] = {"standing": standing(progress, self._cause)}
+            if progress.time_s > time_s:
+                time_s = progress.time_s
+                line["row"] = [round(time_s, 6), *newest(progress)]
+            self._unsent += _line(line)
+            self._send()
+        if progress is not None:
+            self._unsent += _line({"standing": standing(progress, self._cause)})
+        self._unsent += _line({"ended": self._ended})
+        while not self._send():
+            if not select.select([], [self._to], [], PATIENCE_S / 2)[1]:
+                self.fault = "the run's page is not told how the run ended: its server takes nothing"
+                return
+
+    def _hear(self, seconds: float) -> None:
+        """Wait so long, or until STOP is pressed."""
+        if self._cause:
+            self._ending.wait(seconds)
+        elif select.select([self._from], [], [], seconds)[0]:
+            if os.read(self._from, len(STOP)) != STOP:
+                raise BrokenPipeError
+            self._cause = CAUSE
+
+    def _send(self) -> bool:
+        """Write what waits as far as the pipe takes it; whether that is all."""
+        with suppress(BlockingIOError):
+            while self._unsent:
+                self._unsent = self._unsent[os.write(self._to, self._unsent) :]
+        return not self._unsent
+
+
+def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
+    """Read the address of one machine and a port.
+
+    Raises
+    ------
+    InputError : it is neither, or this system has no such page.
+    """
+    if os.name != "posix":
+        raise InputError("--web: the page of a run is served on POSIX systems alone")
+    parts = ADDRESS.fullmatch(text)
+    if parts is None or int(parts["port"]) > 65535:
+        raise InputError(f"--web {text}: ADDRESS:PORT was expected, such as {DEFAULT}, [::1]:0 or 192.168.1.20:8080")
+    try:
+        host = ipaddress.ip_address("127.0.0.1" if parts["host"] == "localhost" else parts["host"])
+    except ValueError:
+        raise InputError(f"--web {text}: an IP address of this machine was expected, not the name of one") from None
+    if host.is_unspecified or host.is_multicast:
+        raise InputError(f"--web {text}: the one address at which the page is to be opened was expected")
+    return host, int(parts["port"])
+
+
+def channels(streams: Mapping[str, Sequence[ChannelSpec]]) -> list[dict[str, Any]]:
+    """Return each channel as the page shows it, stream by stream: name, unit, and the chart that draws it."""
+    return [
+        {
+            "name": spec.name if stream == "loop" else f"{stream}/{spec.name}",
+            "unit": "" if spec.unit == "1" else spec.unit,
+            "chart": ", ".join(filter(None, [_quantity(spec), spec.role, spec.location])),
+            "is_setpoint": spec.quantity.endswith("_reference"),
+            "drawn": spec.role == "test" and _quantity(spec).replace(" ", "_") in DRAWN_FIRST,
+        }
+        for stream, specs in streams.items()
+        for spec in specs
+    ]
+
+
+def _quantity(spec: ChannelSpec) -> str:
+    """Return the quantity that a setpoint and its reading share."""
+    return spec.quantity.removesuffix("_reference").replace("_", " ")
+
+
+def newest(progress: Progress) -> list[float | None]:
+    """Return the newest value of each channel, in the order of `channels`; None where there is no number yet."""
+    rows = {"loop": progress.values, **progress.own}
+    values: list[float | None] = []
+    for stream, specs in progress.streams.items():
+        row = rows.get(stream, ())
+        values += [_number(row[k]) if k < len(row) else None for k in range(len(specs))]
+    return values
+
+
+def standing(progress: Progress, stop_cause: str) -> dict[str, Any]:
+    """Return how a run stands, as the page shows it."""
+    estimates, bounds = progress.windings
+    to_limit = progress.time_to_limit()
+    return {
+        "title": progress.title,
+        "step": progress.step,
+        "share": progress.share,
+        "done_s": progress.done_s,
+        "total_s": progress.total_s,
+        "left_s": _number(progress.left_s),
+        "pause": progress.pause,
+        "prompt": progress.prompt,
+        "warnings": progress.warnings[-MOST_WARNINGS:],
+        "warnings_before": max(len(progress.warnings) - MOST_WARNINGS, 0),
+        "stopping": stop_cause,
+        "windings": [
+            {
+                "role": role,
+                "estimate_degC": _number(estimate),
+                "bound_degC": _number(bounds[role]),
+                "limit_degC": _number(progress.winding_limit),
+                "to_limit_s": _number(to_limit.get(role, math.inf)),
+            }
+            for role, estimate in estimates.items()
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    """Return a value with seven digits, more than float32 has, as JSON takes it."""
+    return float(f"{value:.7g}") if math.isfinite(value) else None
+
+
+def _line(what: Mapping[str, Any]) -> bytes:
+    return json.dumps(what).encode() + b"\n"
