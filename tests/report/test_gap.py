@@ -13,7 +13,7 @@ from tests.report.answers import answer, rest
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
 def test_no_line_is_wider_than_the_terminal(width, encoding):
-    said = answer(notes=("the replay of a, b and c starts again time after time " * 4,))
+    said = answer(notes=("the replay of a, b and c starts again every second " * 4,))
     text = render(replace(said, unexplained=rest()), width, encoding)
     assert max(map(len, text.splitlines())) <= width
     assert text.isascii() or encoding == "utf-8"

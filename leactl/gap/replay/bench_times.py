@@ -6,11 +6,8 @@ from leactl.model.nominal import BenchModel
 
 PERIOD = 0.45  # of the fastest loop or filter, in a usual interval: it has settled to 6 % by the end of one
 STEPS = 4  # in a usual interval at least, and from one sample to the next
-HALF_START = 4  # usual intervals to either side of a start: speeds change little, and many steps of an encoder pass
 LATEST = 12  # by which a drive may follow late
 REMEMBERED = 200  # of the motion before a start that filters may remember
-LOCKED_STRETCH = 250
-STRETCH, FEWEST_STRETCHES, SHORTEST = 1000, 16, 64  # usual intervals at most, stretches of a run, samples at least
 
 
 def usual_interval(bench: BenchModel, interval: float) -> float:
@@ -31,11 +28,3 @@ def samples(intervals: int, bench: BenchModel, interval: float) -> int:
 def steps_in_sample(bench: BenchModel, interval: float) -> int:
     """Steps of a replay from one sample to the next."""
     return max(STEPS, math.ceil(STEPS * interval / usual_interval(bench, interval) - 1e-6))
-
-
-def stretch(rows: int, bench: BenchModel, interval: float) -> int:
-    """Samples after which a turning rotor starts again, and for which a rounding error may stay the same.
-
-    rows : of the whole run.
-    """
-    return max(min(samples(STRETCH, bench, interval), rows // FEWEST_STRETCHES), SHORTEST)

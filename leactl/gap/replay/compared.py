@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.replay.bench_times import stretch
 from leactl.gap.replay.job import Job
 from leactl.gap.signals.derived import fast_signals
 from leactl.gap.signals.noise import quantum_of
@@ -14,9 +13,10 @@ from leactl.gap.signals.record import Clocked, Key, Mask, Record
 from leactl.gap.signals.smoothing import smooth, speeds
 
 Array = npt.NDArray[np.float64]
+BLOCK_S = 1.0
 FEWEST_BLOCKS = 20  # a slow clock has longer blocks, for its errors last
 LAG = 4  # samples between the values whose differences tell the noise
-PART = 500  # samples that tell it once
+STRETCH = 500  # samples that tell it once
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Compared:
     replayed: tuple[Array, ...]  # one for each model
     disturbed: Array  # the last model again, its start and inputs carrying their noise once more
     noise: float  # standard deviation of the channel's noise and quantisation
-    restarts: bool  # whether the replay starts again time after time
+    restarts: bool  # whether the replay starts again every second
 
     def squares(self, model: int) -> Array:
         """Squared distance of one model, sample by sample."""
@@ -49,8 +49,7 @@ class Compared:
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
     """Every channel that all replays of a run reach."""
     compared = []
-    model = jobs[0].plant.model
-    swung = fast_signals(record, model, None) if record.mechanical == "locked" else None
+    swung = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
         if clock is None:
             continue
@@ -64,10 +63,7 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
                 keep = np.all(np.isfinite(rows), axis=0)
                 if swung is not None and key[0] in ("velocity", "torque"):
                     keep &= swung.unleapt  # where a rotor sticks that a leap has set swinging, no replay can tell
-                length = float(clock.since_begin[-1]) / FEWEST_BLOCKS
-                if name == "fast":
-                    length = clock.interval * stretch(len(clock.time), model.bench, clock.interval)
-                one = _compared(record, clock, key, values, rows, keep, restarts, length)
+                one = _compared(record, clock, key, values, rows, keep, restarts)
                 compared += [one] if one is not None else []
     return compared
 
@@ -81,14 +77,7 @@ def measured(clock: Clocked, key: Key) -> Array | None:
 
 
 def _compared(
-    record: Record,
-    clock: Clocked,
-    key: Key,
-    values: Array,
-    rows: list[Array],
-    keep: Mask,
-    restarts: bool,
-    length: float,
+    record: Record, clock: Clocked, key: Key, values: Array, rows: list[Array], keep: Mask, restarts: bool
 ) -> Compared | None:
     keep &= clock.all_valid(key if key in clock.values else ("angle", "test"))
     index = np.flatnonzero(keep)
@@ -96,6 +85,7 @@ def _compared(
         return None
     left = [values[index] - row[index] for row in rows[:-1]]
     time = clock.since_begin
+    length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
     block = (time[index] / length).astype(np.intp)
     noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))
     return Compared(
@@ -123,5 +113,5 @@ def white(values: Array) -> float:
     steps = np.abs(values[LAG:] - values[:-LAG])
     if len(steps) == 0:
         return 0.0
-    parts = np.array_split(steps, max(1, len(steps) // PART))
+    parts = np.array_split(steps, max(1, len(steps) // STRETCH))
     return float(np.median([np.median(part) for part in parts]) / (0.6745 * np.sqrt(2.0)))

@@ -8,7 +8,6 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from leactl.effects.plant import Array, Plant
-from leactl.gap.replay.bench_times import LOCKED_STRETCH, samples, stretch
 from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
@@ -18,8 +17,10 @@ from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
 BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that tells how the current's stamps stand
+RESTART_S = 1.0
 TRACKED = 20.0  # samples, time constant by which a tracked rotor is kept near its motion
 FORGOTTEN = 12.0  # of these time constants in a stretch at least: what it began with is gone at its end
+LOCKED_STRETCH_S = 0.25
 TOOTH = 0.3  # rad, by which teeth that press on each other would swing in a step: rigid, as far as steps can tell
 TOOTH_DAMPING = 0.5 / TOOTH  # of critical: one step takes all of the speed with which they meet, and gives none back
 Index = npt.NDArray[np.intp]
@@ -70,15 +71,15 @@ class Cut:
 def cut_of(job: Job, kind: str) -> Cut:
     """Cut a job into stretches and work out what drives it."""
     clock, plant, parts = job.clock, job.plant, job.parts
-    total = len(clock.time)
+    samples = len(clock.time)
     course = job.course()
-    magnets = np.ones(total)
+    magnets = np.ones(samples)
     for share_of in plant.magnet_share:
         magnets = magnets * share_of(course)
     drive = asked_angle(job) if kind == "servo" else drive_torque(job, magnets)
     share = None
     if plant.friction_share:
-        share = np.ones(total)
+        share = np.ones(samples)
         for rubs in plant.friction_share:
             share = share * rubs(course)
         share = spread(share, parts)
@@ -88,10 +89,9 @@ def cut_of(job: Job, kind: str) -> Cut:
         assert load_current is not None
         load_drive = (plant.model.torque_constant or 0.0) * load_current[0]
     first = 0 if kind == "locked" else reach(job)
-    restart = stretch(total, plant.model.bench, clock.interval)
-    locked = samples(LOCKED_STRETCH, plant.model.bench, clock.interval)
-    tracked = max(restart, round(FORGOTTEN * TRACKED))
-    length = {"locked": locked, "turning": restart, "tracked": tracked}.get(kind, total)
+    tracked = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
+    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
+    length = samples if seconds is None else max(1, round(seconds / clock.interval))
     job.first = first
     cut = Cut(job, first, length, stretches(job, first, length), drive, load_drive, share)
     if kind == "tracked":

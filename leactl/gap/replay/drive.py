@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.gap.replay.bench_times import LATEST, samples, stretch
+from leactl.gap.replay.bench_times import LATEST, samples
 from leactl.gap.replay.job import Job
 from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import led, moved_by_a_servo
@@ -14,6 +14,7 @@ from leactl.gap.signals.stamps import restamped
 
 Array = npt.NDArray[np.float64]
 BUSIEST = 2000  # samples that tell how a reference moves
+STANDS_S = 1.0  # how long a rounding error may stay the same
 RECOVERS = 12  # samples around the ceiling in which the loop is still on its way back
 
 
@@ -119,7 +120,7 @@ def rounding(job: Job) -> Array | float:
     if job.disturbance is None or not moved_by_a_servo(job.clock):
         return 0.0
     step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
-    stands = stretch(len(job.clock.time), job.plant.model.bench, job.clock.interval) * job.parts
+    stands = max(1, round(STANDS_S / job.step))
     total = (len(job.clock.time) - 1) * job.parts
     taken = step * (job.disturbance.random(total // stands + 1) - 0.5)
     return np.asarray(np.repeat(taken, stands)[:total], np.float64)

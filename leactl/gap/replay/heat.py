@@ -1,7 +1,7 @@
 """Temperatures of many runs stepped side by side: the paper's network, exact for heat that is held over a step.
 
 Heat of the winding goes by its simulated temperature, half a step ahead. Speed is the measured one: the motion starts
-again from it time after time in any case.
+again from it every second in any case.
 """
 
 from collections.abc import Sequence

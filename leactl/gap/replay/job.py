@@ -39,7 +39,7 @@ class Job:
     fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
     slow: dict[Key, Array] = field(default_factory=dict)
     at_ceiling: int = 0  # samples at the ceiling of its voltage, where the measured current drives it
-    restarts: bool = False  # whether the motion starts again time after time
+    restarts: bool = False  # whether the motion starts again every second
     notes: list[str] = field(default_factory=list)
 
     @property

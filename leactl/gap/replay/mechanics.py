@@ -1,6 +1,6 @@
 """Motion of whole runs, cut into stretches that are stepped side by side.
 
-A turning rotor starts again time after time from its measured state: its angle is an integral, and what goes by the
+A turning rotor starts again every second from its measured state: its angle is an integral, and what goes by the
 angle would drift apart. A locked one never does, for friction keeps what the last move left: its stretches are stepped
 at once, and again wherever one did not begin where the one before it ended. A rotor that is kept near its motion is
 stepped likewise, for it forgets where it began. A position servo runs through.

@@ -3,14 +3,15 @@
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.replay.bench_times import HALF_START, samples
 from leactl.gap.replay.job import Array, Job
 from leactl.gap.signals.noise import noise_of
+
+HALF_S = 4e-3  # to either side of the start: short against the change of speed, long against the encoder's steps
 
 
 def reach(job: Job) -> int:
     """Samples to either side of a start."""
-    return samples(HALF_START, job.plant.model.bench, job.clock.interval)
+    return max(1, round(HALF_S / job.clock.interval))
 
 
 def starting_motion(job: Job, at: npt.NDArray[np.intp]) -> tuple[Array, Array]:

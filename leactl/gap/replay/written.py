@@ -60,7 +60,7 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
     if not made:
         raise InputError([f"{model_file}: {note}" for note in notes] or [f"{model_file}: says nothing of {run_file}"])
     if job.restarts:
-        notes += ("the motion starts again time after time from the measured state: an angle is an integral",)
+        notes += ("the motion starts again every second from the measured state: an angle is an integral",)
     with Run.open(run_file) as run:
         every = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
         columns: dict[str, list[tuple[ChannelSpec, Array]]] = {}

@@ -261,7 +261,5 @@ def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]
     again = sorted({run_of[one.run] for one in channels if one.restarts})
     if again:
         runs = ", ".join(again)
-        notes.append(
-            f"the replay of {runs} starts again time after time from the measured state: an angle is an integral"
-        )
+        notes.append(f"the replay of {runs} starts again every second from the measured state: an angle is an integral")
     return tuple(dict.fromkeys(notes))
