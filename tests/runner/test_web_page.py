@@ -281,6 +281,28 @@ def sockets(process="self"):
     return [name for name in found if name.startswith("socket")]
 
 
+def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
+    sound, calls = feed.standing, itertools.count()
+
+    def breaking(progress, cause):
+        if progress.title == "spin on emulated" and next(calls):  # and not that of another page
+            raise ZeroDivisionError("no such luck")
+        return sound(progress, cause)
+
+    def stop(client):
+        while not page.fault:
+            client.state()
+        client.ask("/stop", "POST")
+
+    monkeypatch.setattr(feed, "standing", breaking)
+    with RunPage("127.0.0.1:0", "emulated") as page:
+        outcome, _bench = spin(
+            sets=("hold_s=3600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
+        )
+    assert (outcome.status, outcome.reason) == ("stopped", CAUSE)
+    assert outcome.notes == ["the run's page is no longer fed: ZeroDivisionError: no such luck"]
+
+
 def slow(client):
     """Requests that never end, answers that are never read, and lines without sense, from ever more connections."""
     held = []
