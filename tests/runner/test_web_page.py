@@ -28,6 +28,7 @@ CHANNELS = (
     ChannelSpec(f"enabled{SCRIPT}", "drive_enabled", "test", "drive"),
 )
 PATIENCE_S = 60
+MOST_LOOKS = 2000  # for a state, 40 a second
 
 
 class Client:
@@ -55,7 +56,7 @@ class Client:
 
     def until(self, over):
         """The state once it is so."""
-        return next(filter(over, map(self.state, itertools.repeat(0))))
+        return next(filter(over, map(self.state, itertools.repeat(0, MOST_LOOKS))))
 
     def connect(self):
         return socket.create_connection((self.address.hostname, self.address.port), timeout=PATIENCE_S)
@@ -290,8 +291,7 @@ def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
         return sound(progress, cause)
 
     def stop(client):
-        while not page.fault:
-            client.state()
+        client.until(lambda _state: page.fault)
         client.ask("/stop", "POST")
 
     monkeypatch.setattr(feed, "standing", breaking)
