@@ -263,7 +263,7 @@ def shown(page, progress, then):
 def test_stop_ends_the_run_and_its_file_tells_the_cause(spin):
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(
-            sets=("hold_s=3600",),
+            sets=("hold_s=600",),
             watch=lambda progress: shown(page, progress, lambda client: client.ask("/stop", "POST")),
             stops=[page.stop_cause],
         )
@@ -297,7 +297,7 @@ def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
     monkeypatch.setattr(feed, "standing", breaking)
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(
-            sets=("hold_s=3600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
+            sets=("hold_s=600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
         )
     assert (outcome.status, outcome.reason) == ("stopped", CAUSE)
     assert outcome.notes == ["the run's page is no longer fed: ZeroDivisionError: no such luck"]
