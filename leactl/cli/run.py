@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 from leactl.cli import print_answer
 from leactl.cli.completion import benches, protocols, settings
+from leactl.report.web import FREE_PORT_HERE
 
 if TYPE_CHECKING:
     from leactl.report.web.feed import RunPage
@@ -23,7 +24,7 @@ ATTENDED = typer.Option(
     False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
 )
 
-WEB, FREE_PORT_HERE = "--web", "127.0.0.1:0"
+WEB = "--web"
 ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # well-formed or not, which its reader tells
 
 

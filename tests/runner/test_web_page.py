@@ -28,6 +28,7 @@ CHANNELS = (
     ChannelSpec(f"enabled{SCRIPT}", "drive_enabled", "test", "drive"),
 )
 PATIENCE_S = 60
+MOST_LOOKS = 2000  # for a state, 40 a second
 
 
 class Client:
@@ -55,7 +56,7 @@ class Client:
 
     def until(self, over):
         """The state once it is so."""
-        return next(filter(over, map(self.state, itertools.repeat(0))))
+        return next(filter(over, map(self.state, itertools.repeat(0, MOST_LOOKS))))
 
     def connect(self):
         return socket.create_connection((self.address.hostname, self.address.port), timeout=PATIENCE_S)
@@ -262,7 +263,7 @@ def shown(page, progress, then):
 def test_stop_ends_the_run_and_its_file_tells_the_cause(spin):
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(
-            sets=("hold_s=3600",),
+            sets=("hold_s=600",),
             watch=lambda progress: shown(page, progress, lambda client: client.ask("/stop", "POST")),
             stops=[page.stop_cause],
         )
@@ -279,6 +280,27 @@ def sockets(process="self"):
         with suppress(FileNotFoundError):
             found.append(str(place.readlink()))
     return [name for name in found if name.startswith("socket")]
+
+
+def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
+    sound, calls = feed.standing, itertools.count()
+
+    def breaking(progress, cause):
+        if progress.title == "spin on emulated" and next(calls):  # and not that of another page
+            raise ZeroDivisionError("no such luck")
+        return sound(progress, cause)
+
+    def stop(client):
+        client.until(lambda _state: page.fault)
+        client.ask("/stop", "POST")
+
+    monkeypatch.setattr(feed, "standing", breaking)
+    with RunPage("127.0.0.1:0", "emulated") as page:
+        outcome, _bench = spin(
+            sets=("hold_s=600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
+        )
+    assert (outcome.status, outcome.reason) == ("stopped", CAUSE)
+    assert outcome.notes == ["the run's page is no longer fed: ZeroDivisionError: no such luck"]
 
 
 def slow(client):

@@ -27,11 +27,10 @@ from typing import Any, Final, Self
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
-from leactl.report.web import LAST_LOOK_S, STOP
+from leactl.report.web import FREE_PORT_HERE, LAST_LOOK_S, STOP
 from leactl.report.web.page import page
 from leactl.runner.progress import Progress
 
-DEFAULT: Final = "127.0.0.1:0"
 CAUSE: Final = "stopped by the operator: STOP in the run's page"
 LINES_A_SECOND: Final = 4
 MOST_WARNINGS: Final = 50  # the newest, that are shown
@@ -141,12 +140,22 @@ class RunPage:
 
     def _feed_until_end(self) -> None:
         try:
-            self._feed()
-        except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
-            told = "its server has ended" if isinstance(error, BrokenPipeError) else f"{type(error).__name__}: {error}"
-            self.fault = f"the run's page is no longer fed: {told}"
-            if self._progress is not None:
-                self._progress.view_fault = self.fault
+            try:
+                self._feed()
+            except BrokenPipeError:
+                raise
+            except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
+                self._note(f"{type(error).__name__}: {error}")
+                while not self._ending.is_set():  # STOP is heard all the same
+                    self._hear(1.0 / LINES_A_SECOND)
+            self._tell_end()
+        except OSError:
+            self._note("its server has ended")
+
+    def _note(self, why: str) -> None:
+        self.fault = self.fault or f"the run's page is no longer fed: {why}"
+        if self._progress is not None:
+            self._progress.view_fault = self.fault
 
     def _feed(self) -> None:
         progress, time_s = None, -math.inf
@@ -166,6 +175,8 @@ class RunPage:
             self._send()
         if progress is not None:
             self._unsent += _line({"standing": standing(progress, self._cause)})
+
+    def _tell_end(self) -> None:
         self._unsent += _line({"ended": self._ended})
         while not self._send():
             if not select.select([], [self._to], [], PATIENCE_S / 2)[1]:
@@ -200,7 +211,9 @@ def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, 
         raise InputError("--web: the page of a run is served on POSIX systems alone")
     parts = ADDRESS.fullmatch(text)
     if parts is None or int(parts["port"]) > 65535:
-        raise InputError(f"--web {text}: ADDRESS:PORT was expected, such as {DEFAULT}, [::1]:0 or 192.168.1.20:8080")
+        raise InputError(
+            f"--web {text}: ADDRESS:PORT was expected, such as {FREE_PORT_HERE}, [::1]:0 or 192.168.1.20:8080"
+        )
     try:
         host = ipaddress.ip_address("127.0.0.1" if parts["host"] == "localhost" else parts["host"])
     except ValueError:
