@@ -1,6 +1,6 @@
 """The whole diagnosis: calibrate, search, judge, and measure on held-out runs how far the gap shrinks."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -215,7 +215,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         left_out = [record for record in case.fitted if record not in free]
         told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
     elif outweighed(evidence, beside_sound, restless, lines):
-        told = not_named(item.finding.effect for item in judged)
+        told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")
@@ -225,33 +225,19 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     replayed = [stamped(record, stamps) for record in replayed]
     if by_runs:
         replayed = servo_answer.on_time(replayed, case.model, ladder.late)
-
-    def applied_with(effects: list[Cause]) -> Applied:
-        return apply(
-            case.model,
-            calibrated_alone,
-            [effects] if by_runs and effects else [[cause] for cause in effects],
-            refit,
-            lambda tuned, augmented: shrinkage(
-                replayed, case.nominal or case.model, tuned, augmented, unexplained=case.unexplained
-            ),
-            bounded_fit=not by_runs,
-            in_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
-        )
-
-    applied = applied_with(named)
-    causes = borne_out(causes, applied)
-    standing = standing_of(searched, applied)
-    if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again
-        rest_of_set = among_sound_noise(evidence, sets.describe(evidence, standing))
-        restless, lines = left_over(evidence, rest_of_set)
-        without = unexplained(restless, lines)
-        surprise = max(surprise, without, key=lambda one: one.probability)
-        if standing and outweighed(evidence, rest_of_set, restless, lines):
-            told = not_named(effect for effect, _ in standing)
-            causes = tuple(replace(c, probability=c.probability * (1.0 - without.probability)) for c in causes)
-            applied, standing = applied_with([]), []
+    applied = apply(
+        case.model,
+        calibrated_alone,
+        [named] if by_runs and named else [[cause] for cause in named],
+        refit,
+        lambda tuned, augmented: shrinkage(
+            replayed, case.nominal or case.model, tuned, augmented, unexplained=case.unexplained
+        ),
+        bounded_fit=not by_runs,
+        in_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
+    )
     shrunk = applied.shrunk
+    causes = borne_out(causes, applied)
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
     located = where(replayed, shrunk.channels, applied.fitted.causes)
@@ -259,6 +245,12 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     calibrates = not applied.calibration_withdrawn and gained(evidence, searched)
+    names = {cause.effect for cause in applied.fitted.causes}
+    standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
+    if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again
+        rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(standing)))
+        without = unexplained(*left_over(evidence, rest_of_set))
+        surprise = max(surprise, without, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -342,17 +334,6 @@ def may_leave(effect: str) -> float:
     """Of the squares that an effect explains, the share that it may leave where its columns are known to be loose."""
     explains = library()[effect].explains
     return (1.0 - explains) / explains if explains < sets.LOOSE else OUTWEIGHED
-
-
-def not_named(effects: Iterable[str]) -> tuple[str, ...]:
-    """Notes on effects that are outweighed by what they leave."""
-    return tuple(f"not named: {effect}; far more is left than it explains" for effect in effects)
-
-
-def standing_of(searched: EffectSet, applied: Applied) -> list[Candidate]:
-    """Candidates of a set that held-out runs bear out."""
-    names = {cause.effect for cause in applied.fitted.causes}
-    return [candidate for candidate in searched.hypothesis if candidate[0] in names]
 
 
 def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
