@@ -1,13 +1,13 @@
-"""Times by which replays are cut and stepped: multiples of a bench's own, so that benches of any size are alike."""
+"""Times by which replays are stepped: multiples of a bench's own, so that benches of any size are alike."""
 
 import math
 
 from leactl.model.nominal import BenchModel
 
-PERIOD = 0.45  # of the fastest loop or filter, in a usual interval: it has settled to 6 % by the end of one
-STEPS = 4  # in a usual interval at least, and from one sample to the next
-LATEST = 12  # by which a drive may follow late
-REMEMBERED = 200  # of the motion before a start that filters may remember
+PERIOD = 0.45  # usual interval, in periods of the fastest bandwidth: 6 % of a step is left after it
+STEPS, MOST_STEPS = 4, 80  # in a usual interval and in a sample at least, and in a sample at most
+LATEST = 12  # usual intervals by which a drive may follow late
+REMEMBERED = 200  # usual intervals of the motion before a start that filters may remember
 
 
 def usual_interval(bench: BenchModel, interval: float) -> float:
@@ -27,4 +27,6 @@ def samples(intervals: int, bench: BenchModel, interval: float) -> int:
 
 def steps_in_sample(bench: BenchModel, interval: float) -> int:
     """Steps of a replay from one sample to the next."""
-    return max(STEPS, math.ceil(STEPS * interval / usual_interval(bench, interval) - 1e-6))
+    # a rounding error makes no further step
+    steps = math.ceil(STEPS * interval / usual_interval(bench, interval) - 1e-6)
+    return min(max(STEPS, steps), MOST_STEPS)

@@ -6,14 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.plant import Course, Plant
-from leactl.gap.replay.bench_times import steps_in_sample
+from leactl.gap.replay.bench_times import MOST_STEPS, steps_in_sample
 from leactl.gap.replay.servo_times import times_of
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
 
 Array = npt.NDArray[np.float64]
 SERVO_STEP = 0.02  # of the shortest time in which a servo answers: back-EMF then acts right to a percent
-MOST_PARTS = 80
 
 
 @dataclass
@@ -52,7 +51,7 @@ class Job:
     def parts(self) -> int:
         """Sub-steps in a sample."""
         if not self.by_servo:
-            return min(steps_in_sample(self.plant.model.bench, self.clock.interval), MOST_PARTS)
+            return steps_in_sample(self.plant.model.bench, self.clock.interval)
         return max(1, int(np.ceil(self.clock.interval / self._longest_step() - 1e-6)))
 
     def _longest_step(self) -> float:
@@ -61,7 +60,7 @@ class Job:
         assert model.drive is not None
         load = load_of(self.record, model).inertia
         shortest, _ = times_of(model, np.array([model.drive.gain if gain is None else gain]), load, load)
-        return min(max(SERVO_STEP * shortest, self.clock.interval / MOST_PARTS), self.clock.interval)
+        return min(max(SERVO_STEP * shortest, self.clock.interval / MOST_STEPS), self.clock.interval)
 
     @property
     def by_servo(self) -> bool:

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.replay.bench_times import steps_in_sample
-from leactl.gap.replay.job import MOST_PARTS
 from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
 from leactl.gap.signals.scales import TOP, absolute_speeds
 from leactl.gap.signals.smoothing import smooth
@@ -95,7 +94,7 @@ def cost_of(run: Run, bench: BenchModel) -> float:
 
 def weight(interval: float, bench: BenchModel) -> float:
     """Rows that one sample counts for: more than one where a replay takes many steps from one to the next."""
-    return max(1.0, min(steps_in_sample(bench, interval), MOST_PARTS) / PARTS)
+    return max(1.0, steps_in_sample(bench, interval) / PARTS)
 
 
 def leading(run: Run) -> str | None:

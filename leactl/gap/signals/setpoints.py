@@ -1,9 +1,9 @@
 """Whether a drive's setpoints change between the rows of a log, as they do where a log is slower than what sets them.
 
 A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
-drive's current is then the same sum of its neighbours at every row. Where setpoints come into force somewhere inside
-their intervals, that sum misses where the reference leaps. And no drive knows the setpoint of the next row: where a
-current goes by that one too, it is because it tells of those between.
+drive's current is then one weighted sum of the reference's rows around it. Where setpoints come into force somewhere
+inside their intervals, that sum fails where the reference leaps. And no drive knows the setpoint of the next row: where
+the sum gives that row a weight, it stands in for setpoints between the rows.
 """
 
 import math
@@ -28,7 +28,7 @@ LEAP, NEAR = 0.7, 3  # of the largest change so many rows near, by which a refer
 STEP = 0.05  # of a leap, that a reference may change in the rows beside it
 TELLING = 20.0  # standard deviations of what is missed elsewhere, from which on a leap tells
 MISSED, FEWEST = 5.0, 3  # of these deviations, and how many rows have to be missed by more
-DOUBTED = 4.0  # standard deviations, by which what tells of setpoints between rows must not differ from nothing
+DOUBTED = 4.0  # standard deviations of the next row's weight below zero, from which rows are not said to hold
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
@@ -40,7 +40,7 @@ class Followed(NamedTuple):
     missed: Array  # by the best sum of neighbours, in standard deviations of what it misses as a rule
     leaping: Array  # how far the reference leaps, in the same
     steps: Mask  # whether it leaps at once
-    foresight: tuple[float, float]  # share that the next row's setpoint has where none leaps, and its std
+    foresight: tuple[float, float]  # weight of the next row in those away from leaps, and its standard deviation
 
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
@@ -60,12 +60,12 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
 
 
 def against_next(shares: Sequence[tuple[float, float]]) -> float:
-    """By how many standard deviations currents go against the next row's setpoint, as a curve between rows does.
+    """By how many standard deviations the next row's weight in a current, over all runs, is below zero.
 
-    A curve through four rows bends away from the outer two: between the inner ones its mean has -1/24 of each, and that
-    of the last two of four setpoints -1/32. A current that is stamped too late goes with the next row instead.
+    A cubic through four rows has a mean between the middle two with -1/24 of each outer one; two setpoints in an
+    interval have a mean with -1/32. A current that is stamped too early gives the next row a weight above zero.
 
-    shares : of each run, with its standard deviation.
+    shares : the weight in each run, with its standard deviation.
     """
     weights = [error**-2 for _, error in shares]
     pulled = sum(share * weight for (share, _), weight in zip(shares, weights, strict=True))
@@ -97,8 +97,8 @@ def changes_between(missed: Array, leaping: Array) -> bool:
 def follow(record: Record, model: Model) -> Followed | None:
     """How a run's current follows its reference.
 
-    None where a run has no such pair, where stamps are not told, and where a servo inside the drive is known to move
-    the reference between rows.
+    None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
+    say what its stamps mean, and where a servo inside the drive moves the reference between rows.
     """
     clock, bandwidth = record.fast, model.bench.current_loop_bandwidth
     if clock is None or not bandwidth or not {CURRENT, REFERENCE} <= clock.values.keys():
@@ -124,7 +124,10 @@ def follow(record: Record, model: Model) -> Followed | None:
 
 
 def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
-    """Share of the next row's setpoint in a current, and its standard deviation; infinite where rows do not tell it."""
+    """Weight of the next row in a current, and its standard deviation; infinite where rows do not tell it.
+
+    sums : the loop's answer to the reference, at each row and at its neighbours (`TAPS`).
+    """
     count = sums.shape[1]
     if len(current) < 2 * count:
         return 0.0, math.inf
