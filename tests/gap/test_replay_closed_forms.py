@@ -19,6 +19,7 @@ from tests.gap.synthetic import (
     INERTIA,
     INTERVAL_S,
     RESISTANCE,
+    STIFFNESS,
     THERMAL,
     clocked,
     model,
@@ -95,6 +96,36 @@ def test_two_coupled_rotors_share_the_torque_of_one():
     speed = job.fast["velocity", "test"][-1]
     assert speed == pytest.approx((CONSTANT * reference - 2 * FRICTION) / (2 * DAMPING), rel=0.02)
     assert job.fast["torque", "test"][-1] == pytest.approx(0.5 * CONSTANT * reference, rel=0.02)
+
+
+def test_a_locked_shaft_is_twisted_by_its_torque_over_its_stiffness():
+    ramp = 20.0 * np.minimum(np.arange(4000) / 3000, 1.0)
+    job = replay(record("locked", reference=ramp, seconds=4.0), model())
+    assert np.ptp(job.torque) > 9.0
+    assert np.ptp(job.angle) == pytest.approx(np.ptp(job.torque) / STIFFNESS, rel=1e-3)
+
+
+def test_a_shaft_between_two_rotors_is_twisted_by_its_torque_over_its_stiffness():
+    ramp = 20.0 * np.minimum(np.arange(2000) / 900, 1.0)
+    job = replay(record("coupled", reference=ramp, seconds=2.0), model())
+    first, last = 200, 3500  # steps, before it begins again
+    twist = np.sum((job.velocity - job.load_velocity)[first:last]) * job.step
+    torque = job.torque[last] - job.torque[first]
+    assert torque > 4.0
+    assert twist == pytest.approx(torque / STIFFNESS, rel=1e-3)
+
+
+def test_a_winding_that_warms_from_the_first_sample_starts_where_it_was():
+    def temperatures(warm):
+        run = record("locked", reference=20.0, seconds=10.0, warm=warm)
+        return replay(run, model()).slow
+
+    first = temperatures((25.0, 25.0))
+    measured = tuple(first[f"{node}_temperature", "test"] for node in ("winding", "housing"))
+    assert measured[0][15] - measured[0][0] > 3.0
+    again = temperatures(measured)
+    for node, values in zip(("winding", "housing"), measured, strict=True):
+        assert again[f"{node}_temperature", "test"] == pytest.approx(values, abs=0.02)
 
 
 def test_voltage_is_resistance_inductance_and_back_emf():
@@ -178,12 +209,11 @@ def test_heat_from_two_leads_ends_at_the_network_s_rise():
 def test_a_warm_housing_cools_with_its_time_constant():
     alone = THERMAL | {"winding_ambient_resistance": 1e6, "winding_capacitance": 1e-3}
     slow = {("line_current", "test"): 0.0, ("line_voltage", "test"): 0.0}
-    run = record("heated", seconds=2000.0, camera_s=1.0, warm=(65.0, 65.0), slow=slow)
-    job = replay(run, model(thermal=alone))
-    time = run.slow.time[1:] - run.slow.time[1]
     constant = THERMAL["housing_capacitance"] * THERMAL["housing_ambient_resistance"]
-    expected = 25.0 + 40.0 * np.exp(-time / constant)
-    assert job.slow["housing_temperature", "test"][1:] == pytest.approx(expected, abs=0.02)
+    expected = 25.0 + 40.0 * np.exp(-np.arange(2000.0) / constant)
+    run = record("heated", seconds=2000.0, camera_s=1.0, warm=(expected, expected), slow=slow)
+    job = replay(run, model(thermal=alone))
+    assert job.slow["housing_temperature", "test"] == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
+from leactl.gap.equations import axis, electrical, mechanical, motion, thermal, twist
 from leactl.gap.equations.contract import FEWEST_ROWS, Equation, usable
 from leactl.gap.signals.decimation import decimated
 from leactl.gap.signals.derived import fast_signals, slow_signals
@@ -20,8 +20,8 @@ MOVED = (
     mechanical.held_still,
     mechanical.swung,
     motion.velocity,
-    motion.shaft,
-    motion.lock,
+    twist.coupled,
+    twist.locked,
 )
 FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
 

@@ -217,19 +217,10 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     reading = torque_reading(record.fast, s, inertia)
     if reading is None or model.torque_constant is None:
         return None
-    drive = model.torque_constant * s.current
-    more = (held(s, 1.02, 1.0) - s.torque) / 0.02
-    nuisance: dict[str, tuple[Array, float]] = {}
-    if model.coulomb_friction:
-        nuisance[f"sticking_{name}"] = ((held(s, 1.0, 1.05) - s.torque) / 0.05, STICKING_PRIOR)
-    sliding = np.where(np.abs(drive) > 1e-9, more / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
-    constant, change = model.torque_constant, slope(s.torque, s.interval)
-    places: dict[str, Place] = {
-        "torque_reading": lambda c: c,
-        "torque_factor": lambda c: more * c,
-        "drag": lambda c: -c,
-        "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
-    }
+    more, places = carried(s, s.torque, model.torque_constant)
+    places["torque_reading"] = lambda c: c
+    nuisance = {f"sticking_{name}": (sticking(s, s.torque), STICKING_PRIOR)} if model.coulomb_friction else {}
+    change = slope(s.torque, s.interval)
     keys = ("torque", "test"), ("q_axis_current", "test")
     mask = record.fast.all_valid(*keys) & (swings(s, change) == swinging)
     return Equation(
@@ -250,6 +241,23 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         # is left over, with lines that hang on the give of its bearing, which no model file tells
         rough=swinging,
     )
+
+
+def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
+    """What a larger torque constant adds to a locked rotor's torque, relative to it, and what effects put into that."""
+    assert s.current is not None
+    drive, more = constant * s.current, (held(s, 1.02, 1.0) - torque) / 0.02
+    sliding = np.where(np.abs(drive) > 1e-9, more / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
+    return more, {
+        "torque_factor": lambda c: more * c,
+        "drag": lambda c: -c,
+        "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
+    }
+
+
+def sticking(s: Signals, torque: Array) -> Array:
+    """What more friction adds to a locked rotor's torque, relative to it."""
+    return (held(s, 1.0, 1.05) - torque) / 0.05
 
 
 def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:

@@ -1,4 +1,4 @@
-"""Angle against velocity, and the shaft between two actuators."""
+"""Angle against velocity."""
 
 import math
 
@@ -58,69 +58,7 @@ def load_lag(s: Signals) -> float:
     return max(s.interval, filter_constant(s))
 
 
-def shaft(record: Record, s: Signals) -> Equation | None:
-    """Speed of one end against the other = change of the twist, torque / k."""
-    clock, stiffness = record.fast, s.model.bench.shaft_stiffness
-    if clock is None or s.mechanical != "coupled" or stiffness is None or s.torque is None:
-        return None
-    load, own = clock.get("velocity", "load"), clock.get("velocity")
-    if load is None or own is None:
-        return None
-    twisting = slope(s.torque, s.interval) / stiffness
-    keys = ("velocity", "load"), ("angle", "test")
-    return Equation(
-        "shaft",
-        "velocity",
-        "load",
-        "rad/s",
-        restored(own, filter_constant(s), s.interval) - smooth(load) - twisting,
-        s,
-        clock.all_valid(*keys) & s.resolved,
-        {
-            "twist": lambda c: slope(c, s.interval),
-            "angle_reading": lambda c: slope(smooth(c), s.interval),
-            "velocity_reading": lambda c: c,
-        },
-        {"bench.shaft_stiffness": -twisting},
-        {"load_velocity_lag_s": (slope(smooth(load), s.interval), load_lag(s))},
-        stamp_columns("shaft", clock, keys, -smooth(load)),
-        width=2.0,
-        step=4,
-    )
-
-
 def restored(values: Array, time_constant: float, interval: float) -> Array:
     """A first-order lag undone on what is smoothed."""
     even = smooth(values)
     return even + time_constant * slope(even, interval)
-
-
-def lock(record: Record, s: Signals) -> Equation | None:
-    """Angle of a locked rotor = where it was locked + torque / k.
-
-    Where the shaft carries less than the friction, that may be nothing, and the rotor anywhere within a play.
-    """
-    clock, stiffness = record.fast, s.model.bench.shaft_stiffness
-    if clock is None or s.mechanical != "locked" or stiffness is None or s.torque is None:
-        return None
-    angle = clock.get("angle")
-    if angle is None:
-        return None
-    twist = s.torque / stiffness
-    count = clock.counts.get(("angle", "test"), 0.0)
-    return Equation(
-        "lock",
-        "angle",
-        "test",
-        "rad",
-        angle - np.mean(angle) - twist,
-        s,
-        clock.all_valid(("angle", "test")) & s.unleapt & (np.abs(s.torque) > (s.model.coulomb_friction or 0.0)),
-        {"twist": lambda c: c},
-        {"bench.shaft_stiffness": -twist},
-        nuisance={"lock_angle": (np.ones_like(twist), 0.1)},
-        rounding=count / math.sqrt(12.0),
-        levels=1.0 + float(np.ptp(angle)) / max(count, 1e-12),
-        width=8.0,
-        step=16,
-    )

@@ -16,8 +16,9 @@ from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 
-STARTS, MOST_AT_START = 0.15, 10  # of a winding's time constant to either side of the start, and samples
+STARTS, MOST_AT_START = 0.3, 20  # of a winding's time constant from the start on, and samples
 FED_WIDTH = 8.0  # samples, smoothing of a share that a camera tells
+ALL_NODES = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
 AWAY = 1e9  # K/W of a body that is not there
 
 
@@ -44,26 +45,20 @@ def has_network(job: Job) -> bool:
 
 
 class Network:
-    """One run's network with what drives it, sample by sample of the slow clock from the start on."""
+    """One run's network with what drives it, sample by sample of the slow clock."""
 
     def __init__(self, job: Job) -> None:
         assert job.record.slow is not None and job.plant.model.thermal is not None
         self.job, self.clock, thermal = job, job.record.slow, job.plant.model.thermal
         clock, plant = self.clock, job.plant
-        self.first = min(
-            max(1, round(STARTS * warming(plant.model) / clock.interval)), MOST_AT_START, len(clock.time) // 4
-        )
-        self.count = len(clock.time) - self.first
-        time = clock.time[self.first :] - clock.time[0]
-        self.ambient = clock.values["ambient_temperature", "bench"][self.first :] + plant.model.ambient_offset
+        self.count = len(clock.time)
+        self.ambient = clock.values["ambient_temperature", "bench"] + plant.model.ambient_offset
         for change in plant.ambient_change:
-            self.ambient = self.ambient + change(time)
-        self.cold = self._cold_heat()[self.first :]
-        self.speed = self._speed()[self.first :]
+            self.ambient = self.ambient + change(clock.time - clock.time[0])
+        self.cold, self.speed = self._cold_heat(), self._speed()
         self.housing_heat = np.zeros(self.count)
         for heat in plant.housing_heat:
             self.housing_heat = self.housing_heat + heat(self.speed)
-        self.start = self._start()
         wa, wh = 1 / thermal.winding_ambient_resistance, 1 / thermal.winding_housing_resistance
         self.to_air = 1 / thermal.housing_ambient_resistance
         capacity, resistance = plant.further_node or (1.0, AWAY)
@@ -77,6 +72,7 @@ class Network:
         block[:3, 6] = ambient / self.capacities
         moved = expm(block * clock.interval)
         self.decay, self.gain, self.by_ambient = moved[:3, :3], moved[:3, 3:6], moved[:3, 6]
+        self.start = self._start()
 
     def _cold_heat(self) -> Array:
         """Joule heat at the reference temperature [W], over the interval that begins at each sample."""
@@ -114,49 +110,61 @@ class Network:
         return np.sqrt(binned(fast.time, speed**2, self.clock.time))
 
     def _start(self) -> Array:
-        """Measured temperatures at the start, the camera's fraction undone; a further body has the housing's."""
-        temperatures = []
-        for name in ("winding_temperature", "housing_temperature"):
-            values = self.clock.get(name)
-            if values is None:
-                values = self.clock.values["winding_temperature", "test"]
-            around = values[: 2 * self.first + 1]
-            reading = float(np.mean(around))
-            if self.job.disturbance is not None:
-                noise = noise_of(values) / np.sqrt(len(around))
-                reading += noise * float(self.job.disturbance.standard_normal())
-            air = float(self.ambient[0])
-            temperatures.append(air + (reading - air) / self.job.plant.camera_fraction)
-        return np.array([*temperatures, temperatures[1]])
+        """Temperatures at the start, from which the first samples come out as they were measured on average.
+
+        The camera's fraction is undone; a further body has the housing's.
+        """
+        count = min(max(1, round(STARTS * warming(self.job.plant.model) / self.clock.interval)), MOST_AT_START)
+        first = slice(0, min(count, self.count // 4) + 1)
+        read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
+        kept = [np.linalg.matrix_power(self.decay, step)[:2] @ ALL_NODES for step in range(read.shape[1])]
+        start = np.mean(read, axis=1)
+        for _ in range(2):  # once but for the heat that goes by the winding's temperature
+            course = stepped([self], (ALL_NODES @ start)[None], read.shape[1])[:, 0, :2]
+            start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
+        return np.asarray(ALL_NODES @ start, np.float64)
+
+    def _first_of(self, name: str, first: slice) -> Array:
+        """The first temperatures that a camera read of a node, its fraction undone; the winding's where it saw none."""
+        values = self.clock.get(name)
+        if values is None:
+            values = self.clock.values["winding_temperature", "test"]
+        reading = values[first]
+        if self.job.disturbance is not None:
+            reading = reading + noise_of(values) / np.sqrt(len(reading)) * float(self.job.disturbance.standard_normal())
+        air = self.ambient[first]
+        return np.asarray(air + (reading - air) / self.job.plant.camera_fraction, np.float64)
 
     def keep(self, nodes: Array) -> None:
         """Put temperatures, and what camera and supply read of them, into the job."""
-        job, clock, first = self.job, self.clock, self.first
+        job, clock = self.job, self.clock
         winding, housing = nodes[:, 0], nodes[:, 1]
-        lead = np.full(first, np.nan)
         for name, values in (("winding_temperature", winding), ("housing_temperature", housing)):
             if clock.get(name) is not None:
-                read = self.ambient + job.plant.camera_fraction * (values - self.ambient)
-                job.slow[name, "test"] = np.concatenate([lead, read])
+                job.slow[name, "test"] = self.ambient + job.plant.camera_fraction * (values - self.ambient)
         line = clock.get("line_current")
         if line is not None and clock.get("line_voltage") is not None:
-            cold = 2.0 * (job.plant.model.phase_resistance or 0.0) * line[first:]
+            cold = 2.0 * (job.plant.model.phase_resistance or 0.0) * line
             fed = winding
             if clock.fed is not None:  # the phases that carry the current, warmer than the mean as they were measured
-                fed = winding + (clock.fed - clock.values[WINDING])[first:]
-            job.slow["line_voltage", "test"] = np.concatenate([lead, cold * resistance_share(job, fed)])
+                fed = winding + clock.fed - clock.values[WINDING]
+            job.slow["line_voltage", "test"] = cold * resistance_share(job, fed)
         if job.record.fast is not None:
-            stamps = clock.time[first:]
-            job.winding = np.interp(job.clock.time, stamps, winding)
-            job.housing = np.interp(job.clock.time, stamps, housing)
+            job.winding = np.interp(job.clock.time, clock.time, winding)
+            job.housing = np.interp(job.clock.time, clock.time, housing)
 
 
 def together(networks: Sequence[Network]) -> Array:
-    """Step all networks; temperatures of (step, network, node)."""
-    longest = max(network.count for network in networks)
+    """Step all networks from their starts; temperatures of (step, network, node)."""
+    starts = np.stack([network.start for network in networks])
+    return stepped(networks, starts, max(network.count for network in networks))
+
+
+def stepped(networks: Sequence[Network], starts: Array, longest: int) -> Array:
+    """Step networks from some temperatures of (network, node), so many steps; temperatures of (step, network, node)."""
 
     def inputs(name: str) -> Array:
-        rows = [getattr(network, name) for network in networks]
+        rows = [getattr(network, name)[:longest] for network in networks]
         return np.stack([np.pad(row, (0, longest - len(row)), mode="edge") for row in rows], axis=1)
 
     cold, ambient, housing_heat, speed = (inputs(name) for name in ("cold", "ambient", "housing_heat", "speed"))
@@ -167,7 +175,7 @@ def together(networks: Sequence[Network]) -> Array:
     slope = np.array([n.job.plant.resistance_coefficient for n in networks])
     level = 1.0 - slope * np.array([n.job.plant.model.reference_temperature for n in networks])
     blown = [(index, n) for index, n in enumerate(networks) if n.job.plant.convection]
-    state = np.stack([n.start for n in networks])
+    state = starts
     ahead = state[:, 0].copy()
     out = np.empty((longest, len(networks), 3))
     for step in range(longest):

@@ -185,7 +185,24 @@ def stepped(lanes: Lanes, start: State) -> Motion:
                 twist -= h * load_velocity
                 out.load_velocity[index] = load_velocity
     out.end = State(angle, velocity, load_velocity, twist, bristle)
+    if shaft:
+        take_up(out, lanes, stiffness)
     return out
+
+
+def take_up(motion: Motion, lanes: Lanes, stiffness: Array) -> None:
+    """Take away by how much a spring that rings rightly in these steps is wound up further than the shaft's.
+
+    That moves what no balance is sensitive to: the speed of its far end, or where a locked rotor stands.
+    """
+    given = np.where(lanes.stiffness > 0.0, 1.0 / np.where(stiffness > 0.0, stiffness, 1.0), 0.0)
+    given -= np.where(lanes.stiffness > 0.0, 1.0 / np.where(lanes.stiffness > 0.0, lanes.stiffness, 1.0), 0.0)
+    too_far = given * motion.torque
+    faster = np.diff(too_far, axis=0, append=too_far[-1:]) / lanes.step
+    held = np.isinf(lanes.load_inertia)
+    motion.angle -= np.where(held, too_far, 0.0)
+    motion.velocity -= np.where(held, faster, 0.0)
+    motion.load_velocity += np.where(held, 0.0, faster)
 
 
 def _servo_current(
