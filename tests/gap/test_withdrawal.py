@@ -132,6 +132,20 @@ def test_calibration_alone_that_takes_up_an_effect_is_not_applied_beside_it(mode
     assert applied.calibrated == model
     assert [entry.effect for entry in applied.augmented.effects] == ["saturation"]
     assert applied.notes[0].startswith("calibration alone is not applied")
+    assert applied.notes[0].endswith("the model stays as it was given")
+
+
+def test_calibration_beside_an_effect_stands_for_the_one_alone_that_takes_the_effect_up(model):
+    alone = replace(SOUND, fitted=0.05)
+
+    def simulate(calibrated, augmented):
+        by = 0.2 if calibrated.viscous_damping == alone.fitted else -0.2
+        return Shrunk((), (), (), (), growth(by, -1.0 if augmented.effects else 0.0, bool(augmented.effects)))
+
+    applied = apply(model, [alone], [[SATURATION]], beside(SOUND), simulate)
+    assert applied.calibrated.viscous_damping == applied.augmented.viscous_damping == SOUND.fitted
+    assert not applied.calibrated.effects
+    assert applied.notes[0].endswith("the one beside the effects stands for it")
 
 
 def test_a_parameter_at_its_bound_is_told_and_not_applied(model):

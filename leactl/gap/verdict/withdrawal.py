@@ -78,9 +78,13 @@ def apply(
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
         worse = calibration_worse(shrunk)
-        if worse:
-            notes.append("calibration alone is not applied: it takes up what the effects do, and the gap grows with it")
-            calibrated, shrunk = model, simulate(model, augmented)
+        if worse:  # what is fitted beside the effects is free of them
+            reason = "it takes up what the effects do, and the gap grows with it"
+            calibrated = with_calibration(model, fitted.calibration)
+            shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
+            if calibration_worse(shrunk):
+                calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
+            notes.append(f"calibration alone is not applied: {reason}; {applied}")
         return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
