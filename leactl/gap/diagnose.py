@@ -343,13 +343,21 @@ def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
 
 
 def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> Fitted:
-    """Some members of the set fitted without the others.
+    """Some members of the set fitted without the others."""
+    wanted = {cause.effect: cause for cause in causes}
+    hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in wanted]
+    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
+    return Fitted(tuple(replace(wanted[name], parameters=own) for name, own in parameters.items()), calibration)
+
+
+def fitted_to_the_end(
+    evidence: Evidence, hypothesis: Sequence[Candidate]
+) -> tuple[dict[str, tuple[EffectParameter, ...]], tuple[CalibratedParameter, ...]]:
+    """Parameters of effects by name, and the calibration beside them.
 
     Columns that go with calibrated parameters are made of these, and fitted again (Gauss and Newton): with a camera
     that reads two thirds of a rise, heat flows are 4 % off at first.
     """
-    wanted = {cause.effect: cause for cause in causes}
-    hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in wanted]
     fit = evidence.settle(hypothesis)
     parameters = calibrated(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
@@ -358,8 +366,7 @@ def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause])
         evidence = evidence.on(evidence.records, hypothesis, about)
         fit = evidence.settle(hypothesis)
         parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated(evidence, fit))
-    again = [replace(wanted[c[0]], parameters=effect_parameters(evidence, fit, c)) for c in hypothesis]
-    return Fitted(tuple(again), parameters)
+    return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 
 def fitted_by_ladder(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> Fitted:

@@ -19,7 +19,7 @@ from leactl.errors import InputError
 from leactl.gap.blind import check as checking
 from leactl.gap.blind.marks import Departure, Mark, mark
 from leactl.gap.blind.score import Share, calibration, score
-from leactl.gap.blind.truth import Truth
+from leactl.gap.blind.truth import Truth, measure
 from leactl.processes import HERE
 from tests.gap.emulated_cases import emulated_cases
 
@@ -52,6 +52,17 @@ def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert shares["two effects: both named"] == (0, 0)
     assert found["mean_set_size"] == 1.0
     assert not any("first cause" in miss["question"] for miss in found["misses"])
+
+
+def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path):
+    made = ["gap", "blind", "make", "--machines", "1", "--cases", "2", "--kinds", "single", "--seed", "3"]
+    CliRunner().invoke(app, [*made, "--out", str(tmp_path / "cases"), "--key", str(tmp_path / "key")])
+    entries = json.loads((tmp_path / "key" / "key.json").read_text())["cases"]
+    assert len(entries) == 2
+    for name, entry in entries.items():
+        measure(tmp_path / "cases" / name, entry, tmp_path / name)
+        for line in json.loads((tmp_path / name).read_text())["oracle"]:
+            assert line["augmented_rms"] < 2.0 * line["floor_rms"], (name, line["quantity"])
 
 
 def test_report_holds_the_command_and_every_question(cases, scored):

@@ -13,14 +13,18 @@ from typing import Any
 import numpy as np
 
 from leactl.effects import library
+from leactl.gap import null
 from leactl.gap.blind.answers import MODEL, runs_of, write
-from leactl.gap.diagnose import Case, read_case
+from leactl.gap.diagnose import Case, fitted_to_the_end, read_case
 from leactl.gap.replay.compared import Compared
 from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
 from leactl.gap.search.orders import strongest
-from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.search.parameters import calibrated, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
 from leactl.gap.search.sets import BEYOND, best_of_each, member, refine
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.setpoints import marked
+from leactl.gap.signals.stamps import stamped
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
@@ -64,9 +68,9 @@ def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
     truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL)
     truths: dict[str, Any] = {"moved": [], "oracle": []}
     if truth.effects:
-        tuned, augmented = oracle(read, truth.effects)
+        tuned, augmented, held_out = oracle(read, truth.effects)
         truths["moved"] = [asdict(line) for line in moved(read, truth, tuned)]
-        truths["oracle"] = [asdict(line) for line in shrinkage(read.held_out, read.model, tuned, augmented).shrinkage]
+        truths["oracle"] = [asdict(line) for line in shrinkage(held_out, read.model, tuned, augmented).shrinkage]
     write(out, truths)
 
 
@@ -111,16 +115,24 @@ def true_model(nominal: Model, base: Mapping[str, float]) -> Model:
     return Model.model_validate(document)
 
 
-def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model]:
-    """The calibrated and the augmented model of a diagnosis that is told which effects act, all else as usual."""
-    here = forms_here(case.fitted, case.model)
+def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Record]]:
+    """The calibrated and the augmented model of a diagnosis that is told which effects act, all else as usual.
+
+    Third are the held-out runs, with their stamps as that diagnosis has them.
+    """
+    every = marked([*case.fitted, *case.held_out], case.model)
+    fitted, held_out = every[: len(case.fitted)], every[len(case.fitted) :]
+    here = forms_here(fitted, case.model)
     told = [(name, form) for name in effects for form in here.get(name, []) if not library()[name].periodic]
-    evidence = Evidence(case.fitted, case.model, only=told)
+    evidence = Evidence(fitted, case.model, only=told)
+    null.compare(evidence, null.measure(fitted, case.model, only=told))
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
-    fit = evidence.settle(hypothesis)
-    named = [(one[0], {p.name: p.value for p in effect_parameters(evidence, fit, one)}) for one in hypothesis]
-    return tuned, with_effects(with_calibration(case.model, calibrated(evidence, fit)), named)
+    stamps = evidence.stamping(evidence.settle(hypothesis))
+    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
+    named = [(name, {p.name: p.value for p in own}) for name, own in parameters.items()]
+    augmented = with_effects(with_calibration(case.model, calibration), named)
+    return tuned, augmented, [stamped(record, stamps) for record in held_out]
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
