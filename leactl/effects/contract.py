@@ -129,7 +129,6 @@ class Effect:
     narrow: ClassVar[bool] = False  # whether the first of them may lie between its forms where both show nothing
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
-    multiplies: ClassVar[bool] = False  # whether what it does to a channel goes with parameters that are calibrated
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # of a wave over the angle, first number of its form; that are tried
@@ -164,7 +163,7 @@ class Effect:
         """
         return True
 
-    def is_distinct(self, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
+    def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
         """Whether runs show with these coefficients what tells it from a constant torque.
 
         visited : rad, lowest and highest angle of the runs.
@@ -178,6 +177,10 @@ class Effect:
     def whole(self, form: Form, strength: float) -> Form:
         """The form at which a shape that was found at some strength would be whole."""
         return (form[0] * strength, *form[1:])
+
+    def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
+        """The form about which columns are made once coefficients are known: that of a whole shape, else the same."""
+        return self.whole(form, next(iter(coefficients.values()))) if self.shaped else form
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How large the effect is, in units of its leading parameter; zero where it is absent."""

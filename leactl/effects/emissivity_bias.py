@@ -15,7 +15,6 @@ class EmissivityBias(Effect):
     """A camera that reads a fixed fraction of the rise."""
 
     name = "emissivity_bias"
-    multiplies = True  # heat flows and capacities by the rise that the camera misses
 
     def applies(self, model: Model) -> bool:
         """Only a resistance that knows the temperature contradicts a camera: the network scales with it unseen."""

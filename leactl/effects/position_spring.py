@@ -13,7 +13,8 @@ class PositionSpring(Effect):
     """A cable that pulls back, ever harder or up to what makes it slip."""
 
     name = "position_spring"
-    forms = ((0.03,), (0.1,), (0.3,), (1.0,), (30.0,))  # reach: from a cable that soon slips to a spring all along
+    # reach, from a cable that soon slips to a spring all along, and the rest that columns are made about
+    forms = ((0.03, 0.0), (0.1, 0.0), (0.3, 0.0), (1.0, 0.0), (30.0, 0.0))
     form_scales = ("travel",)
     one_sided = True
 
@@ -22,22 +23,32 @@ class PositionSpring(Effect):
         return model.load.type != "pendulum" and model.bench.shaft_stiffness is None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The pull of a spring that rests at angle zero, and what it changes by as the rest moves."""
+        """The pull of a spring that rests at the form's angle, and what it changes by as the rest moves."""
         if signals.angle is None or signals.mechanical != "free":
             return {}
-        bent = 1.0 + (signals.angle / form[0]) ** 2
+        reach, rest = form
+        away = signals.angle - rest
+        bent = 1.0 + (away / reach) ** 2
         # coefficients go by name: the one that is the effect's size has to come first
-        return {"drag": {"pull": signals.angle / np.sqrt(bent), "rest": -(bent**-1.5)}}
+        return {"drag": {"pull": away / np.sqrt(bent), "rest": -(bent**-1.5)}}
 
-    def is_distinct(self, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
+    def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
         """A spring that no run takes through its rest pulls one way, as a constant torque does."""
-        low, high = visited
-        return low * coefficients["pull"] <= coefficients["rest"] <= high * coefficients["pull"]
+        low, high = ((angle - form[1]) * coefficients["pull"] for angle in visited)
+        return low <= coefficients["rest"] <= high
+
+    def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
+        """Columns about the rest that was found."""
+        return form[0], self._rest(form, coefficients)
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Stiffness, rest and reach."""
-        stiffness, rest = coefficients["pull"], coefficients["rest"]
-        return {"stiffness": stiffness, "rest_angle": rest / stiffness if stiffness else 0.0, "reach": form[0]}
+        return {"stiffness": coefficients["pull"], "rest_angle": self._rest(form, coefficients), "reach": form[0]}
+
+    def _rest(self, form: Form, coefficients: Mapping[str, float]) -> float:
+        """Angle [rad] at which it does not pull."""
+        stiffness = coefficients["pull"]
+        return form[1] + (coefficients["rest"] / stiffness if stiffness else 0.0)
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque over the angle."""

@@ -16,7 +16,7 @@ from leactl.gap.replay.stretches import read_records
 from leactl.gap.search import sets
 from leactl.gap.search.confirm import held_out_gains
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration
+from leactl.gap.search.parameters import about, calibrated, effect_parameters, with_calibration
 from leactl.gap.search.regression import Candidate, Fit, Rows
 from leactl.gap.search.ringing import Line, ringing
 from leactl.gap.search.sets import EffectSet, search
@@ -45,7 +45,7 @@ UNKNOWN = 0.5  # probability that something unexplained acts, above which the ve
 OUTWEIGHED = 0.1  # of what a set explains, that it may leave beyond noise where something unexplained acts
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
 COURSE, ALIKE = 64, 0.95  # points of a course, and the cosine from which two are one; a ramp and a step have 0.87
-STEPS = 2  # of Gauss and Newton after the first, where an effect multiplies parameters
+STEPS = 2  # of Gauss and Newton after the first: most effects multiply parameters that are calibrated
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
 Channel = tuple[str, str, str]  # equation or quantity, quantity or role, and mechanical set-up
@@ -356,14 +356,16 @@ def fitted_to_the_end(
     """Parameters of effects by name, and the calibration beside them.
 
     Columns that go with calibrated parameters are made of these, and fitted again (Gauss and Newton): with a camera
-    that reads two thirds of a rise, heat flows are 4 % off at first.
+    that reads two thirds of a rise, heat flows are 4 % off at first; with an inertia 15 % off, so is an eccentricity.
     """
     fit = evidence.settle(hypothesis)
     parameters = calibrated(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
-    for _ in range(STEPS if any(library()[effect].multiplies for effect, _ in hypothesis) else 0):
-        about = with_calibration(evidence.model, parameters)
-        evidence = evidence.on(evidence.records, hypothesis, about)
+    for _ in range(STEPS):
+        hypothesis = [about(evidence, fit, candidate) for candidate in hypothesis]
+        evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, parameters))
+        evidence.settle(hypothesis)  # forms are compared under the noise that these leave
+        hypothesis = sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)
         parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated(evidence, fit))
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters

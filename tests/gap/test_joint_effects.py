@@ -25,12 +25,13 @@ JOINTS = [  # an effect, and the kind of machine that has it
     ("position_spring", "spindle"),
 ]
 ONE_WAY = [6, 3]  # seeds
-SHARES = [  # effect, parameter, what that is a share of, kind of machine, seed, and how near it is to the truth
+SHARES = [  # effect, parameter, what of the model it goes with, kind of machine, seed, and how near it is to the truth
     ("asymmetric_friction", "asymmetry", "coulomb_friction", "gimbal_motor", 4, 0.03),
     ("position_dependent_friction", "amplitude", "coulomb_friction", "exoskeleton", 4, 0.05),
     ("friction_run_in", "excess", "coulomb_friction", "spindle", 4, 0.1),
     ("joint_elasticity", "share", "rotor_inertia", "wheel_motor", 11, 0.03),
     ("gear_backlash", "share", "rotor_inertia", "geared_joint", 16, 0.05),
+    ("encoder_eccentricity", "amplitude", "rotor_inertia", "gimbal_motor", 7, 0.01),
 ]
 COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
 PUSHED = [32, 42, 47]  # of which the search makes a saturation, a joint elasticity, and nothing
@@ -41,6 +42,7 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     **{f"one way {seed}": ("heavy_axis", ["asymmetric_friction"], seed, "faint", {}) for seed in ONE_WAY},
     **{f"share of {name}": (kind, [name], seed, "plain", {}) for name, _, _, kind, seed, _ in SHARES},
     "lightly damped": ("drone_motor", ["joint_elasticity"], 5, "plain", {}),
+    "far from zero": ("gimbal_motor", ["position_spring"], 5, "plain", {}),
     "gear": ("geared_joint", [], 5, "plain", {}),
     "sound": ("drone_motor", [], 8, "plain", {}),
     "coarser with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSER),
@@ -84,8 +86,9 @@ def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     found = diagnose(case)
     assert named(found) == [name]
     parameter, near = NUMBERS[name]
-    told = {item.name: item.value for item in found.causes[0].parameters}
-    assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
+    told = {item.name: item for item in found.causes[0].parameters}
+    assert told[parameter].value == pytest.approx(run.parameter(name, parameter), rel=near)
+    assert told[parameter].std > 0.0
 
 
 @pytest.mark.parametrize("seed", ONE_WAY)
@@ -126,10 +129,20 @@ def test_a_sound_machine_has_none_of_them(drawn_case):
     found = diagnose(case)
     assert found.verdict in ("none", "calibration")
     assert named(found) == []
+    assert any("go by the model's torque_constant, which these runs cannot tell" in note for note in found.notes)
+
+
+def test_a_spring_is_told_about_where_it_rests(drawn_case):
+    case, run = drawn_case("far from zero")
+    told = {item.name: item.value for item in diagnose(case).causes[0].parameters}
+    rest = run.parameter("position_spring", "rest_angle")
+    assert abs(rest) > 2.0
+    assert told["rest_angle"] == pytest.approx(rest, abs=0.02)
+    assert told["stiffness"] == pytest.approx(run.parameter("position_spring", "stiffness"), rel=0.03)
 
 
 @pytest.mark.parametrize(("name", "parameter", "base", "kind", "seed", "near"), SHARES)
-def test_a_share_of_a_parameter_is_told_of_what_was_fitted(drawn_case, name, parameter, base, kind, seed, near):
+def test_what_goes_with_a_parameter_is_told_of_what_was_fitted(drawn_case, name, parameter, base, kind, seed, near):
     case, run = drawn_case(f"share of {name}")
     fitted_over_nominal = getattr(run.specimen, base) / getattr(case.model, base)
     assert abs(fitted_over_nominal - 1.0) > 2.0 * near, "the model file has to be off by more than what is asked for"

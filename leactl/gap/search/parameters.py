@@ -177,17 +177,28 @@ def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> f
     return fitted / nominal if nominal > 0.0 and fitted > 0.0 else 1.0
 
 
+def about(evidence: Evidence, fit: Fit, candidate: Candidate) -> Candidate:
+    """An effect in the form about which its columns are made next, once it was fitted."""
+    name, form = candidate
+    values = dict(zip(fit.columns.tolist(), fit.values.tolist(), strict=True))
+    coefficients = {evidence.coefficient(place): values[place] for place in evidence.columns(candidate)}
+    return name, library()[name].about(form, coefficients)
+
+
 def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tuple[EffectParameter, ...]:
     """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation.
 
     Shares of a parameter of the model are told of its fitted value: a model file holds both. The error of a size holds
     what sound machines show of the effect beside noise. Errors of coefficients and of what the effect is not linear in,
-    such as a frequency, are taken for independent of each other.
+    such as a frequency, are taken for independent of each other; runs that lie further apart about the effect than
+    their noise says widen both.
     """
     name, form = candidate
     places = [int(np.flatnonzero(fit.columns == place)[0]) for place in evidence.columns(candidate)]
     names = [evidence.coefficient(place) for place in evidence.columns(candidate)]
-    values, spread = fit.values[places], fit.covariance[np.ix_(places, places)]
+    normal = evidence.normal()
+    apart = max((disagreement(normal, fit, place) for place in places), default=1.0) ** 2
+    values, spread = fit.values[places], apart * fit.covariance[np.ix_(places, places)]
     effect, model = library()[name], evidence.model
     size = effect.size(form, dict(zip(names, values.tolist(), strict=True)), model)
     if size > 0.0:
@@ -205,7 +216,7 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     variances = propagated(here, lambda change: with_form(form, values + change), spread)
     refined = evidence.form_spread.get(candidate)
     if refined is not None:
-        of_form = propagated(here, at, refined)
+        of_form = propagated(here, at, apart * refined)
         variances = {key: variances[key] + of_form[key] for key in here}
     late = stamps_late(evidence, candidate)
     return tuple(

@@ -101,7 +101,7 @@ def finding(
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
     names = tuple(evidence.coefficient(place) for place in added)
     coefficients = dict(zip(names, values.tolist(), strict=True))
-    if not free and not effect.is_distinct(coefficients, evidence.visited):
+    if not free and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
         gain -= behind(gain)
     if effect.shaped and free:
         coefficients[names[0]] = min(abs(coefficients[names[0]]), SHAPE[1])
@@ -398,11 +398,14 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
     return hypothesis
 
 
-def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Find the non-linear parameters of each member between the grid's values and a little beyond."""
+def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True) -> list[Candidate]:
+    """Find the non-linear parameters of each member between the grid's values and a little beyond.
+
+    shapes : whether also those that their strength tells.
+    """
     for index, (name, form) in enumerate(hypothesis):
         effect = library()[name]
-        if not form or effect.periodic or not effect.continuous:
+        if not form or effect.periodic or not effect.continuous or (strength_tells_form(name, form) and not shapes):
             continue
         others = hypothesis[:index] + hypothesis[index + 1 :]
         grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
@@ -411,9 +414,14 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
             form = scanned(evidence, others, name, form, ratios[0])
         form = refined(evidence, others, name, form, ratios)
         hypothesis[index] = (name, form)
-        if not effect.shaped:
+        if not strength_tells_form(name, form):
             evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
     return hypothesis
+
+
+def strength_tells_form(name: str, form: Form) -> bool:
+    """Whether a share of an effect in one form stands for all of it in another."""
+    return library()[name].shaped and library()[name].whole(form, 0.5) != form
 
 
 def spread_of_form(
@@ -494,7 +502,7 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
     """
     # a fitted strength below one stands for another form of such an effect (`whole`), which `make_whole` goes to at
     # once: larger moves would go to a longer delay of which a share is there
-    strength_is_form = library()[name].shaped and library()[name].whole(form, 0.5) != form
+    strength_is_form = strength_tells_form(name, form)
     for part in FINER[:2] if strength_is_form else FINER:
         for _ in range(1 if strength_is_form else MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.effects import library
-from leactl.gap.search.evidence import Evidence, Null
+from leactl.gap.search.evidence import PRIORS, Evidence, Null
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
@@ -28,6 +28,11 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
             notes.append(f"not answered: {question}; it needs {need}")
     if model.feedforward is not None:
         notes.append("torques are told in volts: a feedforward says nothing of the torque that a volt makes")
+    elif model.torque_constant is not None and evidence.tells_nothing_of("torque_constant"):
+        notes.append(
+            "torques, inertias and powers go by the model's torque_constant, which these runs cannot tell: its error"
+            f" ({100.0 * PRIORS['torque_constant']:.0f} % is usual) is in all of them alike, beside their own"
+        )
     if model.drive is None and any(has(record, "angle_reference", "test") for record in records):
         notes.append("not answered: limits and dead band of the servo; they need its `drive:` in the model")
     hidden = [
