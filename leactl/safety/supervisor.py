@@ -336,7 +336,7 @@ class Supervisor:
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[where]
-            if tracking.low <= current <= tracking.high:
+            if tracking.low <= current and current <= tracking.high:
                 tracking.since = NAN
             else:
                 speed = NAN if velocity is None else values[velocity]
