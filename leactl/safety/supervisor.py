@@ -323,7 +323,7 @@ class Supervisor:
             raise SafetyTrip(self.tripped)
         pace = self._pace
         elapsed = now - pace.last
-        if pace.last <= now <= pace.latest:
+        if elapsed >= 0.0 and now <= pace.latest:
             pace.last = now
             pace.latest += pace.period
         else:
@@ -336,7 +336,7 @@ class Supervisor:
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[where]
-            if tracking.low <= current <= tracking.high:
+            if tracking.low <= current and current <= tracking.high:
                 tracking.since = NAN
             else:
                 speed = NAN if velocity is None else values[velocity]
@@ -354,9 +354,9 @@ class Supervisor:
             )
             guarded.held = asked
             flowing[place] = square if square > asked else asked
-        for log, evidence, place, drive, velocity, current, other, second in self._witnessed:
+        for rows, evidence, place, drive, velocity, current, other, second in self._witnessed:
             read = drive.values
-            log += (evidence.values[place], read[velocity], read[current], other.values[second])
+            rows.append((evidence.values[place], read[velocity], read[current], other.values[second]))
         if now >= self._due:
             self._look_at_all(now)
 
@@ -393,10 +393,10 @@ class Supervisor:
             self._own[row.stream].look_through(row)
             self._measured.look_through(row)
             return
-        if row.fault:
-            self.trip(row.fault)
-        stream = row.stream
-        self._own[stream].look(row.values, row.time)
+        stream, time, values, fault = row  # at once: each by its name takes as long
+        if fault:
+            self.trip(fault)
+        self._own[stream].look(values, time)
         if stream in self._heating_streams:
             self._measured.look(row)
             self.supplies.look(row)

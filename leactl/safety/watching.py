@@ -135,8 +135,10 @@ class Panel:
             if not channel.quantity.endswith("_reference")  # no number in any other mode than its own
         ]
         self.values: Sequence[float] = ()  # the latest
-        self._windows = [(watch.index, *watch.quiet) for watch in self.watches if watch.rate == math.inf]
-        self._rated = [(watch.index, *watch.quiet, watch.rate) for watch in self.watches if watch.rate < math.inf]
+        self._windows = [
+            (watch.index, *watch.quiet, watch.rate if watch.rate < math.inf else None) for watch in self.watches
+        ]
+        self._rated = [watch.index for watch in self.watches if watch.rate < math.inf]
         self._last = [math.nan] * len(channels)  # of each channel with a rate, its value at the last look
         self._quiet = False
         self.looked = -math.inf
@@ -155,22 +157,19 @@ class Panel:
         SafetyTrip : by way of `trip`.
         """
         self.values = values
-        if not self._quiet:
-            self._look_closely(values, now)
-            return
-        for index, low, high in self._windows:
-            if not low <= values[index] <= high:
-                self._look_closely(values, now)
-                return
-        if self._rated:
-            last, time = self._last, now - self.looked
-            for index, low, high, rate in self._rated:
+        if self._quiet:
+            for index, low, high, rate in self._windows:
                 value = values[index]
-                if not (low <= value <= high and abs(value - last[index]) <= rate * time):
-                    self._look_closely(values, now)
-                    return
-                last[index] = value
-        self.looked = now
+                if not (low <= value and value <= high):  # a chained comparison takes longer
+                    break
+                if rate is not None:
+                    if not abs(value - self._last[index]) <= rate * (now - self.looked):
+                        break
+                    self._last[index] = value
+            else:
+                self.looked = now
+                return
+        self._look_closely(values, now)
 
     def _look_closely(self, values: Sequence[float], now: float) -> None:
         if self._quiet:
@@ -178,7 +177,7 @@ class Panel:
         quiet = True
         for watch in self.watches:
             quiet = watch.look(values[watch.index], now) and quiet
-        for index, *_ in self._rated:
+        for index in self._rated:
             self._last[index] = values[index]
         self._quiet, self.looked = quiet, now
 
@@ -193,7 +192,7 @@ class Panel:
         """
         if self._quiet and not self._rated:
             lowest, highest = block.values.min(axis=0).tolist(), block.values.max(axis=0).tolist()
-            if all(low <= lowest[index] and highest[index] <= high for index, low, high in self._windows):
+            if all(low <= lowest[index] and highest[index] <= high for index, low, high, _ in self._windows):
                 self.values, self.looked = block.last.values, block.last.time
                 return
         for row in block.rows():

@@ -202,7 +202,7 @@ class Account:
 
 
 EVIDENCE, VELOCITY, CURRENTS = range(3)  # columns of what is logged; the second drive's current comes last
-WIDTH = 4  # numbers of a cycle
+Logged = tuple[float, float, float, float]  # of one cycle
 
 
 class Witnesses:
@@ -218,7 +218,7 @@ class Witnesses:
         # one drive's current is logged twice
         first, second = accounts[0], accounts[-1]
         self._sources = evidence, place, first.panel, first.velocity, first.current, second.panel, second.current
-        self._log: list[float] = []
+        self._log: list[Logged] = []
         self._window = self.due = math.inf
         self._began, self._kept = 0.0, 0  # rows that the last window has left
 
@@ -230,7 +230,7 @@ class Witnesses:
         self._began, self.due = now, now + self._window
 
     @property
-    def logged(self) -> tuple[list[float], Panel, int, Panel, int, int, Panel, int]:
+    def logged(self) -> tuple[list[Logged], Panel, int, Panel, int, int, Panel, int]:
         """Where each exchange is logged, and what: three panels, each with the places of its values."""
         return self._log, *self._sources
 
@@ -246,16 +246,15 @@ class Witnesses:
 
     def _judge(self, now: float) -> None:
         log = self._log
-        cycles = len(log) // WIDTH
-        step = WIDTH * (GLANCE if cycles >= GLANCE * GLANCE else 1)
-        columns = [log[column::step] for column in range(CURRENTS + len(self._accounts))]
+        cycles = len(log)
+        glanced = log[::GLANCE] if cycles >= GLANCE * GLANCE else log
+        columns = list(zip(*glanced, strict=True))
         ends = [(min(column), max(column)) for column in columns]
         for current, account in enumerate(self._accounts, start=CURRENTS):
             if not self._plainly_agrees(account, current, columns, ends):
-                rows = np.reshape(log, (-1, WIDTH))
-                self._hold_against(account, current, rows, (now - self._began) / (cycles - self._kept))
+                self._hold_against(account, current, np.array(log), (now - self._began) / (cycles - self._kept))
         self._kept = min(APART_CYCLES, cycles)
-        del log[: -self._kept * WIDTH]
+        del log[: -self._kept]
         self._began, self.due = now, now + self._window
 
     @staticmethod

@@ -117,14 +117,15 @@ def test_a_warning_is_told_once_a_crossing(make):
 # -- rate of change ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("leap", [1.1, -1.1])
 @pytest.mark.parametrize("quiet", [True, False])
-def test_a_leap_from_one_reading_to_the_next_trips(make, quiet):
+def test_a_leap_from_one_reading_to_the_next_trips(make, quiet, leap):
     rig = make(f"velocity: {{rate_rad_s_per_s: 1000{'' if quiet else ', warn_rad_s: 0.1'}}}")
     for number in range(20):
         rig.shaft.velocity = 0.9 * number  # 900 rad/s^2
         rig.supervised_cycle()
-    rig.shaft.velocity += 1.1
-    words = r"test velocity changed by 1.1 rad/s in 0.001 s; the interlock's rate is 1000 \(rad/s\)/s"
+    rig.shaft.velocity += leap
+    words = rf"test velocity changed by {leap} rad/s in 0.001 s; the interlock's rate is 1000 \(rad/s\)/s"
     assert trips_after(rig, words, 0.1) < rig.period
 
 

@@ -59,6 +59,7 @@ def test_where_a_speed_is_not_known_it_is_the_highest_that_the_bench_lets_pass()
     assert top([], 40.0) == 0.0
     assert top([3.0, -5.0], 40.0) == 5.0
     assert top([3.0, math.nan, -5.0], 40.0) == 40.0
+    assert top([3.0, -math.inf], 40.0) == 40.0
 
 
 def test_the_coolest_corner_has_every_tolerance_on_its_cool_side():

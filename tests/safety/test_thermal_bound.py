@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from leactl.errors import InputError
-from leactl.safety.thermal.bound import ThermalBound, lateness
+from leactl.safety.thermal.bound import ThermalBound, inflow, lateness
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.turning import Rotor
 from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
@@ -180,6 +180,35 @@ def test_actuators_side_by_side_do_not_touch_each_other():
         alone.step(GUARD_S, 400.0 * ONE, ONE, 0.0 * ONE, 25.0)
     assert both.nodes()[:, 0] == pytest.approx(alone.nodes()[:, 0], abs=1e-9)
     assert both.nodes()[:, 1] == pytest.approx(25.0, abs=0.002)
+
+
+temperature = st.floats(-40.0, 200.0)
+
+
+@given(
+    ends=st.tuples(temperature, temperature).map(sorted),
+    source=temperature,
+    conductances=st.tuples(st.floats(0.01, 10.0), st.floats(0.01, 10.0)).map(sorted),
+    within=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)),
+)
+def test_no_conductance_lets_more_heat_in_than_the_line_of_the_worst(ends, source, conductances, within):
+    (floor, ceiling), (low, high) = ends, conductances
+    own, conductance = (a + share * (b - a) for share, (a, b) in zip(within, (ends, conductances), strict=True))
+    constant, slope = inflow(*(np.array([each]) for each in (source, ceiling, floor, low, high)))
+    assert constant - slope * own >= conductance * (source - own) - 1e-9
+    if source >= ceiling:
+        assert constant - slope * own == pytest.approx(high * (source - own), abs=1e-9)
+
+
+@pytest.mark.parametrize("beside", [-40.0, 0.0, 60.0])
+def test_a_winding_heats_by_the_resistance_that_is_the_highest_at_its_temperature(beside):
+    box = Box.of(LEA)
+    temperature, rise = box.reference_temperature + beside, box.resistance_coefficient
+    warmth = 1.0 + max(rise.low * beside, rise.high * beside)
+    heat = 2.0 * box.phase_resistance.high * warmth * 100.0 * box.current_gain**2
+    bound = ThermalBound([box], temperature)  # as warm as the air: no heat flows
+    fastest = bound.fastest(100.0 * ONE, ONE, 0.0 * ONE, temperature - box.ambient_rise)
+    assert fastest == pytest.approx(heat / box.winding_capacitance.low)
 
 
 def test_heat_leaves_as_fast_as_it_does_from_the_fastest_winding():

@@ -36,7 +36,7 @@ BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
 Seconds = TypeVar("Seconds", float, Array)
-ACROSS = [HOUSING, HOUSING, MEAN]  # the node that each of them gives to and takes from
+ACROSS = np.array([HOUSING, HOUSING, MEAN])  # the node that each of them gives to and takes from
 
 
 class ThermalBound:
@@ -60,7 +60,8 @@ class ThermalBound:
             return np.array([getattr(box, name) for box in boxes])[self._of]
 
         # node by node: hottest phase, mean of the phases, housing; conductances for one phase, all phases, housing
-        self._to_housing = 1.0 / across_high, 1.0 / across_low
+        # as large as what they meet in `_lines`: numpy takes three times as long where it has to repeat rows
+        self._to_housing = tuple(np.stack([g, g, g]) for g in (1.0 / across_high, 1.0 / across_low))
         to_air = 1.0 / high("winding_ambient_resistance"), 1.0 / low("winding_ambient_resistance")
         from_housing = 1.0 / high("housing_ambient_resistance"), 1.0 / low("housing_ambient_resistance")
         self._to_air = tuple(np.stack([w, w, h]) for w, h in zip(to_air, from_housing, strict=True))
@@ -68,10 +69,12 @@ class ThermalBound:
         housing = low("housing_capacitance"), high("housing_capacitance")
         self._capacitance = tuple(np.stack([w, w, h]) for w, h in zip(winding, housing, strict=True))
         self._resistance, self._tref = high("phase_resistance"), plain("reference_temperature")
-        self._rise = low("resistance_coefficient"), high("resistance_coefficient")
+        self._rise = high("resistance_coefficient")
+        self._rise_range = self._rise - low("resistance_coefficient")
+        self._at_zero = 1.0 - self._rise * self._tref  # of the resistance, at 0 degC
         self._friction = high("coulomb_friction"), high("viscous_damping")
-        self._gain_squared, self._ambient_rise = plain("current_gain") ** 2, plain("ambient_rise")
-        self._decay = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self._gain_squared, self._ambient_rise = plain("current_gain") ** 2, np.stack([plain("ambient_rise")] * 3)
+        self._decay = self._capacitance[0][MEAN] / (self._to_housing[1][MEAN] + self._to_air[1][MEAN])
         self.decay_s = float(np.min(self._decay))  # the shortest time constant of any winding
         self.state = np.full((3, len(self._of)), float(start))  # degC
 
@@ -127,8 +130,8 @@ class ThermalBound:
             return
         excess = SHAPES[:, None]
         (g_low, g_high), (air_low, _), (_, heavy) = self._to_housing, self._to_air, self._capacitance
-        winding = (excess * g_low + (1.0 + excess) * air_low[MEAN]) / ((1.0 + excess) * heavy[MEAN])
-        housing = (air_low[HOUSING] - excess * g_high) / heavy[HOUSING]
+        winding = (excess * g_low[MEAN] + (1.0 + excess) * air_low[MEAN]) / ((1.0 + excess) * heavy[MEAN])
+        housing = (air_low[HOUSING] - excess * g_high[HOUSING]) / heavy[HOUSING]
         rates = np.minimum(winding, housing)
         best = np.argmax(rates, axis=0)
         rate = np.take_along_axis(rates, best[None], axis=0)[0]
@@ -161,7 +164,7 @@ class ThermalBound:
         factor = np.full_like(square, AHEAD)
         for _ in range(WIDENINGS):
             fresh, ceiling, floor = self._tried(h, square, share, friction, air, factor)
-            kept = np.all((fresh <= ceiling) & (fresh >= floor), axis=0)
+            kept = ((fresh <= ceiling) & (fresh >= floor)).all(axis=0)
             if kept.all():
                 self.state = fresh
                 return
@@ -203,13 +206,11 @@ class ThermalBound:
 
         Heats of the winding count as if all three phases were as the one that is bounded: one capacitance serves both.
         """
-        rise_low, rise_high = self._rise
-        cold = np.maximum(self._tref - np.minimum(floor[HOTTEST], floor[MEAN]), 0.0) * (rise_high - rise_low)
-        base = self._resistance * square * (1.0 - rise_high * self._tref + cold)
-        warmer = self._resistance * square * rise_high
+        cold = np.maximum(self._tref - np.minimum(floor[HOTTEST], floor[MEAN]), 0.0) * self._rise_range
+        heat = self._resistance * square
+        base, warmer = heat * (self._at_zero + cold), heat * self._rise
         constant, slope = inflow(air, ceiling, floor, *self._to_air)
-        across = ceiling[ACROSS]
-        more, steeper = inflow(across, ceiling, floor, *self._to_housing)
+        more, steeper = inflow(ceiling.take(ACROSS, axis=0), ceiling, floor, *self._to_housing)
         constant += more
         slope += steeper
         constant[HOTTEST] += share * base
@@ -266,7 +267,5 @@ def inflow(source: Array, ceiling: Array, floor: Array, low: Array, high: Array)
     The own temperature stays between floor and ceiling. Where the source is above that, the higher conductance is the
     worst; elsewhere the lower one's line, raised by what the difference of the two can bring in.
     """
-    above = source >= ceiling
-    slope = np.where(above, high, low)
-    raised = np.where(above, 0.0, (high - low) * np.maximum(source - floor, 0.0))
-    return slope * source + raised, slope
+    slope = np.where(source >= ceiling, high, low)
+    return slope * source + (high - slope) * np.maximum(source - floor, 0.0), slope

@@ -123,7 +123,8 @@ def detour(motor: Motor, acceleration: float) -> float:
 
 def top(velocities: Sequence[float], most_speed: float) -> float:
     """The highest of some speeds [rad/s]; the bench's where one is not known."""
-    return max(map(abs, velocities), default=0.0) if math.isfinite(sum(velocities)) else most_speed
+    speed = float(np.abs(np.fromiter(velocities, float, len(velocities))).max(initial=0.0))
+    return speed if math.isfinite(speed) else most_speed
 
 
 class Motion(NamedTuple):
