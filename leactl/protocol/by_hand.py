@@ -5,7 +5,7 @@ cannot express. The run file keeps the text, and `leactl run` accepts it.
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from leactl.protocol.setpointkeys import SPELLINGS
 
 RATE_HZ = 50
 HELD = "held"  # the step in which a bench turns and pulls
+REST_S = 0.5  # in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
 
@@ -112,6 +113,21 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
     engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
     released = ", ".join(f"{role}: off" for role in modes)
     return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
+
+
+def turning_steps(currents: Mapping[str, float], hold_s: float, tare: bool) -> list[str]:
+    """Steps that let one drive after the other turn the shaft by its current [A], forward and back, the others off."""
+    keys, slope = SPELLINGS[Mode.CURRENT], GENTLE[Mode.CURRENT]
+    steps = tare_steps() if tare else []
+    for role, current in currents.items():
+        steps.append(f"mode: {{{role}: {Mode.CURRENT}}}")
+        for goal in (current, -current):
+            steps.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {slope!r}}}")
+            steps.append(f"hold: {{name: turn, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}")
+        steps.append(f"ramp: {{role: {role}, to_{keys.setpoint}: 0, {keys.rate}: {slope!r}}}")
+        steps.append(f"mode: {{{role}: off}}")
+        steps.append(f"hold: {{name: rest, duration_s: {REST_S!r}}}")
+    return steps
 
 
 def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:
