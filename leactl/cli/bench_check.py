@@ -38,7 +38,7 @@ def check(
     ),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Check a bench file: as a run does, without touching a device; with --devices or --move, beside the bench itself.
+    """Check a bench file as a run does, without touching a device; or hold it against the bench itself.
 
     With --devices every drive is off. With --move each drive turns the shaft forward and back by a small current, under
     every check and limit of a run; a real bench is asked for before. Each line is a statement of the file with what was

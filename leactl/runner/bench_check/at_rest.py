@@ -45,7 +45,9 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
                 continue
             change = f'{key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
             line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
-            yield Statement(device.name, key, verdict, why=f"{says.get(key, '')}; {why}".strip("; "), change=line)
+            yield Statement(
+                device.name, key, verdict, why="; ".join(filter(None, (says.get(key, ""), why))), change=line
+            )
 
 
 def _notices(run: Run, request: Request) -> Iterator[Statement]:

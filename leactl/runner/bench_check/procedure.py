@@ -8,11 +8,9 @@ from typing import Any
 
 from leactl.bench.benchfile import BenchFile
 from leactl.driver import registry
-from leactl.driver.contract import Mode
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, Stopped
 from leactl.model.motor import Motor
 from leactl.protocol import by_hand
-from leactl.protocol.by_hand import GENTLE
 from leactl.runfile.read.reader import Run
 from leactl.runner.bench_check.at_rest import at_rest, unopened
 from leactl.runner.bench_check.statement import Statement, wrong
@@ -25,7 +23,7 @@ from leactl.runner.thermal_admission import motors_of
 from leactl.safety.thermal.box import Box
 
 READ_S = 0.8  # shorter than a stretch of `stuck_s: 1`: a dead channel is named, and does not trip the bench
-HOLD_S = 0.6
+STEP_S = 1e-3  # of the forecast of a move: a hundredth of the time constants of actuators, or less
 LEAST_SHARE, MOST_SHARE = 0.03, 0.2  # of the continuous current
 OVER_FRICTION = 2.0  # times the current that friction of the motor files takes
 OF_VELOCITY = 0.5  # of its limit, that a motor of the least friction may reach
@@ -42,7 +40,7 @@ class Move:
     def __str__(self) -> str:
         each = " and ".join(f"{role} {current:.3g} A" for role, current in self.currents.items())
         far = f"up to {self.speed:.2g} rad/s and {self.travel:.2g} rad"
-        return f"one drive after the other, {each}, forward and back, {far}"
+        return f"one drive after the other swings the shaft, {each}, {far}"
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,8 @@ def turning(
         raise InputError(f"--current {current:g}: a current above 0 A was expected")
     move = _move(file, list(drives(devices).values()), current, setup)
     tare = any(hasattr(registry.load(device.entry.driver), "tare") for device in devices if not device.entry.on_demand)
-    steps = by_hand.turning_steps(move.currents, HOLD_S, tare and setup == "coupled")
-    return prepare_by_hand("check-turning", steps, bench, setup, directory, realtime, served, buses), move
+    steps = by_hand.swinging_steps(move.currents, tare and setup == "coupled")
+    return prepare_by_hand("check-swinging", steps, bench, setup, directory, realtime, served, buses), move
 
 
 def examine(
@@ -154,18 +152,17 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
     ------
     InputError : no drive, or more speed or travel than the bench's limits allow.
     """
-    motors = motors_of(file)
-    currents, speeds, travels = {}, [0.0], [0.0]
+    motors, limits, currents, reached = motors_of(file), file.limits, dict[str, float](), [(0.0, 0.0)]
     for role in roles:
-        motor = motors[role]
-        shaft = _Shaft.of(list(motors.values()) if setup == "coupled" else [motor], motor.torque_constant)
-        rated = motor.continuous_current or file.limits.current_A
-        most = min(MOST_SHARE * rated, shaft.current_of(OF_VELOCITY * file.limits.velocity_rad_s))
-        current = given or min(max(OVER_FRICTION * shaft.friction_current, LEAST_SHARE * rated), most)
+        motor, shaft = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
+        friction = sum(Box.of(each).coulomb_friction.high for each in shaft) / motor.torque_constant
+        rated = motor.continuous_current or limits.current_A
+        current = given or min(max(OVER_FRICTION * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
+        while _swing(motor, shaft, current)[0] > OF_VELOCITY * limits.velocity_rad_s and not given:
+            current /= 2.0
         currents[role] = float(f"{current:.3g}")
-        speeds.append(shaft.speed(current))
-        travels.append(speeds[-1] * shaft.seconds(current))
-    move, limits = Move(currents, max(speeds), max(travels)), file.limits
+        reached.append(_swing(motor, shaft, currents[role]))
+    move = Move(currents, *(max(each) for each in zip(*reached, strict=True)))
     if not currents:
         raise InputError(f"--move: bench '{file.name}' has no drive")
     if move.speed > limits.velocity_rad_s:
@@ -175,45 +172,20 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
     return move
 
 
-@dataclass(frozen=True)
-class _Shaft:
-    """What a current has to turn: friction at its least and most, damping at its least, and inertia."""
-
-    torque_constant: float
-    least_friction: float
-    most_friction: float
-    damping: float
-    inertia: float
-
-    @classmethod
-    def of(cls, motors: Sequence[Motor], torque_constant: float) -> "_Shaft":
-        boxes = [Box.of(motor) for motor in motors]
-        frictions = [box.coulomb_friction for box in boxes]
-        damping = sum(box.viscous_damping.low for box in boxes)
-        inertia = sum(motor.rotor_inertia for motor in motors)
-        least, most = sum(each.low for each in frictions), sum(each.high for each in frictions)
-        return cls(torque_constant, least, most, damping, inertia)
-
-    @property
-    def friction_current(self) -> float:
-        """The current [A] that friction takes at the most."""
-        return self.most_friction / self.torque_constant
-
-    @staticmethod
-    def seconds(current: float) -> float:
-        """How long one direction lasts [s], ramp included."""
-        return HOLD_S + current / GENTLE[Mode.CURRENT]
-
-    def speed(self, current: float) -> float:
-        """The speed [rad/s] that a current reaches in one direction."""
-        torque = max(self.torque_constant * current - self.least_friction, 0.0)
-        return torque * self._per_torque(self.seconds(current))
-
-    def current_of(self, speed: float) -> float:
-        """A current [A] that reaches no more than this speed [rad/s] within a second."""
-        return (speed / self._per_torque(1.0) + self.least_friction) / self.torque_constant
-
-    def _per_torque(self, seconds: float) -> float:
-        """The speed that a torque reaches in a time, over that torque."""
-        decay = self.damping * seconds / self.inertia
-        return seconds / self.inertia * (-math.expm1(-decay) / decay if decay else 1.0)
+def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float, float]:
+    """Speed [rad/s] and travel [rad] that a sine of current reaches at most, by the least friction of the files."""
+    boxes = [Box.of(each) for each in shaft]
+    friction, damping = (
+        sum(getattr(box, name).low for box in boxes) for name in ("coulomb_friction", "viscous_damping")
+    )
+    inertia, rate = sum(each.rotor_inertia for each in shaft), 2.0 * math.pi * by_hand.SWING_HZ
+    speed = angle = fastest = farthest = 0.0
+    for step in range(round(by_hand.SWINGS / by_hand.SWING_HZ / STEP_S)):
+        drive = motor.torque_constant * current * math.sin(rate * step * STEP_S)
+        pulled = speed + STEP_S / inertia * (drive - damping * speed)
+        speed = math.copysign(
+            max(abs(pulled) - STEP_S / inertia * friction, 0.0), pulled
+        )  # friction stops, never turns
+        angle += STEP_S * speed
+        fastest, farthest = max(fastest, abs(speed)), max(farthest, abs(angle))
+    return fastest, farthest

@@ -26,6 +26,8 @@ from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
 
 Array = npt.NDArray[np.float64]
 
+UNALIKE = 3.0  # times the inertia of the motor files, that couplings and sensors may add: counts are off by 4
+SLOW = 0.2  # of the highest speed, below which friction turns back between two samples
 FEWEST = 20  # samples of a slope
 WINDOW = 5  # samples, over which the change of the angle is held against the velocity
 TURNED_RAD = 0.02  # by which a shaft has turned, far above its winding-up and the counts of an encoder
@@ -126,23 +128,35 @@ class Turning:
             why = "" if fitted[0].value else "no current is read while one is demanded: is the motor connected?"
             yield replace(ratio(name, "current over its demand", *fitted[0], LOOP), why=why)
         else:
-            yield Statement(name, "current over its demand", Verdict.OPEN, why="the move ended before")
-        by_velocity, by_angle = motion.travels()
-        forward = (np.where(motion.on, np.sign(motion.demand), 0.0))[1:]
-        turns = [float(np.nansum(forward * travel)) / 2.0 for travel in (by_velocity, by_angle)]
-        turn = turns[0] or turns[1]
-        about, why, verdict = "turn by a positive current", "", Verdict.OK if turn > 0.0 else Verdict.WRONG
-        if abs(turn) < TURNED_RAD:
+            yield Statement(name, "current over its demand", Verdict.OPEN, why="the move ended early")
+        yield self._turned(role)
+        yield self._velocity(role, *motion.travels())
+
+    def _turned(self, role: str) -> Statement:
+        """Whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
+        motion, name, about = self._motions[role], self._drives[role].name, "inertia that its current turns"
+        moving = motion.on & (np.abs(motion.velocity) > TURNING_RAD_S)
+        rate = np.gradient(motion.velocity, motion.time) if len(motion.time) > 1 else motion.velocity
+        terms = np.column_stack([rate, motion.velocity, np.sign(motion.velocity)])[moving]
+        fitted = slopes(terms, self._motors[role].torque_constant * motion.current[moving])
+        if not fitted or not abs(fitted[0].value) > SURE * fitted[0].std:
+            return Statement(
+                name, about, Verdict.OPEN, why="the shaft has hardly turned: is it free, is --current enough?"
+            )
+        turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
+        told = sum(motor.rotor_inertia for motor in turned)
+        low, high, (value, std) = told / UNALIKE, told * UNALIKE, fitted[0]
+        verdict, why, change = Verdict.OK, "", ""
+        if value < 0.0:
+            verdict, why = Verdict.WRONG, "a current turns it backwards: commutation or encoder direction of the drive"
+        elif not low <= value <= high:
+            near = factor_of_a_turn(Slope(told / value, std * told / value**2), self._motors[role].pole_pairs)
             verdict, why = (
                 Verdict.OPEN,
-                "the shaft has not turned: is it free? a larger --current may overcome friction",
+                f"the motion is {near or 'unlike the motor file'}, or more turns than the rotors",
             )
-        elif turn < 0.0:
-            why = (
-                "the drive turns against its current: commutation or encoder of the drive itself, no line of this file"
-            )
-        yield Statement(name, about, verdict, turn, units="rad", low=0.0, why=why)
-        yield self._velocity(role, by_velocity, by_angle)
+            change = setting(self._request, self._drives[role], COUNTS, "does the encoder have as many?")
+        return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
 
     def _velocity(self, role: str, by_velocity: Array, by_angle: Array) -> Statement:
         """Whether the change of the angle is the integral of the velocity."""
@@ -159,7 +173,7 @@ class Turning:
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
-            return Statement(device.name, about, Verdict.OPEN, why="the move ended before")
+            return Statement(device.name, about, Verdict.OPEN, why="the move ended early")
         judged = ratio(device.name, about, *fitted[0], LAGS)
         if judged.verdict is not Verdict.WRONG:
             return judged
@@ -198,7 +212,8 @@ class Turning:
     def _torques(self) -> dict[str, Sequence[Slope]]:
         """Of each role whose torque passes the sensor: torque constant, friction, damping and inertia."""
         fits: dict[str, Sequence[Slope]] = {}
-        for role in SENSED_ROLES.get(self._request.plan.setup, ()) if self._run.has("torque") else ():
+        whole = self._run.has("torque") and self._run.status == "complete"  # friction shows in both drives' moves
+        for role in SENSED_ROLES.get(self._request.plan.setup, ()) if whole else ():
             if role not in self._drives:
                 continue
             torque, motion = self._run.channel("torque"), self._motions[role]
@@ -208,7 +223,7 @@ class Turning:
             acceleration = np.gradient(motion.velocity[known], motion.time[known])
             columns = (motion.current[known], motion.velocity[known], acceleration)
             current, velocity, rate = (np.interp(torque.time, motion.time[known], column) for column in columns)
-            moving = np.abs(velocity) > TURNING_RAD_S
+            moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW * float(np.max(np.abs(velocity))))
             sense = SENSES[role]
             terms = [sense * current, -sense * np.sign(velocity), -sense * velocity, -sense * rate]
             design = np.column_stack([*terms, np.ones_like(velocity)])
@@ -218,20 +233,22 @@ class Turning:
     def _torque(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
         """Whether the torque sensor shows what the motor files make of the currents."""
         about, judged = "torque of its current over the motor file's", dict[str, Statement]()
-        for role, fit in fits.items():
+        for role in self._drives if self._request.plan.setup == "coupled" else ():
+            fit = fits.get(role)
             constant, name = self._motors[role].torque_constant, self._drives[role].name
             if fit:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
                 judged[role] = ratio(name, about, *relative, WEAKER)
             else:
-                judged[role] = Statement(name, about, Verdict.OPEN, why="the shaft has hardly turned")
+                why = "the shaft has hardly turned" if self._run.status == "complete" else "the move ended early"
+                judged[role] = Statement(name, about, Verdict.OPEN, why=why)
         off = {role: each.measured for role, each in judged.items() if each.verdict is Verdict.WRONG}
         shared = len(off) == len(judged) > 1 and abs(off["test"] / off["load"] - 1.0) < ALIKE
         for role, each in judged.items():
             yield self._named(role, each, shared or off.keys() == judged.keys() == {"test"}) if role in off else each
 
     def _named(self, role: str, judged: Statement, sensor: bool) -> Statement:
-        """Name what a wrong torque comes of: the sensor where both drives show it, else the current or the motor file."""
+        """Name what a wrong torque comes of: the sensor where both drives show it, else current or motor file."""
         factor, margin = judged.measured, SURE * judged.std
         size = abs(factor)
         known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)
