@@ -43,11 +43,10 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
                 verdict, why = Verdict.OPEN, "the bench file states none: another device would not be noticed"
             else:
                 continue
-            change = f'{key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
+            told = "; ".join(filter(None, (says.get(key, ""), why)))
+            change = f'state {key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
             line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
-            yield Statement(
-                device.name, key, verdict, why="; ".join(filter(None, (says.get(key, ""), why))), change=line
-            )
+            yield Statement(device.name, key, verdict, why=told, change=line)
 
 
 def _notices(run: Run, request: Request) -> Iterator[Statement]:
