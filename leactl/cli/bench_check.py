@@ -44,6 +44,16 @@ def check(
     every check and limit of a run; a real bench is asked for before. Each line is a statement of the file with what was
     measured: ok, wrong with the line to change, or cannot tell and why.
     """
+    from leactl.errors import InputError
+
+    of_the_move = {"--current": current is not None, "--yes": yes}
+    of_the_bench = {"--dry-run": dry_run, "--setup": setup, "--realtime": realtime, "--served": served, "--bus": bus}
+    stray = [name for name, given in of_the_move.items() if given and not move]
+    stray += [name for name, given in of_the_bench.items() if given and not (devices or move)]
+    if stray:
+        raise InputError(
+            f"{stray[0]}: goes with {'--move' if stray[0] in of_the_move else '--devices or --move'} alone"
+        )
     if devices or move:
         _examine(bench, move, current, yes, setup, out, realtime, served, bus, dry_run, as_json)
         return
