@@ -265,6 +265,28 @@ def test_firmware_and_serial_number_are_held_against_the_file(checked):
     assert 'state serial: "1"' in statements["drive_test", "serial"].change
 
 
+def test_a_sensor_that_says_nothing_is_named_by_the_move_where_no_interlock_says_that_it_has_noise(checked):
+    def unwatched(bench):
+        bench["interlocks"] = {}
+
+    examined = checked(unwatched, faults(dead("torque_sensor", quantity="torque")))
+    at_rest, statement = (told(examined)[key] for key in (("torque_sensor", "torque of test"), ("drive_load", TORQUE)))
+    assert at_rest.why == "the same in 41 readings: frozen, or coarser than its noise"
+    assert (at_rest.verdict, statement.verdict) == (Verdict.OPEN, Verdict.WRONG)
+    assert statement.change.endswith("devices.torque_sensor.settings.inputs[0]: is it connected?")
+
+
+def test_one_drive_alone_does_not_tell_its_friction_from_its_torque(checked):
+    def alone(bench):
+        del bench["devices"]["drive_load"]
+
+    statements = told(checked(alone, alone))
+    assert statements["drive_test", TORQUE].verdict is Verdict.OPEN
+    assert statements["drive_test", TORQUE].why == "it takes a shaft that either drive turns, in turn"
+    assert statements["drive_test", TURNS].verdict is Verdict.OK
+    assert not [each for each in statements.values() if each.verdict is Verdict.WRONG]
+
+
 def test_a_shaft_that_does_not_turn_tells_nothing(checked):
     statements = told(checked(current=0.2))
     for about in (TURNS, MOTION, TORQUE):

@@ -207,9 +207,12 @@ class Turning:
         return abs(math.log(inertia)) if inertia > 0.0 else math.inf
 
     def _torques(self) -> dict[str, Sequence[Slope]]:
-        """Of each role whose torque passes the sensor: torque constant, friction, damping and inertia."""
+        """Of each role whose torque passes the sensor: torque constant, friction, damping and inertia.
+
+        A role is left out where the other drive has not turned the shaft: its own friction is then part of its torque.
+        """
         fits: dict[str, Sequence[Slope]] = {}
-        whole = self._run.has("torque") and self._run.status == "complete"  # friction shows in both drives' moves
+        whole = self._run.has("torque") and self._run.status == "complete"
         for role in SENSED_ROLES.get(self._request.plan.setup, ()) if whole else ():
             if role not in self._drives:
                 continue
@@ -218,9 +221,11 @@ class Turning:
             if known.sum() < FEWEST:
                 continue
             acceleration = np.gradient(motion.velocity[known], motion.time[known])
-            columns = (motion.current[known], motion.velocity[known], acceleration)
-            current, velocity, rate = (np.interp(torque.time, motion.time[known], column) for column in columns)
+            columns = (motion.current[known], motion.velocity[known], acceleration, motion.on[known])
+            current, velocity, rate, on = (np.interp(torque.time, motion.time[known], column) for column in columns)
             moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW * float(np.max(np.abs(velocity))))
+            if np.sum(moving & (on == 0.0)) < FEWEST:
+                continue
             sense = SENSES[role]
             terms = [sense * current, -sense * np.sign(velocity), -sense * velocity, -sense * rate]
             design = np.column_stack([*terms, np.ones_like(velocity)])
@@ -237,12 +242,14 @@ class Turning:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
                 judged[role] = ratio(name, about, *relative, WEAKER)
             else:
-                why = "the shaft has hardly turned" if self._run.status == "complete" else "the move ended early"
+                why = "it takes a shaft that either drive turns, in turn"
+                why = why if self._run.status == "complete" else "the move ended early"
                 judged[role] = Statement(name, about, Verdict.OPEN, why=why)
         off = {role: each.measured for role, each in judged.items() if each.verdict is Verdict.WRONG}
-        shared = len(off) == len(judged) > 1 and abs(off["test"] / off["load"] - 1.0) < ALIKE
+        size = max(1.0, *map(abs, off.values())) if off else 1.0
+        shared = len(off) == 2 and abs(off["test"] - off["load"]) < ALIKE * size
         for role, each in judged.items():
-            yield self._named(role, each, shared or off.keys() == judged.keys() == {"test"}) if role in off else each
+            yield self._named(role, each, shared) if role in off else each
 
     def _named(self, role: str, judged: Statement, sensor: bool) -> Statement:
         """Name what a wrong torque comes of: the sensor where both drives show it, else current or motor file."""
@@ -250,14 +257,14 @@ class Turning:
         size = abs(factor)
         known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)
         why = f"the current is near {known}" if known else ""
-        if size < ALIKE:
-            why = "the torque does not follow the current: is the sensor connected, does this drive's torque pass it?"
         device = self._drives[role]
         if sensor:
             name = self._run.channel("torque").device
             device = next(each for each in self._request.devices if each.name == name)
         key, advice = "sign", "turn it"
-        if factor > 0.0:
+        if size < ALIKE:
+            why, key, advice = "the torque does not follow the current", "", "is it connected?"
+        elif factor > 0.0:
             key, advice = "scale_per_V" if sensor else "current_convention", f"off by {factor:.4g}"
             other = f"torque_constant of motor '{self._request.bench.motors[role]}'"  # type: ignore[index]
             advice += f", or {other} by {factor:.4g}" + (", and so for the other drive" if sensor else "")
@@ -265,5 +272,5 @@ class Turning:
             advice += f"; the scale is off by {size:.4g} as well"
         place = next((shown.place for shown in device.settings.shown() if sensor and shown.quantity == "torque"), ())
         location = ("devices", device.name, "settings", *place[:2])
-        line = self._request.bench_document.fault((*location, key), advice)
+        line = self._request.bench_document.fault((*location, *filter(None, [key])), advice)
         return replace(judged, why=why, change=line)
