@@ -219,6 +219,14 @@ def test_a_velocity_that_is_not_the_change_of_the_angle_is_wrong(checked, gain, 
     assert statement.why.startswith(near)
 
 
+def test_a_move_that_trips_tells_no_torque_constant(checked):
+    examined = checked(truth=faults({**dead("torque_sensor", quantity="torque"), "at_s": 6.0}))
+    assert isinstance(examined.end(), SafetyTrip)
+    for role in ("test", "load"):
+        statement = told(examined)[f"drive_{role}", TORQUE]
+        assert (statement.verdict, statement.why) == (Verdict.OPEN, "the move ended early")
+
+
 @pytest.mark.parametrize("quantity", ["velocity", "angle", "q_axis_current"])
 def test_a_dead_channel_of_a_drive_is_named_though_the_bench_trips(checked, quantity):
     examined = checked(truth=faults(dead("drive_test", quantity=quantity)))

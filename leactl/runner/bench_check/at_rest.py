@@ -82,7 +82,7 @@ def _channel(channel: Channel, request: Request) -> Statement:
     elif quantity in NEVER_ZERO and not values.any():
         verdict, why = Verdict.WRONG, "exactly 0, which it never is: is it connected?"
     elif stands and quantity in AT_REST:
-        verdict, why = Verdict.OPEN, "stands, as the shaft does and the current of a drive that is off: --move tells"
+        verdict, why = Verdict.OPEN, "stands, as a shaft at rest and the current of a drive that is off do: a move tells"
     elif stands and any(entry.stuck_s for entry in entries):
         verdict, why = (
             Verdict.WRONG,

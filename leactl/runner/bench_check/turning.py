@@ -32,7 +32,7 @@ FEWEST = 20  # samples of a slope
 WINDOW = 5  # samples, over which the change of the angle is held against the velocity
 TURNED_RAD = 0.02  # by which a shaft has turned, far above its winding-up and the counts of an encoder
 LAGS = 0.01  # of a ratio of two channels of motion, that a filter's lag may leave
-LOOP = 0.05  # of a current, that a drive may regulate off its demand
+LOOP = 0.1  # of a current, by which a drive may miss a demand that swings at 2 Hz
 ALIKE = 0.1  # of each other, within which the factors of both drives speak of the torque sensor
 SENSES = {"test": 1.0, "load": -1.0}  # of the torque that a role's current puts on the sensor
 COUNTS = ("counts_per_turn",)
@@ -256,7 +256,7 @@ class Turning:
         factor, margin = judged.measured, SURE * judged.std
         size = abs(factor)
         known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)
-        why = f"the current is near {known}" if known else ""
+        why = f"{'or both currents are' if sensor else 'the current is'} near {known}" if known else ""
         device = self._drives[role]
         if sensor:
             name = self._run.channel("torque").device
