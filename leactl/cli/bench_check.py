@@ -123,6 +123,8 @@ def _examine(
     examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
     text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
     unread = print_answer(encodable(text, encoding_of_stdout()))
+    if turn is not None and len(examined.outcomes) < 2:
+        typer.echo("leactl: nothing was moved", err=True)
     for note in dict.fromkeys(note for outcome in examined.outcomes for note in outcome.notes):
         typer.echo(f"leactl: {note}", err=True)
     if (error := examined.end()) is not None:

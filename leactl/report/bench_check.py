@@ -13,8 +13,8 @@ def lines(statements: Sequence[Statement]) -> Iterator[str]:
     """Return the lines, the verdict first, and how many have which verdict as the last."""
     for each in statements:
         head = f"{each.verdict:<11}  {each.device:<{DEVICE_WIDTH}}  "
-        told = "; ".join(filter(None, (_numbers(each), each.why)))
-        yield list_line(head, ": ".join(filter(None, (each.about, told))))
+        text = "; ".join(filter(None, (_numbers(each), each.why)))
+        yield list_line(head, ": ".join(filter(None, (each.about, text))))
         if each.change:
             yield list_line(" " * 13, each.change)
     counts = [(verdict, sum(each.verdict is verdict for each in statements)) for verdict in Verdict]

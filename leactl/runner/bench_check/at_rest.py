@@ -43,10 +43,10 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
                 verdict, why = Verdict.OPEN, "the bench file states none: another device would not be noticed"
             else:
                 continue
-            told = "; ".join(filter(None, (says.get(key, ""), why)))
+            text = "; ".join(filter(None, (says.get(key, ""), why)))
             change = f'state {key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
             line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
-            yield Statement(device.name, key, verdict, why=told, change=line)
+            yield Statement(device.name, key, verdict, why=text, change=line)
 
 
 def _notices(run: Run, request: Request) -> Iterator[Statement]:
@@ -82,7 +82,10 @@ def _channel(channel: Channel, request: Request) -> Statement:
     elif quantity in NEVER_ZERO and not values.any():
         verdict, why = Verdict.WRONG, "exactly 0, which it never is: is it connected?"
     elif stands and quantity in AT_REST:
-        verdict, why = Verdict.OPEN, "stands, as a shaft at rest and the current of a drive that is off do: a move tells"
+        verdict, why = (
+            Verdict.OPEN,
+            "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
+        )
     elif stands and any(entry.stuck_s for entry in entries):
         verdict, why = (
             Verdict.WRONG,

@@ -183,9 +183,8 @@ def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float,
     for step in range(round(by_hand.SWINGS / by_hand.SWING_HZ / STEP_S)):
         drive = motor.torque_constant * current * math.sin(rate * step * STEP_S)
         pulled = speed + STEP_S / inertia * (drive - damping * speed)
-        speed = math.copysign(
-            max(abs(pulled) - STEP_S / inertia * friction, 0.0), pulled
-        )  # friction stops, never turns
+        kept = abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
+        speed = math.copysign(max(kept, 0.0), pulled)
         angle += STEP_S * speed
         fastest, farthest = max(fastest, abs(speed)), max(farthest, abs(angle))
     return fastest, farthest

@@ -144,14 +144,14 @@ class Turning:
                 name, about, Verdict.OPEN, why="the shaft has hardly turned: is it free, is --current enough?"
             )
         turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
-        told = sum(motor.rotor_inertia for motor in turned)
-        low, high, (value, std) = told / UNALIKE, told * UNALIKE, fitted[0]
+        rotors = sum(motor.rotor_inertia for motor in turned)
+        low, high, (value, std) = rotors / UNALIKE, rotors * UNALIKE, fitted[0]
         verdict, why, change = Verdict.OK, "", ""
         if value < 0.0:
             verdict, why = Verdict.WRONG, "a current turns it backwards: commutation or encoder direction of the drive"
         elif not low <= value <= high:
             verdict = Verdict.OPEN
-            why = f"as if a turn had {told / value:.2g} times the counts, or as if more turned than the rotors"
+            why = f"as if a turn had {rotors / value:.2g} times the counts, or as if more turned than the rotors"
             change = setting(self._request, self._drives[role], COUNTS, "does the encoder have as many?")
         return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
 
