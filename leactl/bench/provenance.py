@@ -33,6 +33,11 @@ class Provenance:
             )
 
     @property
+    def reported(self) -> dict[str, str]:
+        """What the device reports of itself, without what it leaves empty."""
+        return dict(self._identity)
+
+    @property
     def facts(self) -> dict[str, str]:
         """The known facts among model, serial number, firmware and calibration dates."""
         return self._entry.facts | self._identity

@@ -5,6 +5,7 @@ A command imports what it needs when it runs.
 
 import math
 import os
+import sys
 
 import typer
 
@@ -31,3 +32,12 @@ def print_answer(text: str) -> OSError | None:
     except OSError as error:
         return error
     return None
+
+
+def confirmed(question: str) -> bool:
+    """Ask the user on stderr only: `typer.confirm` writes a space to stdout, where JSON may follow."""
+    typer.echo(f"{question} [y/N]: ", err=True, nl=False)
+    answer = sys.stdin.readline()
+    if not answer.endswith("\n"):
+        typer.echo(err=True)
+    return answer.strip().lower() in ("y", "yes")

@@ -1,15 +1,14 @@
 """`leactl bench`: bench files, their latch, and an emulated bench for drivers in other processes."""
 
 import json
-import sys
 from pathlib import Path
 
 import typer
 
-from leactl.cli import bench_by_hand, bench_scan
+from leactl.cli import bench_by_hand, bench_check, bench_scan, confirmed
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
-from leactl.errors import DeviceError
+from leactl.errors import AcceptanceFailed, DeviceError
 
 app = group_of_commands()
 RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
@@ -46,36 +45,6 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"bench": file.name, "text": text}) if as_json else text, nl=as_json)
 
 
-@app.command(epilog=examples("bench check mine.yaml"))
-def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
-    """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
-    from leactl.bench.provenance import overdue
-    from leactl.report.terminal import list_line
-    from leactl.runner.checked_bench import load_checked
-
-    bench_file, devices, _document = load_checked(bench)
-    interlocks, late = bench_file.interlocks.shown(), overdue(devices)
-    if as_json:
-        rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
-        limits = bench_file.limits.model_dump(exclude_none=True)
-        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
-        typer.echo(json.dumps(body))
-        return
-    for name, text in late.items():
-        typer.echo(f"leactl: warning: {name}: {text}", err=True)
-    typer.echo(list_line("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
-    for device in devices:
-        typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
-        for key, fact in device.entry.facts.items():
-            typer.echo(f"    {key:<24} {fact}")
-    for name, value in bench_file.limits.model_dump(exclude_none=True).items():
-        typer.echo(f"  limit {name:<26} {value:g}")
-    for name, entries in interlocks.items():
-        for entry in entries if isinstance(entries, list | tuple) else [entries]:
-            settings = ", ".join(f"{key} {value}" for key, value in entry.items())
-            typer.echo(list_line(f"  interlock {name:<22} ", settings))
-
-
 @app.command(epilog=examples("bench reset mine.yaml"))
 def reset(
     bench: str = typer.Argument(
@@ -96,7 +65,7 @@ def reset(
         return
     for trip in tripped.values():
         typer.echo(f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})", err=True)
-    if not (yes or _confirmed("The cause is mended and the bench may move again?")):
+    if not (yes or confirmed("The cause is mended and the bench may move again?")):
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
@@ -104,15 +73,6 @@ def reset(
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")
-
-
-def _confirmed(question: str) -> bool:
-    """Ask the user on stderr only: `typer.confirm` writes a space to stdout, where JSON may follow."""
-    typer.echo(f"{question} [y/N]: ", err=True, nl=False)
-    answer = sys.stdin.readline()
-    if not answer.endswith("\n"):
-        typer.echo(err=True)
-    return answer.strip().lower() in ("y", "yes")
 
 
 @app.command(epilog=examples("bench serve emulated --bus can0=pty --setup free", ends=(DeviceError,)))
@@ -173,6 +133,17 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
 
 
+app.command(
+    "check",
+    epilog=examples(
+        "bench check mine.yaml",
+        "bench check mine.yaml --devices",
+        "bench check mine.yaml --move --dry-run",
+        "bench check mine.yaml --move --current 1.5",
+        ends=(*ON_A_BENCH, AcceptanceFailed),
+        means={AcceptanceFailed: "the bench contradicts its file"},
+    ),
+)(bench_check.check)
 app.command(
     "scan",
     epilog=examples(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from leactl.cli import finite
+from leactl.cli import confirmed, finite
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import SafetyTrip
@@ -178,15 +178,11 @@ def _real_drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[
     if not (yes or present):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees to all")
     person = Person(
-        agrees=lambda text: yes or _agreed(text), tell=lambda text: typer.echo(text, err=True), present=present
+        agrees=lambda text: yes or confirmed(f"{text}\nGo on?"),
+        tell=lambda text: typer.echo(text, err=True),
+        present=present,
     )
     return RealDrill(bench, only, directory, person, served, bus)
-
-
-def _agreed(text: str) -> bool:
-    """Ask the user on stderr, since stdout may carry JSON."""
-    typer.echo(f"{text}\nGo on? [y/N]: ", err=True, nl=False)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def _make(directory: Path) -> None:

@@ -5,7 +5,7 @@ cannot express. The run file keeps the text, and `leactl run` accepts it.
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,8 @@ from leactl.protocol.setpointkeys import SPELLINGS
 
 RATE_HZ = 50
 HELD = "held"  # the step in which a bench turns and pulls
+SWING_HZ, SWINGS = 2.0, 5  # either way for 0.25 s: the shaft comes back, and interlocks see no lasting contradiction
+REST_S = 0.5  # in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
 
@@ -112,6 +114,21 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
     engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
     released = ", ".join(f"{role}: off" for role in modes)
     return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
+
+
+def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
+    """Steps that let one drive after the other swing the shaft by a sine of current [A], the other drives off."""
+    current, swing = SPELLINGS[Mode.CURRENT].setpoint, f"frequency_Hz: {SWING_HZ!r}, duration_s: {SWINGS / SWING_HZ!r}"
+    steps = tare_steps() if tare else []
+    for role, amplitude in currents.items():
+        steps += [
+            f"mode: {{{role}: {Mode.CURRENT}}}",
+            f"signal: {{role: {role}, kind: sine, amplitude_A: {amplitude!r}, {swing}}}",
+            f"set: {{role: {role}, {current}: 0}}",
+            f"mode: {{{role}: off}}",
+            f"hold: {{name: rest, duration_s: {REST_S!r}}}",
+        ]
+    return steps
 
 
 def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:

@@ -21,7 +21,7 @@ from leactl.bench.records import attach_exports, devices_with_exports, with_run_
 from leactl.bench.wire_trace import CALLS, TracedWiring, WireTrace
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
-from leactl.driver.safe_state import unconfirmed_devices
+from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, SearchLimit, SetRecordRate, SetSupply
@@ -95,6 +95,7 @@ class Outcome:
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
     zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
     verdicts: Sequence[Verdict] = ()  # on the limits of channels and searches
+    reported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what each device said of itself
 
     def as_json(self) -> dict[str, Any]:
         """How the run ended, as `--json` tells it."""
@@ -203,6 +204,33 @@ def preview(request: Request) -> Preview:
 def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
     """Return the streams that a run of this request records; no device is opened."""
     return _bench(request).streams()
+
+
+def failures(request: Request) -> dict[str, str]:
+    """Open each device by itself and let it go; return why it could not be opened, empty where it could.
+
+    Raises
+    ------
+    DeviceError : another run holds the bench, or a device that was open is not confirmed safe.
+    """
+    texts: dict[str, str] = {}
+    with _alone(request):
+        wiring = _wiring(request)
+        for device in request.devices:
+            bench = Bench(request.bench, [device], wiring)
+            try:
+                bench.open()
+            except DeviceError as error:
+                texts[device.name] = str(error)
+                continue
+            texts[device.name] = ""
+            try:
+                unsafe = unconfirmed_devices(make_safe(list(bench.drivers.values())))
+            finally:
+                bench.close()
+            if unsafe:
+                raise DeviceError(unsafe)
+    return texts
 
 
 @dataclass(frozen=True)
@@ -392,7 +420,9 @@ def _run(context: RunContext) -> Outcome:
         error = _joined(error, failure)
     status, reason = _status(error)
     told = [*notes, *(f"warning: {text}" for text in progress.warnings)]
-    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros, verdicts)
+    reported = {name: known.reported for name, known in bench.provenance.items()}
+    ended = Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros, verdicts)
+    return replace(ended, reported=reported)
 
 
 def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:

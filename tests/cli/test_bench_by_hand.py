@@ -199,13 +199,13 @@ def test_a_jog_that_trips_latches_the_bench_for_all_that_is_done_by_hand():
     answer = answered("jog", "--current", "4", "--setup", "free", status=3)
     assert (answer["status"], safe(answer)) == ("tripped", SAFE)
     assert trip_of("emulated").cause == answer["reason"]
-    for arguments in (["read"], ["zero"], ["jog", "--angle", "0.1"]):
+    for arguments in (["read"], ["zero"], ["jog", "--angle", "0.1"], ["check", "emulated", "--devices"]):
         done = leactl("bench", *arguments)
         assert (done.returncode, done.stdout) == (3, "")
         assert "leactl bench reset emulated" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [["read"], ["zero"], ["jog", "--current", "1"]])
+@pytest.mark.parametrize("arguments", [["read"], ["zero"], ["jog", "--current", "1"], ["check", "--move", "--yes"]])
 def test_a_bench_that_another_run_holds_is_refused(testbed, holder, arguments):
     done = leactl("bench", arguments[0], testbed, *arguments[1:])
     assert (done.returncode, done.stdout) == (5, "")

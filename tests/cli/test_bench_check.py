@@ -1,4 +1,6 @@
-"""`leactl bench check` refuses what `leactl run` refuses, in the same words, with file, line and column."""
+"""`leactl bench check` refuses what `leactl run` refuses; --devices and --move as a shell sees them."""
+
+import json
 
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from leactl.bench.benchfile import SHIPPED, names
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
+from leactl.runfile.read.reader import Run
 from leactl.runner.checked_bench import load_checked
 from leactl.runner.request import prepare
 from tests.cli.terminal import leactl
@@ -198,3 +201,58 @@ def test_a_bus_put_elsewhere_on_a_bench_emulated_here_is_refused():
         "leactl: --bus can0=vcan:0: bench 'emulated' has its buses in this process;"
         " --served meets one that another process serves\n"
     )
+
+
+MIRRORED = TEXT.replace("{node: 2,", "{node: 2, sign: -1,")  # the drive counts against its far end's shaft
+
+
+def test_a_move_prints_a_line_for_each_check_and_the_line_to_change(here):
+    (here / "mine.yaml").write_text(MIRRORED)
+    done = leactl("bench", "check", "mine.yaml", "--move", LEACTL_STATE=str(here / "state"))
+    assert done.returncode == 6
+    lines = done.stdout.splitlines()
+    number = next(at for at, line in enumerate(lines) if "velocity over that of test" in line)
+    assert lines[number].split()[:2] == ["wrong", "drive_load"]
+    assert ", expected 0.9898 to 1.01; turned" in lines[number]
+    place = next(at for at, line in enumerate(MIRRORED.splitlines(), 1) if "sign: -1" in line)
+    assert lines[number + 1].strip().startswith(f"mine.yaml:{place}:")
+    assert "devices.drive_load.settings.sign: turn it" in lines[number + 1]
+    assert lines[-1].endswith(" 2 wrong, 6 cannot tell")
+    assert done.stderr.splitlines()[-1].startswith("leactl: 2 of 29 checks are wrong: drive_load: velocity over")
+
+
+def test_without_a_move_no_drive_is_engaged(here):
+    done = leactl("bench", "check", "emulated", "--devices", "--json", LEACTL_STATE=str(here / "state"))
+    answer = json.loads(done.stdout)
+    assert (done.returncode, len(answer["runs"]), answer["bench"]) == (0, 1, "emulated")
+    with Run.open(answer["runs"][0]["run"]) as run:
+        assert not any(run.channel("drive_enabled", role).values.any() for role in ("test", "load"))
+
+
+def test_a_dry_run_tells_the_move_and_opens_nothing(here):
+    done = leactl("bench", "check", "testbed", "--move", "--dry-run", "--json", LEACTL_STATE=str(here / "state"))
+    answer = json.loads(done.stdout)
+    assert (done.returncode, answer["name"]) == (0, "check-swinging")
+    assert [peak["value"] for peak in answer["peaks"]] == [pytest.approx(1.87, rel=0.01)] * 2
+    assert "one drive after the other swings the shaft, test 1.87 A and load 1.87 A, up to " in done.stderr
+    assert not (here / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["testbed", "--move"], "a real bench is asked for before it moves, and stdin is no terminal; --yes agrees"),
+        (["emulated", "--current", "1"], "--current: goes with --move alone"),
+        (["emulated", "--devices", "--yes"], "--yes: goes with --move alone"),
+        (["emulated", "--dry-run"], "--dry-run: goes with --devices or --move alone"),
+        (["emulated", "--move", "--current", "31"], "the bench's limit is 40 rad/s: lower --current"),
+        (
+            ["emulated", "--move", "--setup", "heated"],
+            "in set-up 'heated' no drive turns",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(here, words, fault):
+    done = leactl("bench", "check", *words, LEACTL_STATE=str(here / "state"))
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert fault in done.stderr

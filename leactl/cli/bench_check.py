@@ -1,0 +1,133 @@
+"""`leactl bench check`: a bench file by itself, beside what its devices say, and beside how its shaft turns."""
+
+import json
+from pathlib import Path
+
+import typer
+
+from leactl.cli import confirmed, finite, print_answer
+from leactl.cli.bench_by_hand import AS_JSON, BUS, OUT, REALTIME, SERVED, SETUP
+from leactl.cli.completion import benches
+
+BENCH = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+
+
+def check(
+    bench: str = BENCH,
+    devices: bool = typer.Option(
+        False, "--devices", help="Open every device, drives off: who answers, and what each channel reads."
+    ),
+    move: bool = typer.Option(
+        False, "--move", help="Then turn the shaft a little by one drive after the other: signs, counts, scales."
+    ),
+    current: float = typer.Option(
+        None,
+        "--current",
+        metavar="AMPERE",
+        help="Of --move; unless given, twice what friction takes, 3 to 20 % of the continuous current.",
+        callback=finite,
+    ),
+    yes: bool = typer.Option(False, "--yes", help="Do not ask before a real bench is moved."),
+    setup: str = SETUP,
+    out: Path = OUT,
+    realtime: bool = REALTIME,
+    served: bool = SERVED,
+    bus: list[str] = BUS,
+    dry_run: bool = typer.Option(
+        False, "--dry-run", help="Of --devices and --move: check everything, print the last run's plan, open nothing."
+    ),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Check a bench file as a run does, without touching a device; or hold it against the bench itself.
+
+    With --devices every drive is off. With --move each drive turns the shaft forward and back by a small current, under
+    every check and limit of a run; a real bench is asked for before. Each line is a statement of the file with what was
+    measured: ok, wrong with the line to change, or cannot tell and why.
+    """
+    from leactl.errors import InputError
+
+    of_the_move = {"--current": current is not None, "--yes": yes}
+    of_the_bench = {"--dry-run": dry_run, "--setup": setup, "--realtime": realtime, "--served": served, "--bus": bus}
+    stray = [name for name, given in of_the_move.items() if given and not move]
+    stray += [name for name, given in of_the_bench.items() if given and not (devices or move)]
+    if stray:
+        raise InputError(
+            f"{stray[0]}: goes with {'--move' if stray[0] in of_the_move else '--devices or --move'} alone"
+        )
+    if devices or move:
+        _examine(bench, move, current, yes, setup, out, realtime, served, bus, dry_run, as_json)
+        return
+    _check_file(bench, as_json)
+
+
+def _check_file(bench: str, as_json: bool) -> None:
+    """Check a bench file by itself, and print what it says."""
+    from leactl.bench.provenance import overdue
+    from leactl.report.terminal import list_line
+    from leactl.runner.checked_bench import load_checked
+
+    bench_file, devices, _document = load_checked(bench)
+    interlocks, late = bench_file.interlocks.shown(), overdue(devices)
+    if as_json:
+        rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
+        limits = bench_file.limits.model_dump(exclude_none=True)
+        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
+        typer.echo(json.dumps(body))
+        return
+    for name, text in late.items():
+        typer.echo(f"leactl: warning: {name}: {text}", err=True)
+    typer.echo(list_line("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
+    for device in devices:
+        typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
+        for key, fact in device.entry.facts.items():
+            typer.echo(f"    {key:<24} {fact}")
+    for name, value in bench_file.limits.model_dump(exclude_none=True).items():
+        typer.echo(f"  limit {name:<26} {value:g}")
+    for name, entries in interlocks.items():
+        for entry in entries if isinstance(entries, list | tuple) else [entries]:
+            settings = ", ".join(f"{key} {value}" for key, value in entry.items())
+            typer.echo(list_line(f"  interlock {name:<22} ", settings))
+
+
+def _examine(
+    bench: str,
+    move: bool,
+    current: float | None,
+    yes: bool,
+    setup: str,
+    out: Path,
+    realtime: bool,
+    served: bool,
+    bus: list[str],
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Hold a bench file against its bench, and print a line for each statement of the file."""
+    import sys
+
+    from leactl.cli.run import perform, print_rehearsal
+    from leactl.errors import InputError
+    from leactl.report.bench_check import lines
+    from leactl.report.terminal import encodable, encoding_of_stdout
+    from leactl.runner.bench_check.procedure import examine, reading, turning
+
+    rest = reading(bench, setup, out, realtime, served, bus)
+    turn, moves = turning(bench, current, setup, out, realtime, served, bus) if move else (None, None)
+    if dry_run:
+        typer.echo(f"leactl: {moves}" if moves else "leactl: every drive stays off", err=True)
+        print_rehearsal(turn or rest, as_json)
+        return
+    if turn is not None and not (rest.in_process or yes or sys.stdin.isatty()):
+        raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")
+    question = f"{moves}. Keep clear of the shaft. Go on?"
+    examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
+    text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
+    unread = print_answer(encodable(text, encoding_of_stdout()))
+    if turn is not None and len(examined.outcomes) < 2:
+        typer.echo("leactl: nothing was moved", err=True)
+    for note in dict.fromkeys(note for outcome in examined.outcomes for note in outcome.notes):
+        typer.echo(f"leactl: {note}", err=True)
+    if (error := examined.end()) is not None:
+        raise error
+    if unread is not None:
+        raise unread

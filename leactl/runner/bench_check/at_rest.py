@@ -1,0 +1,98 @@
+"""What is known without any current: who answers, and what each channel reads while every drive is off."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from leactl.analysis.quality.gate import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
+from leactl.analysis.quality.repeated_readings import FEWEST
+from leactl.runfile.read.reader import Channel, Run
+from leactl.runner.bench_check.statement import Statement, Verdict
+from leactl.runner.session import Request
+
+
+def unopened(failures: Mapping[str, str]) -> list[Statement]:
+    """Return who answered, device by device, where one could not be opened; `failures` are empty where one could."""
+    return [
+        Statement(name, "answers", Verdict.WRONG if text else Verdict.OK, why=text.removeprefix(f"{name}: "))
+        for name, text in failures.items()
+    ]
+
+
+def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]]) -> list[Statement]:
+    """Judge identities, notices and channels of a run with every drive off.
+
+    Parameters
+    ----------
+    reported : what each device says of itself, as `Outcome.reported`.
+    """
+    return [*_identities(request, reported), *_notices(run, request), *_channels(run, request)]
+
+
+def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> Iterator[Statement]:
+    for device in request.devices:
+        says, stated = reported[device.name], device.entry.facts
+        yield Statement(device.name, "answers", Verdict.OK, why=", ".join(f"{key} {says[key]}" for key in says))
+        for key in ("serial", "firmware"):
+            if key in says and key in stated:  # another serial number is not opened
+                same = key == "serial" or says[key] == stated[key]
+                verdict, why = (Verdict.OK, "") if same else (Verdict.WRONG, f"the bench file says {stated[key]}")
+            elif key in stated:
+                verdict, why = Verdict.OPEN, f"the bench file says {stated[key]}, the device reports none"
+            elif key in says and key == "serial":
+                verdict, why = Verdict.OPEN, "the bench file states none: another device would not be noticed"
+            else:
+                continue
+            text = "; ".join(filter(None, (says.get(key, ""), why)))
+            change = f'state {key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
+            line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
+            yield Statement(device.name, key, verdict, why=text, change=line)
+
+
+def _notices(run: Run, request: Request) -> Iterator[Statement]:
+    names = {device.name for device in request.devices}
+    for event in run.events:
+        if event.source in names and event.level in ("warning", "error") and not event.message.startswith("firmware "):
+            yield Statement(event.source, "notice", Verdict.OPEN, why=event.message)
+
+
+def _channels(run: Run, request: Request) -> Iterator[Statement]:
+    measured = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
+    for quantity, role in measured:
+        if not quantity.endswith("_reference") and quantity not in NOT_MEASURED:
+            yield from (_channel(channel, request) for channel in run.channels(quantity, role))
+
+
+def _channel(channel: Channel, request: Request) -> Statement:
+    """Judge the readings of one channel at rest."""
+    quantity, role = channel.quantity, channel.role
+    values = channel.values[np.isfinite(channel.values)]
+    about = " ".join(filter(None, (quantity, "of", role, channel.location and f"at {channel.location}")))
+    if not len(values):
+        text = f"none of {len(channel)} readings is a number: is it connected?"
+        return Statement(channel.device, about, Verdict.WRONG, why=text)
+    mean, std = float(values.mean()), float(values.std())
+    low, high = request.bench.limits.of(quantity) or (np.nan, np.nan)
+    entries = request.bench.interlocks.of(quantity, role)
+    verdict, why = Verdict.OK, ""
+    missing = 1.0 - len(values) / len(channel)
+    stands = len(values) >= FEWEST and np.ptp(values) == 0.0
+    if mean < low or mean > high:
+        verdict, why = Verdict.WRONG, "beyond the bench's limits"
+    elif quantity in NEVER_ZERO and not values.any():
+        verdict, why = Verdict.WRONG, "exactly 0, which it never is: is it connected?"
+    elif stands and quantity in AT_REST:
+        verdict, why = (
+            Verdict.OPEN,
+            "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
+        )
+    elif stands and any(entry.stuck_s for entry in entries):
+        verdict, why = (
+            Verdict.WRONG,
+            f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",
+        )
+    elif stands:
+        verdict, why = Verdict.OPEN, f"the same in {len(values)} readings: frozen, or coarser than its noise"
+    elif missing > MISSING:
+        verdict, why = Verdict.OPEN, f"{missing:.1%} of its readings are missing"
+    return Statement(channel.device, about, verdict, mean, std, channel.units, float(low), float(high), why)

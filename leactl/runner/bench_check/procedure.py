@@ -1,0 +1,190 @@
+"""The order of a check: first what devices say and read at rest; where nothing of that is wrong, a small current."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from leactl.bench.benchfile import BenchFile
+from leactl.driver import registry
+from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, Stopped
+from leactl.model.motor import Motor
+from leactl.protocol import by_hand
+from leactl.runfile.read.reader import Run
+from leactl.runner.bench_check.at_rest import at_rest, unopened
+from leactl.runner.bench_check.statement import Statement, wrong
+from leactl.runner.bench_check.turning import Turning
+from leactl.runner.checked_bench import load_checked
+from leactl.runner.drill.emulated import drives
+from leactl.runner.request import prepare_by_hand
+from leactl.runner.session import Outcome, Request, failures
+from leactl.runner.thermal_admission import motors_of
+from leactl.safety.thermal.box import Box
+
+READ_S = 0.8  # shorter than a stretch of `stuck_s: 1`: a dead channel is named, and does not trip the bench
+STEP_S = 1e-3  # of the forecast of a move: a hundredth of the time constants of actuators, or less
+LEAST_SHARE, MOST_SHARE = 0.03, 0.2  # of the continuous current
+OVER_FRICTION = 2.0  # times the current that friction of the motor files takes
+OF_VELOCITY = 0.5  # of its limit, that a motor of the least friction may reach
+
+
+@dataclass(frozen=True)
+class Move:
+    """The currents [A] of a move by role, and how fast [rad/s] and far [rad] they may turn the shaft."""
+
+    currents: Mapping[str, float]
+    speed: float
+    travel: float
+
+    def __str__(self) -> str:
+        each = " and ".join(f"{role} {current:.3g} A" for role, current in self.currents.items())
+        far = f"up to {self.speed:.2g} rad/s and {self.travel:.2g} rad"
+        return f"one drive after the other swings the shaft, {each}, {far}"
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What a check has shown, and the runs that it rests on."""
+
+    bench: str
+    statements: Sequence[Statement]
+    outcomes: Sequence[Outcome] = ()
+    error: BaseException | None = None  # that ended it early
+
+    def as_json(self) -> dict[str, Any]:
+        """The answer of `--json`."""
+        checks = [each.as_json() for each in self.statements]
+        runs = [outcome.as_json() for outcome in self.outcomes]
+        return {"bench": self.bench, "checks": checks, "runs": runs}
+
+    def end(self) -> BaseException | None:
+        """What the command ends with."""
+        faults = wrong(self.statements)
+        if self.error is not None or not faults:
+            return self.error
+        named = "; ".join(f"{each.device}: {each.about}" for each in faults)
+        return AcceptanceFailed(f"{len(faults)} of {len(self.statements)} checks are wrong: {named}")
+
+
+def reading(bench: str, setup: str, directory: Path, realtime: bool, served: bool, buses: Sequence[str]) -> Request:
+    """Return the run that reads every channel with all drives off.
+
+    Raises
+    ------
+    InputError : as `prepare_by_hand`.
+    """
+    steps = by_hand.reading_steps(READ_S)
+    return prepare_by_hand("check-at-rest", steps, bench, setup, directory, realtime, served, buses, everything=True)
+
+
+def turning(
+    bench: str,
+    current: float | None,
+    setup: str,
+    directory: Path,
+    realtime: bool,
+    served: bool,
+    buses: Sequence[str],
+) -> tuple[Request, Move]:
+    """Return the run that turns the shaft by one drive after the other, and how far that may go.
+
+    Parameters
+    ----------
+    current : of each drive [A]; None: twice what the friction of the motor files takes, at least 3 % and at most 20 %
+        of the continuous current.
+
+    Raises
+    ------
+    InputError : as `prepare_by_hand`, a set-up in which no drive turns, or a current that the limits leave no room for.
+    """
+    file, devices, _document = load_checked(bench)
+    setup = setup or file.setup or "coupled"
+    if setup not in ("free", "coupled"):
+        raise InputError(f"--move: in set-up '{setup}' no drive turns; free or coupled was expected")
+    if current is not None and not current > 0.0:
+        raise InputError(f"--current {current:g}: a current above 0 A was expected")
+    move = _move(file, list(drives(devices).values()), current, setup)
+    tare = any(hasattr(registry.load(device.entry.driver), "tare") for device in devices if not device.entry.on_demand)
+    steps = by_hand.swinging_steps(move.currents, tare and setup == "coupled")
+    return prepare_by_hand("check-swinging", steps, bench, setup, directory, realtime, served, buses), move
+
+
+def examine(
+    rest: Request, turn: Request | None, perform: Callable[[Request], Outcome], agrees: Callable[[], bool]
+) -> Examined:
+    """Check a bench at rest and then, if asked for, agreed to, and nothing is wrong so far, by turning its shaft.
+
+    Parameters
+    ----------
+    rest, turn : as `reading` and `turning` return them.
+    agrees : asks the person at the bench; called just before the shaft is turned.
+
+    Raises
+    ------
+    InputError, SafetyTrip, DeviceError, RecordingFailed : as of any run, before it begins.
+    """
+    name = rest.bench.name
+    try:
+        first = perform(rest)
+    except DeviceError as error:
+        return Examined(name, unopened(failures(rest)), (), error)
+    with Run.open(first.path) as run:
+        statements = at_rest(run, rest, first.reported)
+    examined = Examined(name, statements, (first,), first.error)
+    if turn is None or examined.end() is not None:
+        return examined
+    if not agrees():
+        return replace(examined, error=Stopped("not confirmed; nothing was moved (--yes confirms without a question)"))
+    try:
+        second = perform(turn)
+    except LeactlError as error:
+        return replace(examined, error=error)
+    with Run.open(second.path) as run:
+        statements += Turning(run, turn).statements()
+    return Examined(name, statements, (first, second), second.error)
+
+
+def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str) -> Move:
+    """Return the currents of a move, and the speed and travel of the least friction that the motor files allow.
+
+    Raises
+    ------
+    InputError : no drive, or more speed or travel than the bench's limits allow.
+    """
+    motors, limits, currents, reached = motors_of(file), file.limits, dict[str, float](), [(0.0, 0.0)]
+    for role in roles:
+        motor, shaft = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
+        friction = sum(Box.of(each).coulomb_friction.high for each in shaft) / motor.torque_constant
+        rated = motor.continuous_current or limits.current_A
+        current = given or min(max(OVER_FRICTION * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
+        while _swing(motor, shaft, current)[0] > OF_VELOCITY * limits.velocity_rad_s and not given:
+            current /= 2.0
+        currents[role] = float(f"{current:.3g}")
+        reached.append(_swing(motor, shaft, currents[role]))
+    move = Move(currents, *(max(each) for each in zip(*reached, strict=True)))
+    if not currents:
+        raise InputError(f"--move: bench '{file.name}' has no drive")
+    if move.speed > limits.velocity_rad_s:
+        raise InputError(f"--move: {move}; the bench's limit is {limits.velocity_rad_s:g} rad/s: lower --current")
+    if limits.angle_rad is not None and move.travel > limits.angle_rad:
+        raise InputError(f"--move: {move}; the bench's limit is {limits.angle_rad:g} rad: lower --current")
+    return move
+
+
+def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float, float]:
+    """Speed [rad/s] and travel [rad] that a sine of current reaches at most, by the least friction of the files."""
+    boxes = [Box.of(each) for each in shaft]
+    friction, damping = (
+        sum(getattr(box, name).low for box in boxes) for name in ("coulomb_friction", "viscous_damping")
+    )
+    inertia, rate = sum(each.rotor_inertia for each in shaft), 2.0 * math.pi * by_hand.SWING_HZ
+    speed = angle = fastest = farthest = 0.0
+    for step in range(round(by_hand.SWINGS / by_hand.SWING_HZ / STEP_S)):
+        drive = motor.torque_constant * current * math.sin(rate * step * STEP_S)
+        pulled = speed + STEP_S / inertia * (drive - damping * speed)
+        kept = abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
+        speed = math.copysign(max(kept, 0.0), pulled)
+        angle += STEP_S * speed
+        fastest, farthest = max(fastest, abs(speed)), max(farthest, abs(angle))
+    return fastest, farthest

@@ -1,0 +1,276 @@
+"""What a small current shows: which way the shaft goes, whether channels agree with each other and with the motor file.
+
+Each relation is a slope over the whole move, with the standard error that the autocorrelation of what it leaves over
+gives it. Torque on the shaft is T = T0 + Kt i - c sign(w) - b w - J dw/dt of the test actuator, and the negative of it
+for the load actuator, whether a drive is on or off: turning the shaft by the other drive shows friction and inertia
+alone, so that the slope over the current is Kt.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.signals.levels import standard_error
+from leactl.gap.setup.conventions import UNITS, convention, whole
+from leactl.runfile.read.reader import Run
+from leactl.runner.bench_check.statement import SURE, Statement, Verdict, ratio, setting
+from leactl.runner.drill.emulated import drives
+from leactl.runner.session import Request
+from leactl.runner.thermal_admission import motors_of
+from leactl.safety.cross_checks import TURNING_RAD_S
+from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
+
+Array = npt.NDArray[np.float64]
+
+UNALIKE = 3.0  # times the inertia of the motor files, that couplings and sensors may add: counts are off by 4
+SLOW = 0.2  # of the highest speed, below which friction turns back between two samples
+FEWEST = 20  # samples of a slope
+WINDOW = 5  # samples, over which the change of the angle is held against the velocity
+TURNED_RAD = 0.02  # by which a shaft has turned, far above its winding-up and the counts of an encoder
+LAGS = 0.01  # of a ratio of two channels of motion, that a filter's lag may leave
+LOOP = 0.1  # of a current, by which a drive may miss a demand that swings at 2 Hz
+ALIKE = 0.1  # of each other, within which the factors of both drives speak of the torque sensor
+SENSES = {"test": 1.0, "load": -1.0}  # of the torque that a role's current puts on the sensor
+COUNTS = ("counts_per_turn",)
+CONSTANT, INERTIA = 0, 3  # of the coefficients of a torque
+
+
+class Slope(NamedTuple):
+    """A coefficient with its standard error."""
+
+    value: float
+    std: float
+
+
+class Motion(NamedTuple):
+    """One drive's channels, all at the stamps of the loop."""
+
+    time: Array
+    demand: Array  # A
+    current: Array  # A
+    velocity: Array  # rad/s
+    angle: Array  # rad
+    on: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, run: Run, role: str) -> "Motion":
+        """Read a role's channels."""
+        current = run.channel("q_axis_current", role)
+        quantities = ("q_axis_current_reference", "velocity", "angle", "drive_enabled")
+        demand, velocity, angle, enabled = (run.channel(name, role).values for name in quantities)
+        return cls(current.time, demand, current.values, velocity, angle, enabled == 1.0)
+
+    def travels(self) -> tuple[Array, Array]:
+        """Integral of the velocity and change of the angle from sample to sample [rad], shapes (samples - 1,)."""
+        return 0.5 * (self.velocity[1:] + self.velocity[:-1]) * np.diff(self.time), np.diff(self.angle)
+
+
+def slopes(columns: Array, response: Array) -> list[Slope]:
+    """Fit a response by columns, of shape (samples, columns); empty where the samples do not tell the columns apart."""
+    known = np.isfinite(columns).all(axis=1) & np.isfinite(response)
+    design, values = columns[known], response[known]
+    lengths = np.sqrt(np.sum(design**2, axis=0))
+    if len(values) < FEWEST or not lengths.all() or np.linalg.cond(design / lengths) > 1e6:
+        return []
+    inverse = np.linalg.inv(design.T @ design)
+    coefficients = inverse @ design.T @ values
+    influence = len(values) * (design * (values - design @ coefficients)[:, np.newaxis]) @ inverse
+    return [Slope(float(c), standard_error(part)) for c, part in zip(coefficients, influence.T, strict=True)]
+
+
+def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
+    """What a wrong factor of an angle or a velocity is near to; empty where it is near nothing known."""
+    size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
+    error = SURE * slope.std / size
+    if abs(math.log(size)) < LAGS + error:
+        return turned
+    name, number = convention(size, error), whole(size, error)
+    if name in UNITS and number is None:
+        return " and ".join(filter(None, (turned, f"near {name}: another unit")))
+    if number is None:
+        return turned
+    inverse = "1/" if size < 1.0 else ""
+    meant = (
+        "pole pairs" if number == pole_pairs else "lines for counts" if number in (2, 4) else "a gear, or pole pairs"
+    )
+    return " and ".join(filter(None, (turned, f"near {inverse}{number}: {meant}")))
+
+
+class Turning:
+    """The checks of one moving run, which may have ended early."""
+
+    def __init__(self, run: Run, request: Request) -> None:
+        self._run, self._request = run, request
+        names = drives(request.devices)
+        self._drives = {names[device.name]: device for device in request.devices if device.name in names}
+        self._motions = {role: Motion.of(run, role) for role in self._drives}
+        self._motors = motors_of(request.bench)
+
+    def statements(self) -> Iterator[Statement]:
+        """Yield what the move shows of each drive, of the shaft between them, and of the torque sensor."""
+        for role in self._drives:
+            yield from self._drive(role)
+        torques = self._torques()
+        if self._request.plan.setup == "coupled" and len(self._drives) == 2:
+            yield self._shaft(torques)
+        if self._run.has("torque"):
+            yield from self._torque(torques)
+
+    def _drive(self, role: str) -> Iterator[Statement]:
+        """Whether a drive's current is its demand, which way that turns the shaft, and whether its motion agrees."""
+        motion, name = self._motions[role], self._drives[role].name
+        demanded = motion.on & (motion.demand != 0.0)
+        if fitted := slopes(motion.demand[demanded, np.newaxis], motion.current[demanded]):
+            why = "" if fitted[0].value else "no current is read while one is demanded: is the motor connected?"
+            yield replace(ratio(name, "current over its demand", *fitted[0], LOOP), why=why)
+        else:
+            yield Statement(name, "current over its demand", Verdict.OPEN, why="the move ended early")
+        yield self._turned(role)
+        yield self._velocity(role, *motion.travels())
+
+    def _turned(self, role: str) -> Statement:
+        """Whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
+        motion, name, about = self._motions[role], self._drives[role].name, "inertia that its current turns"
+        moving = motion.on & (np.abs(motion.velocity) > TURNING_RAD_S)
+        rate = np.gradient(motion.velocity, motion.time) if len(motion.time) > 1 else motion.velocity
+        terms = np.column_stack([rate, motion.velocity, np.sign(motion.velocity)])[moving]
+        fitted = slopes(terms, self._motors[role].torque_constant * motion.current[moving])
+        if not fitted or not abs(fitted[0].value) > SURE * fitted[0].std:
+            return Statement(
+                name, about, Verdict.OPEN, why="the shaft has hardly turned: is it free, is --current enough?"
+            )
+        turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
+        rotors = sum(motor.rotor_inertia for motor in turned)
+        low, high, (value, std) = rotors / UNALIKE, rotors * UNALIKE, fitted[0]
+        verdict, why, change = Verdict.OK, "", ""
+        if value < 0.0:
+            verdict, why = Verdict.WRONG, "a current turns it backwards: commutation or encoder direction of the drive"
+        elif not low <= value <= high:
+            verdict = Verdict.OPEN
+            why = f"as if a turn had {rotors / value:.2g} times the counts, or as if more turned than the rotors"
+            change = setting(self._request, self._drives[role], COUNTS, "does the encoder have as many?")
+        return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
+
+    def _velocity(self, role: str, by_velocity: Array, by_angle: Array) -> Statement:
+        """Whether the change of the angle is the integral of the velocity."""
+        device, about = self._drives[role], "angle over integral of velocity"
+        rows = len(by_velocity) // WINDOW * WINDOW
+        velocity, angle = (part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle))
+        reach = [float(np.nansum(np.abs(part))) for part in (velocity, angle)]
+        if max(reach) < TURNED_RAD:
+            return Statement(device.name, about, Verdict.OPEN, why="the shaft has not turned")
+        if not np.nanmax(np.abs(velocity)) or not np.nanmax(np.abs(angle)):
+            stands = "velocity" if reach[0] < reach[1] else "angle"
+            return Statement(
+                device.name, about, Verdict.WRONG, why=f"frozen: the {stands} stands while the other moves"
+            )
+        fitted = slopes(velocity[:, np.newaxis], angle)
+        if not fitted:
+            return Statement(device.name, about, Verdict.OPEN, why="the move ended early")
+        judged = ratio(device.name, about, *fitted[0], LAGS)
+        if judged.verdict is not Verdict.WRONG:
+            return judged
+        near = factor_of_a_turn(fitted[0], self._motors[role].pole_pairs)
+        advice = f"divide the angle's scale by {fitted[0].value:.4g}, or multiply the velocity's by it"
+        return replace(judged, why=near, change=setting(self._request, device, COUNTS, advice))
+
+    def _shaft(self, torques: Mapping[str, Sequence[Slope]]) -> Statement:
+        """Whether the velocities of both drives are those of one shaft."""
+        test, load = (self._motions[role].velocity for role in ("test", "load"))
+        about, device = "velocity over that of test", self._drives["load"]
+        moving = np.abs(test) > TURNING_RAD_S
+        fitted = slopes(test[moving, np.newaxis], load[moving])
+        if not fitted or not fitted[0].value:
+            text = "velocity is 0 while the other drive turns" if fitted else "the shaft has hardly turned"
+            return Statement(device.name, about, Verdict.WRONG if fitted else Verdict.OPEN, why=text)
+        judged = ratio(device.name, about, *fitted[0], LAGS)
+        if judged.verdict is not Verdict.WRONG:
+            return judged
+        slope, near = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
+        if slope.value < 0.0 and near == "turned":
+            line = setting(self._request, device, ("sign",), "turn it: the drive is mounted the other way")
+            return replace(judged, why=near, change=line)
+        off = {role: self._off_by_inertia(role, fit) for role, fit in torques.items() if fit}
+        device = self._drives[max(off, key=lambda role: off[role])] if len(off) == 2 else device
+        advice = f"a turn of it has {abs(slope.value):.4g} or {1.0 / abs(slope.value):.4g} times as many"
+        by_inertia = ", by the inertia of" if len(off) == 2 else "; of either drive, first of"
+        why = f"{near or 'no usual factor'}{by_inertia} {device.name}"
+        return replace(judged, why=why, change=setting(self._request, device, COUNTS, advice))
+
+    def _off_by_inertia(self, role: str, fit: Sequence[Slope]) -> float:
+        """How far the inertia that a drive's motion shows is from its motor file, as a logarithm."""
+        inertia = fit[INERTIA].value / self._motors[role].rotor_inertia
+        return abs(math.log(inertia)) if inertia > 0.0 else math.inf
+
+    def _torques(self) -> dict[str, Sequence[Slope]]:
+        """Of each role whose torque passes the sensor: torque constant, friction, damping and inertia.
+
+        A role is left out where the other drive has not turned the shaft: its own friction is then part of its torque.
+        """
+        fits: dict[str, Sequence[Slope]] = {}
+        whole = self._run.has("torque") and self._run.status == "complete"
+        for role in SENSED_ROLES.get(self._request.plan.setup, ()) if whole else ():
+            if role not in self._drives:
+                continue
+            torque, motion = self._run.channel("torque"), self._motions[role]
+            known = np.isfinite(motion.velocity) & np.isfinite(motion.current)
+            if known.sum() < FEWEST:
+                continue
+            acceleration = np.gradient(motion.velocity[known], motion.time[known])
+            columns = (motion.current[known], motion.velocity[known], acceleration, motion.on[known])
+            current, velocity, rate, on = (np.interp(torque.time, motion.time[known], column) for column in columns)
+            moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW * float(np.max(np.abs(velocity))))
+            if np.sum(moving & (on == 0.0)) < FEWEST:
+                continue
+            sense = SENSES[role]
+            terms = [sense * current, -sense * np.sign(velocity), -sense * velocity, -sense * rate]
+            design = np.column_stack([*terms, np.ones_like(velocity)])
+            fits[role] = slopes(design[moving], torque.values[moving])
+        return fits
+
+    def _torque(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
+        """Whether the torque sensor shows what the motor files make of the currents."""
+        about, judged = "torque of its current over the motor file's", dict[str, Statement]()
+        for role in self._drives if self._request.plan.setup == "coupled" else ():
+            fit = fits.get(role)
+            constant, name = self._motors[role].torque_constant, self._drives[role].name
+            if fit:
+                relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
+                judged[role] = ratio(name, about, *relative, WEAKER)
+            else:
+                why = "it takes a shaft that either drive turns, in turn"
+                why = why if self._run.status == "complete" else "the move ended early"
+                judged[role] = Statement(name, about, Verdict.OPEN, why=why)
+        off = {role: each.measured for role, each in judged.items() if each.verdict is Verdict.WRONG}
+        size = max(1.0, *map(abs, off.values())) if off else 1.0
+        shared = len(off) == 2 and abs(off["test"] - off["load"]) < ALIKE * size
+        for role, each in judged.items():
+            yield self._named(role, each, shared) if role in off else each
+
+    def _named(self, role: str, judged: Statement, sensor: bool) -> Statement:
+        """Name what a wrong torque comes of: the sensor where both drives show it, else current or motor file."""
+        factor, margin = judged.measured, SURE * judged.std
+        size = abs(factor)
+        known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)
+        why = f"{'or both currents are' if sensor else 'the current is'} near {known}" if known else ""
+        device = self._drives[role]
+        if sensor:
+            name = self._run.channel("torque").device
+            device = next(each for each in self._request.devices if each.name == name)
+        key, advice = "sign", "turn it"
+        if size < ALIKE:
+            why, key, advice = "the torque does not follow the current", "", "is it connected?"
+        elif factor > 0.0:
+            key, advice = "scale_per_V" if sensor else "current_convention", f"off by {factor:.4g}"
+            other = f"torque_constant of motor '{self._request.bench.motors[role]}'"  # type: ignore[index]
+            advice += f", or {other} by {factor:.4g}" + (", and so for the other drive" if sensor else "")
+        elif abs(size - 1.0) > WEAKER:
+            advice += f"; the scale is off by {size:.4g} as well"
+        place = next((shown.place for shown in device.settings.shown() if sensor and shown.quantity == "torque"), ())
+        location = ("devices", device.name, "settings", *place[:2])
+        line = self._request.bench_document.fault((*location, *filter(None, [key])), advice)
+        return replace(judged, why=why, change=line)
