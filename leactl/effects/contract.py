@@ -179,8 +179,8 @@ class Effect:
         return (form[0] * strength, *form[1:])
 
     def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
-        """The form about which columns are made once coefficients are known: that of a whole shape, else the same."""
-        return self.whole(form, next(iter(coefficients.values()))) if self.shaped else form
+        """The form about which columns are made once coefficients are known."""
+        return form
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How large the effect is, in units of its leading parameter; zero where it is absent."""
