@@ -43,7 +43,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places["angle_reading"] = lambda c: slope(smooth(c), s.interval) + of_inertia(c)
     places["twist"] = lambda c: slope(c, s.interval)
     places["velocity_reading"] = lambda c: c
-    keys = ("velocity", "load"), ("angle", "test")
+    keys = ("velocity", "load"), ("q_axis_current", "test"), ("angle", "test")
     return Equation(
         "shaft",
         "velocity",
@@ -83,7 +83,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
     nuisance = {"lock_angle": (np.ones_like(twist), 0.1)}
     if s.model.coulomb_friction:
         nuisance["sticking_lock"] = (sticking(s, s.torque) / stiffness, STICKING_PRIOR)
-    count = clock.counts.get(("angle", "test"), 0.0)
+    keys, count = (("q_axis_current", "test"), ("angle", "test")), clock.counts.get(("angle", "test"), 0.0)
     return Equation(
         "lock",
         "angle",
@@ -91,7 +91,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
         "rad",
         angle - np.mean(angle) - twist,
         s,
-        clock.all_valid(("angle", "test")) & s.unleapt & (np.abs(s.torque) > (s.model.coulomb_friction or 0.0)),
+        clock.all_valid(*keys) & s.unleapt & (np.abs(s.torque) > (s.model.coulomb_friction or 0.0)),
         places,
         {"torque_constant": more / stiffness, "bench.shaft_stiffness": -twist},
         nuisance,

@@ -181,7 +181,7 @@ class Evidence:
         if self.null is not None:
             other.compare_with(self.null)
         other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
-        other.form_spread = self.form_spread
+        other.form_spread = dict(self.form_spread)
         return other
 
     def expected(self, rows: Rows, white: float | None = None) -> float:
