@@ -40,8 +40,8 @@ def check(
 ) -> None:
     """Check a bench file as a run does, without touching a device; or hold it against the bench itself.
 
-    With --devices every drive is off. With --move each drive turns the shaft forward and back by a small current, under
-    every check and limit of a run; a real bench is asked for before. Each line is a statement of the file with what was
+    With --devices every drive is off. With --move each drive swings the shaft by a small current, under every check
+    and limit of a run; a real bench is asked for before. Each line is a statement of the file with what was
     measured: ok, wrong with the line to change, or cannot tell and why.
     """
     from leactl.errors import InputError

@@ -18,7 +18,7 @@ from leactl.protocol.setpointkeys import SPELLINGS
 
 RATE_HZ = 50
 HELD = "held"  # the step in which a bench turns and pulls
-SWING_HZ, SWINGS = 2.0, 5  # either way for 0.25 s: the shaft comes back, and interlocks see no lasting contradiction
+SWING_HZ, SWINGS = 2.0, 5  # a torque either way for 0.25 s: interlocks see no lasting contradiction
 REST_S = 0.5  # in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow

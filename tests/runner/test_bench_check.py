@@ -5,7 +5,6 @@ The far ends of the wires are those of another bench file than the one that is c
 
 import copy
 from contextlib import nullcontext
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,7 +105,7 @@ def test_a_right_bench_is_contradicted_in_nothing(checked, seed):
         assert (outcome.status, verify(outcome.path)) == ("complete", [])
 
 
-def test_only_one_drive_at_a_time_swings_and_comes_back(checked):
+def test_only_one_drive_at_a_time_swings_within_a_quarter_of_a_turn(checked):
     _rest, move = checked().outcomes
     with Run.open(move.path) as run:
         on = [run.channel("drive_enabled", role).values == 1 for role in ("test", "load")]
@@ -236,6 +235,24 @@ def test_a_dead_channel_of_a_drive_is_named_though_the_bench_trips(checked, quan
     assert isinstance(examined.end(), SafetyTrip)
 
 
+@pytest.mark.parametrize("name", ["drive_test", "drive_load"])
+def test_a_drive_without_any_motion_is_named_where_the_other_turns_the_shaft(checked, name):
+    examined = checked(truth=faults(dead(name, quantity="velocity"), dead(name, quantity="angle")))
+    statement = told(examined)[name, SHAFT]
+    assert statement.verdict is Verdict.WRONG
+    assert statement.why.startswith("no velocity of it")
+
+
+def test_a_sensor_that_may_stand_for_minutes_is_not_called_frozen_within_a_second(checked):
+    def patient(bench):
+        bench["interlocks"]["torque"]["stuck_s"] = 600.0
+
+    examined = checked(patient, faults(dead("torque_sensor", quantity="torque")), move=False)
+    statement = told(examined)["torque_sensor", "torque of test"]
+    assert statement.verdict is Verdict.OPEN
+    assert "frozen, or coarser than its noise" in statement.why
+
+
 def test_a_dead_sensor_is_named_at_rest_and_nothing_is_moved(checked):
     examined = checked(truth=faults(dead("torque_sensor", quantity="torque")))
     (statement,) = wrong(examined.statements)
@@ -317,10 +334,10 @@ def test_nothing_moves_unless_somebody_agrees(checked):
         ({"limits": {"angle_rad": 0.1}}, "limit is 0.1 rad: lower --current"),
     ],
 )
-def test_a_move_without_room_is_refused_before_a_device_is_opened(checked, options, words):
+def test_a_move_without_room_is_refused_before_a_device_is_opened(checked, tmp_path, options, words):
     with pytest.raises(InputError, match=words.replace("(", r"\(")):
         checked(**options)
-    assert not list(Path().glob("*.h5"))
+    assert not list(tmp_path.rglob("*.h5"))
 
 
 def test_standard_errors_hold_the_slope_in_noise_that_hangs_together():

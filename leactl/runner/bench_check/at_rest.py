@@ -10,6 +10,8 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, Verdict
 from leactl.runner.session import Request
 
+NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says that noise shows within them
+
 
 def unopened(failures: Mapping[str, str]) -> list[Statement]:
     """Return who answered, device by device, where one could not be opened; `failures` are empty where one could."""
@@ -76,7 +78,7 @@ def _channel(channel: Channel, request: Request) -> Statement:
     entries = request.bench.interlocks.of(quantity, role)
     verdict, why = Verdict.OK, ""
     missing = 1.0 - len(values) / len(channel)
-    stands = len(values) >= FEWEST and np.ptp(values) == 0.0
+    stands, span = len(values) >= FEWEST and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
     if mean < low or mean > high:
         verdict, why = Verdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():
@@ -86,7 +88,7 @@ def _channel(channel: Channel, request: Request) -> Statement:
             Verdict.OPEN,
             "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
         )
-    elif stands and any(entry.stuck_s for entry in entries):
+    elif stands and min((entry.stuck_s for entry in entries if entry.stuck_s), default=np.inf) <= NEARLY * span:
         verdict, why = (
             Verdict.WRONG,
             f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",

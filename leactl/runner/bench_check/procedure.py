@@ -162,7 +162,8 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
             current /= 2.0
         currents[role] = float(f"{current:.3g}")
         reached.append(_swing(motor, shaft, currents[role]))
-    move = Move(currents, *(max(each) for each in zip(*reached, strict=True)))
+    speeds, travels = zip(*reached, strict=True)  # both drives may turn one shaft the same way
+    move = Move(currents, max(speeds), sum(travels) if setup == "coupled" else max(travels))
     if not currents:
         raise InputError(f"--move: bench '{file.name}' has no drive")
     if move.speed > limits.velocity_rad_s:

@@ -125,8 +125,9 @@ class Turning:
         motion, name = self._motions[role], self._drives[role].name
         demanded = motion.on & (motion.demand != 0.0)
         if fitted := slopes(motion.demand[demanded, np.newaxis], motion.current[demanded]):
-            why = "" if fitted[0].value else "no current is read while one is demanded: is the motor connected?"
-            yield replace(ratio(name, "current over its demand", *fitted[0], LOOP), why=why)
+            judged = ratio(name, "current over its demand", *fitted[0], LOOP)
+            none_read = "no current is read while one is demanded: is the motor connected?"
+            yield judged if fitted[0].value else replace(judged, why=none_read)
         else:
             yield Statement(name, "current over its demand", Verdict.OPEN, why="the move ended early")
         yield self._turned(role)
@@ -160,7 +161,7 @@ class Turning:
         device, about = self._drives[role], "angle over integral of velocity"
         rows = len(by_velocity) // WINDOW * WINDOW
         velocity, angle = (part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle))
-        reach = [float(np.nansum(np.abs(part))) for part in (velocity, angle)]
+        reach = [float(np.ptp(np.nancumsum(part))) if rows else 0.0 for part in (velocity, angle)]
         if max(reach) < TURNED_RAD:
             return Statement(device.name, about, Verdict.OPEN, why="the shaft has not turned")
         if not np.nanmax(np.abs(velocity)) or not np.nanmax(np.abs(angle)):
@@ -182,11 +183,14 @@ class Turning:
         """Whether the velocities of both drives are those of one shaft."""
         test, load = (self._motions[role].velocity for role in ("test", "load"))
         about, device = "velocity over that of test", self._drives["load"]
-        moving = np.abs(test) > TURNING_RAD_S
+        moving = (np.abs(test) > TURNING_RAD_S) | (np.abs(load) > TURNING_RAD_S)
+        for role, velocity in (("test", test[moving]), ("load", load[moving])):
+            if len(velocity) >= FEWEST and not np.nan_to_num(velocity).any():
+                why = "no velocity of it while the other drive's says that the shaft turns"
+                return Statement(self._drives[role].name, about, Verdict.WRONG, why=why)
         fitted = slopes(test[moving, np.newaxis], load[moving])
-        if not fitted or not fitted[0].value:
-            text = "velocity is 0 while the other drive turns" if fitted else "the shaft has hardly turned"
-            return Statement(device.name, about, Verdict.WRONG if fitted else Verdict.OPEN, why=text)
+        if not fitted:
+            return Statement(device.name, about, Verdict.OPEN, why="the shaft has hardly turned")
         judged = ratio(device.name, about, *fitted[0], LAGS)
         if judged.verdict is not Verdict.WRONG:
             return judged
