@@ -63,6 +63,11 @@ class Case:
     """Root mean square, in the channel's units, that the simulator leaves over its own floor."""
     nominal: Model | None = None  # that gaps are told from; `model` where left out
 
+    def of_records(self, records: Sequence[Record]) -> "Case":
+        """The same case of other records: as many fitted ones, then those held out."""
+        count = len(self.fitted)
+        return replace(self, fitted=list(records[:count]), held_out=list(records[count:]))
+
 
 def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Case:
     """Read everything at the door; all faults are told at once.
@@ -144,8 +149,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
 def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:
     """Faults of the set-up that the runs of a case show, and the case with the runs mended."""
     faults, records = mended([*case.fitted, *case.held_out], case.model, len(case.held_out))
-    count = len(case.fitted)
-    return faults, replace(case, fitted=records[:count], held_out=records[count:]) if faults else case
+    return faults, case.of_records(records) if faults else case
 
 
 def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress) -> Diagnosis:
@@ -175,8 +179,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("reading equations")
-    every = marked([*case.fitted, *case.held_out], case.model)
-    case = replace(case, fitted=every[: len(case.fitted)], held_out=every[len(case.fitted) :])
+    case = case.of_records(marked([*case.fitted, *case.held_out], case.model))
     evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
@@ -244,7 +247,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    calibrates = not applied.calibration_withdrawn and gained(evidence, searched)
+    calibrates = not applied.alone_withdrawn and gained(evidence, searched)
     names = {cause.effect for cause in applied.fitted.causes}
     standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again

@@ -123,7 +123,7 @@ def test_what_equations_show_beyond_chance_needs_a_replay_s_gap_that_does_not_gr
 def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     applied = apply(model, [SOUND], [], beside(SOUND), simulated(0.2, 0.0))
     assert applied.calibrated == applied.augmented == model
-    assert applied.calibration_withdrawn
+    assert applied.alone_withdrawn
     assert "calibration is not applied: with it the gap of held-out runs grows" in applied.notes[0]
 
 

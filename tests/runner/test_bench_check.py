@@ -378,6 +378,7 @@ def test_a_ratio_is_judged_by_its_bound_and_its_error(value, std, verdict):
         (1 / 4, "near 1/4: lines for counts"),
         (-1.0, "turned"),
         (1.17, ""),
+        (-1.17, "turned and by no usual factor"),
         (6.0, "near 6: a gear, or pole pairs"),
     ],
 )

@@ -120,19 +120,18 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
 
     Third are the held-out runs, with their stamps as that diagnosis has them.
     """
-    every = marked([*case.fitted, *case.held_out], case.model)
-    fitted, held_out = every[: len(case.fitted)], every[len(case.fitted) :]
-    here = forms_here(fitted, case.model)
+    case = case.of_records(marked([*case.fitted, *case.held_out], case.model))
+    here = forms_here(case.fitted, case.model)
     told = [(name, form) for name in effects for form in here.get(name, []) if not library()[name].periodic]
-    evidence = Evidence(fitted, case.model, only=told)
-    null.compare(evidence, null.measure(fitted, case.model, only=told))
+    evidence = Evidence(case.fitted, case.model, only=told)
+    null.compare(evidence, null.measure(case.fitted, case.model, only=told))
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))
     parameters, calibration = fitted_to_the_end(evidence, hypothesis)
     named = [(name, {p.name: p.value for p in own}) for name, own in parameters.items()]
     augmented = with_effects(with_calibration(case.model, calibration), named)
-    return tuned, augmented, [stamped(record, stamps) for record in held_out]
+    return tuned, augmented, [stamped(record, stamps) for record in case.held_out]
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:

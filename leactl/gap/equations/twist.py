@@ -1,7 +1,7 @@
 """The twist of a shaft against the torque that it carries, between two actuators or at a locked one.
 
-That torque is the drive's less what the rotor resists with. It moves with the parameters that it is worked out from,
-and with effects on them: without their columns, a torque constant 3 % off would be a shaft 3 % too soft.
+That torque is the drive's less what the rotor resists with, computed from model parameters. An error in one of them
+looks like one of the stiffness, so each has a column here: a torque constant 3 % too low would be a shaft 3 % too soft.
 """
 
 import math
@@ -64,7 +64,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
 def locked(record: Record, s: Signals) -> Equation | None:
     """Angle of a locked rotor = where it was locked + torque / k.
 
-    Where the shaft carries less than the friction, that may be nothing, and the rotor anywhere within a play.
+    Samples whose torque does not exceed the Coulomb friction are left out: friction alone may hold the rotor there.
     """
     clock, stiffness, constant = record.fast, s.model.bench.shaft_stiffness, s.model.torque_constant
     if clock is None or s.mechanical != "locked" or stiffness is None or s.torque is None or constant is None:

@@ -112,14 +112,15 @@ class Network:
     def _start(self) -> Array:
         """Temperatures at the start, from which the first samples come out as they were measured on average.
 
-        The camera's fraction is undone; a further body has the housing's.
+        The camera reads a fraction of the rise above ambient, which is undone first; a further body, which is not
+        measured, starts as the housing.
         """
         count = min(max(1, round(STARTS * warming(self.job.plant.model) / self.clock.interval)), MOST_AT_START)
         first = slice(0, min(count, self.count // 4) + 1)
         read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
         kept = [np.linalg.matrix_power(self.decay, step)[:2] @ ALL_NODES for step in range(read.shape[1])]
         start = np.mean(read, axis=1)
-        for _ in range(2):  # once but for the heat that goes by the winding's temperature
+        for _ in range(2):  # one pass is exact but for heat that depends on the temperature
             course = stepped([self], (ALL_NODES @ start)[None], read.shape[1])[:, 0, :2]
             start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
         return np.asarray(ALL_NODES @ start, np.float64)

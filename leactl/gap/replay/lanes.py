@@ -191,13 +191,14 @@ def stepped(lanes: Lanes, start: State) -> Motion:
 
 
 def take_up(motion: Motion, lanes: Lanes, stiffness: Array) -> None:
-    """Take away by how much a spring that rings rightly in these steps is wound up further than the shaft's.
+    """Correct the motion for the softer spring of the steps: a twist is the torque over the stiffness of the shaft.
 
-    That moves what no balance is sensitive to: the speed of its far end, or where a locked rotor stands.
+    The softer spring twists too much. The excess is removed where no balance of torques reads it: the load's speed is
+    raised, a locked rotor's angle and speed are lowered.
     """
-    given = np.where(lanes.stiffness > 0.0, 1.0 / np.where(stiffness > 0.0, stiffness, 1.0), 0.0)
-    given -= np.where(lanes.stiffness > 0.0, 1.0 / np.where(lanes.stiffness > 0.0, lanes.stiffness, 1.0), 0.0)
-    too_far = given * motion.torque
+    softer, shaft = np.zeros_like(stiffness), lanes.stiffness > 0.0
+    softer[shaft] = 1.0 / stiffness[shaft] - 1.0 / lanes.stiffness[shaft]
+    too_far = softer * motion.torque
     faster = np.diff(too_far, axis=0, append=too_far[-1:]) / lanes.step
     held = np.isinf(lanes.load_inertia)
     motion.angle -= np.where(held, too_far, 0.0)

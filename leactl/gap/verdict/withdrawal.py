@@ -32,7 +32,7 @@ class Applied:
     augmented: Model
     fitted: Fitted  # what the augmented model has
     shrunk: Shrunk
-    calibration_withdrawn: bool
+    alone_withdrawn: bool  # whether the calibration that was fitted without effects is not applied
     notes: tuple[str, ...]
     refused: tuple[Near, ...]  # effects that were named before, and why they are not
 

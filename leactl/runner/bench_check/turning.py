@@ -92,7 +92,7 @@ def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     if name in UNITS and number is None:
         return " and ".join(filter(None, (turned, f"near {name}: another unit")))
     if number is None:
-        return turned
+        return f"{turned} and by no usual factor" if turned else ""
     inverse = "1/" if size < 1.0 else ""
     meant = (
         "pole pairs" if number == pole_pairs else "lines for counts" if number in (2, 4) else "a gear, or pole pairs"
