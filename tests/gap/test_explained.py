@@ -17,7 +17,7 @@ def rows(equation, columns=()):
 def found(taken, left, moved):
     candidate = ("cogging", (6.0,))
     member = Finding(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1), floor=0.0)
-    return EffectSet([candidate], [member], [[member]], [], None, taken, left, [moved])
+    return EffectSet([candidate], [member], [[member]], [], None, taken, left, [moved], {})
 
 
 EVIDENCE = SimpleNamespace(stack=SimpleNamespace(rows=[rows("free_torque", [TOUCHING]), rows("voltage")]))

@@ -9,7 +9,7 @@ import pytest
 
 from leactl.gap.diagnosis import Near
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import Finding
+from leactl.gap.search.sets import TIE, Finding
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.additive import Sample, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, LINE, UNREST, Judged, judge, unexplained
@@ -24,9 +24,12 @@ def finding(effect, height, gain=1e5):
     return Finding((effect, ()), gain, height, 1.0, (height,), ("size",), np.eye(1), 0.0)
 
 
-def of_one(member, *rivals):
+def of_one(member, *rivals, missed=None):
     """A set of one member, all of whose gap is explained, beside its rivals."""
-    return SimpleNamespace(members=[member], rivals=[[member, *rivals]], explained=lambda evidence, index: 1.0)
+    rivals_too = [[member, *rivals]]
+    return SimpleNamespace(
+        members=[member], rivals=rivals_too, explained=lambda evidence, index: 1.0, missed=missed or {}
+    )
 
 
 def test_a_rival_counts_by_its_gain_and_by_how_high_it_stands_itself():
@@ -39,6 +42,22 @@ def test_a_rival_counts_by_its_gain_and_by_how_high_it_stands_itself():
     assert low.rivals[0][1] < 0.01
     [short] = judge(None, of_one(member, finding("torque_ripple", 20.0, gain=0.9e5)), {})
     assert short.peers == ()
+
+
+def test_gains_are_no_farther_apart_by_what_forms_miss_than_free_forms_show():
+    member, rival = finding("position_spring", 20.0), finding("asymmetric_friction", 20.0, gain=1e5 - 300.0)
+    [usual] = judge(None, of_one(member, rival, missed={member.candidate: 1e4}), {})
+    assert usual.peers == ("asymmetric_friction",)
+    [inexact] = judge(None, of_one(member, rival, missed={rival.candidate: 1e4}), {})
+    assert inexact.peers == ("asymmetric_friction",)
+    [exact] = judge(None, of_one(member, rival, missed={member.candidate: 12.0, rival.candidate: 3.0}), {})
+    assert exact.peers == ()
+
+
+def test_two_effects_with_the_same_columns_are_one_class_however_much_they_explain():
+    member = finding("unbalance", 20.0, gain=1e8)
+    [alike] = judge(None, of_one(member, finding("gravity_load", 20.0, gain=1e8 * (1.0 - TIE))), {})
+    assert alike.peers == ("gravity_load",)
 
 
 def test_an_effect_that_makes_held_out_runs_worse_is_doubted():

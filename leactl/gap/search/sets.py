@@ -17,6 +17,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.free_forms import missed_by_form, outdoes_free_forms
 from leactl.gap.search.regression import Candidate, Fit, Normal, Stack, gain_of
 from leactl.gap.search.stamp_fit import delay_of_stamps
 from leactl.vocabulary.effect import effect_definition
@@ -39,6 +40,7 @@ OVERTONES = (2.0, 3.0)  # multiples of an order that a machine's wave has beside
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
+CLOSE = 10.0  # times that, within which a rival's gain is close
 UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
 FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own forms may miss; 17 % of the amplitude
 ERROR_ELSEWHERE = 0.01  # the same over variables in which none of it acts
@@ -223,6 +225,9 @@ class EffectSet:
     taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away, with its overtones,
     left: list[float]  # and what is left there beyond usual noise
     moved: list[list[float]]  # for each member, of each rows: misfit that leaving it out moves, either way
+    missed: dict[
+        Candidate, float
+    ]  # of members with close rivals, and of these: squares that free forms explain further
 
     def explained(self, evidence: Evidence, index: int) -> float:
         """Share of what calibration leaves beyond usual noise that the whole set takes away, where a member acts.
@@ -295,7 +300,8 @@ class CandidateTest:
 
     A form explains its effect to within a share (`form_error`); nobody can say in which rows it is wrong. So that share
     of the misfit that a member removes from an equation is allowed for in all rows of the equation. Waves of a set are
-    joined by their overtones first: no machine's wave is a pure sine.
+    joined by their overtones first: no machine's wave is a pure sine. What a member's law misses over its own variables
+    is measured on the case besides (`leactl.gap.search.free_forms`).
     """
 
     def __init__(self, evidence: Evidence, hypothesis: Sequence[Candidate], rounds: int) -> None:
@@ -312,7 +318,7 @@ class CandidateTest:
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
-        """Whether a candidate lowers the misfit by more than the errors of the set's forms could, by `ENTRY` squared.
+        """Whether a candidate lowers the misfit by more than errors of the set's forms could, by `ENTRY` squared.
 
         In each equation a change up to the allowance counts as none, whichever its sign; what the priors of the
         parameters cost counts in full.
@@ -325,7 +331,7 @@ class CandidateTest:
                 for name, of_member in self._reductions.items()
             )
             reduction -= min(max(change, -allowance), allowance)
-        return reduction > ENTRY**2
+        return reduction > ENTRY**2 and outdoes_free_forms(self.normal, self._wider, candidate)
 
     def _reduction_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
         """By how much one member lowers the misfit of each equation beside the others."""
@@ -553,7 +559,7 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
     taken, left = taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
-    members, rivals, moved = [], [], []
+    members, rivals, moved, missed = [], [], [], dict[Candidate, float]()
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
@@ -563,8 +569,11 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
         members.append(item)
         ranked = best_of_each(evidence, normal, others, whole=True)
         rivals.append([item, *(r for r in ranked if r.effect != item.effect and is_possible(evidence, r))])
+        close = [r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE * apart(item.gain)]
+        if len(close) > 1:
+            missed |= {one: missed_by_form(normal, [*others, one], one) for one in close}
     rest = best_of_each(evidence, normal, hypothesis)
-    return EffectSet(hypothesis, members, rivals, rest, fit, taken, left, moved)
+    return EffectSet(hypothesis, members, rivals, rest, fit, taken, left, moved, missed)
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:

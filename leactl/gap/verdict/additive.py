@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from leactl.gap.signals.state import hats
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
@@ -69,11 +70,6 @@ class Basis:
         if turning is None:
             return parts[0]
         return np.concatenate([parts[0], parts[0] * np.sign(turning)[:, None]], axis=1)
-
-
-def hats(values: Array, knots: Array) -> Array:
-    """Piecewise linear functions, one at each knot, constant beyond the ends."""
-    return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
 def waves(angle: Array, orders: Array) -> Array:

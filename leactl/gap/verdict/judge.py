@@ -15,7 +15,7 @@ from leactl.effects import library
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Rows
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import LOOSE, EffectSet, Finding, apart
+from leactl.gap.search.sets import LOOSE, TIE, EffectSet, Finding, apart
 
 EXACT_FORM_ERROR = 0.0005
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
@@ -51,22 +51,27 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
             * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
         )
         weights = [
-            math.exp(min((r.gain - member.gain) / (2.0 * spread(member, r)), 2.0)) * presence(r.height)
+            math.exp(min((r.gain - member.gain) / (2.0 * spread(member, r, result.missed)), 2.0)) * presence(r.height)
             for r in rivals[1:]
         ]
         total = presence(member.height) + sum(weights)
         own = presence(member.height) / total if total > 0 else 0.0
         peers = tuple(r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS * presence(member.height))
         together = own + sum(w / total for r, w in zip(rivals[1:], weights, strict=True) if r.effect in peers)
-        others = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
-        judged.append(Judged(member, explained, present * together, others, peers))
+        alone = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
+        judged.append(Judged(member, explained, present * together, alone, peers))
     return sorted(judged, key=lambda item: -item.probability)
 
 
-def spread(member: Finding, rival: Finding) -> float:
-    """How far apart two gains may be by noise and by what forms miss; pure lags miss next to nothing."""
+def spread(member: Finding, rival: Finding, missed: Mapping[Candidate, float]) -> float:
+    """How far apart two gains may be by noise and by what forms miss; pure lags miss next to nothing.
+
+    A form misses a usual share of what it explains, but no more than shows where both are let free.
+    """
     exact = all(library()[item.effect].shaped and library()[item.effect].explains > LOOSE for item in (member, rival))
-    return 1.0 + EXACT_FORM_ERROR * member.gain if exact else apart(member.gain)
+    usual = 1.0 + EXACT_FORM_ERROR * member.gain if exact else apart(member.gain)
+    shown = sum(missed.get(item.candidate, 0.0) for item in (member, rival))
+    return min(usual, 1.0 + TIE * member.gain + shown)
 
 
 def coverage(beyond: float) -> float:

@@ -4,14 +4,13 @@ Before: everything else fitted without the effect. After: with it. Both are fitt
 belongs to a held-out run by itself, such as where its lock stands, is fitted there in both.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.effects.contract import Signals
 from leactl.gap.diagnosis import Bin, Cause, Picture
 from leactl.gap.over import (
     ACTS,
@@ -22,7 +21,6 @@ from leactl.gap.over import (
     bin_edges,
     bin_of,
     first_that_follows,
-    last_reversal,
     means,
     periods_of,
     turned,
@@ -32,7 +30,7 @@ from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.smoothing import slope
+from leactl.gap.signals.state import OF_SIGNALS
 from leactl.gap.verdict.where import variable_of
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition
@@ -44,36 +42,6 @@ LEAST_EDGES = 3  # of two bins: one says nothing of a variable
 STILL = 1e-3  # of the largest value, below which a variable has no sign
 
 
-def _rate(values: Array | None, interval: float) -> Array | None:
-    return None if values is None else slope(values, interval)
-
-
-def _travel(s: Signals) -> Array | None:
-    if s.angle is None or s.velocity is None:
-        return None
-    return np.asarray(np.abs(s.angle - s.angle[last_reversal(s.velocity)]), np.float64)
-
-
-def _power(s: Signals) -> Array | None:
-    return None if s.voltage is None or s.current is None else s.voltage * s.current
-
-
-OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
-    "angle": lambda s: s.angle,
-    "velocity": lambda s: s.velocity,
-    "acceleration": lambda s: s.acceleration,
-    "direction": lambda s: None if s.velocity is None else np.sign(s.velocity),
-    "travel": _travel,
-    "q_axis_current": lambda s: s.current if s.current is not None else s.line_current,
-    "current_rate": lambda s: _rate(s.following if s.following is not None else s.current, s.interval),
-    "power": _power,
-    "torque": lambda s: s.torque,
-    "torque_rate": lambda s: _rate(s.calm_torque, s.interval),
-    "winding_temperature": lambda s: s.winding,
-    "housing_temperature": lambda s: s.housing,
-    "time": lambda s: s.time,
-}
-"""Every variable from the signals of one run; None where the run does not show it."""
 SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
 """Variables along whose sign a residual may be counted: what turns round with them would cancel in a bin."""
 EPSILON = float(np.finfo(np.float64).eps)

@@ -18,9 +18,10 @@ from leactl.gap.search.orders import periodogram, turns
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.sets import ENTRY, EffectSet, Finding
 from leactl.gap.signals.record import Record
+from leactl.gap.signals.state import state_in
 from leactl.gap.verdict.additive import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, Judged, presence
-from leactl.gap.verdict.picture import OF_SIGNALS, Part, channel_of, picture_of, view_of
+from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
 from leactl.gap.verdict.tone import Course, gains, strongest_frequency
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition
@@ -32,9 +33,6 @@ STRETCHES = 24  # of a run
 FEWEST = 4  # rows in a stretch, below which a run says nothing
 LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # of an angle: the first few, the strongest, and the last one tried
 LEAST_CLOSED = 0.05  # of the gap, below which nothing is said to depend
-CURRENT = ("q_axis_current", "current_rate")
-HOLD_THE_REST = {"free_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
-"""Variables of which an equation's rest is a part: beside the motion, a rotor's current says just what is missing."""
 EVEN = 0.5  # probability from which on an effect is named
 VISIBLE = 1.0  # times its uncertainty and floor, from which on an effect is near at all
 NEAREST = 4  # effects that are listed
@@ -113,14 +111,12 @@ def of_channel(stacked: Stack, channel: Channel | None) -> list[int]:
 def sample_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> Sample:
     """What a fit leaves over of some rows, with the state; stretches of two runs are no neighbours."""
     several = [stacked.rows[index] for index in indices]
-    state: dict[Variable, Array] = {}
-    for name, of_signals in OF_SIGNALS.items():
-        if name in HOLD_THE_REST.get(several[0].equation, ()):
-            continue
-        series = [of_signals(rows.signals) for rows in several]
-        if all(values is not None for values in series):
-            pairs = zip(series, several, strict=True)
-            state[name] = np.concatenate([values[rows.index] for values, rows in pairs if values is not None])
+    states = [state_in(rows.equation, rows.signals) for rows in several]
+    state = {
+        name: np.concatenate([one[name][rows.index] for one, rows in zip(states, several, strict=True)])
+        for name in states[0]
+        if all(name in one for one in states)
+    }
     stretch = [
         run * (STRETCHES + 1) + np.arange(len(rows.index)) * STRETCHES // len(rows.index)
         for run, rows in enumerate(several)

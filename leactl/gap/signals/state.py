@@ -1,0 +1,72 @@
+"""The variables that effects act in, from the signals of a run, and functions of one that have no form of their own."""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+from leactl.gap.over import last_reversal
+from leactl.gap.signals.smoothing import slope
+from leactl.vocabulary.variable import Variable
+
+Array = npt.NDArray[np.float64]
+
+
+def _rate(values: Array | None, interval: float) -> Array | None:
+    return None if values is None else slope(values, interval)
+
+
+def _travel(s: Signals) -> Array | None:
+    if s.angle is None or s.velocity is None:
+        return None
+    return np.asarray(np.abs(s.angle - s.angle[last_reversal(s.velocity)]), np.float64)
+
+
+def _power(s: Signals) -> Array | None:
+    return None if s.voltage is None or s.current is None else s.voltage * s.current
+
+
+OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
+    "angle": lambda s: s.angle,
+    "velocity": lambda s: s.velocity,
+    "acceleration": lambda s: s.acceleration,
+    "direction": lambda s: None if s.velocity is None else np.sign(s.velocity),
+    "travel": _travel,
+    "q_axis_current": lambda s: s.current if s.current is not None else s.line_current,
+    "current_rate": lambda s: _rate(s.following if s.following is not None else s.current, s.interval),
+    "power": _power,
+    "torque": lambda s: s.torque,
+    "torque_rate": lambda s: _rate(s.calm_torque, s.interval),
+    "winding_temperature": lambda s: s.winding,
+    "housing_temperature": lambda s: s.housing,
+    "time": lambda s: s.time,
+}
+"""Every variable from the signals of one run; None where the run does not show it."""
+CURRENT = ("q_axis_current", "current_rate")
+HOLD_THE_REST = {"free_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
+"""Variables of which an equation's rest is a part: beside the motion, a rotor's current says just what is missing."""
+
+
+def variable_in(variable: Variable, equation: str, signals: Signals) -> Array | None:
+    """A variable of one run, sample by sample; None where the run does not show it or it holds the equation's rest."""
+    return None if variable in HOLD_THE_REST.get(equation, ()) else OF_SIGNALS[variable](signals)
+
+
+def state_in(equation: str, signals: Signals) -> dict[Variable, Array]:
+    """The variables that the rest of an equation may be a function of, sample by sample of one run."""
+    shown = {variable: variable_in(variable, equation, signals) for variable in OF_SIGNALS}
+    return {variable: values for variable, values in shown.items() if values is not None}
+
+
+def hats(values: Array, knots: Array) -> Array:
+    """Piecewise linear functions, one at each knot, constant beyond the ends.
+
+    values : (n,) of a variable.
+    knots : (k,) in ascending order.
+
+    Returns
+    -------
+    Array : (n, k); each row adds up to one.
+    """
+    return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
