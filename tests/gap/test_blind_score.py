@@ -26,8 +26,8 @@ from tests.gap.emulated_cases import emulated_cases
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory):
-    """Two whole cases with one effect each, nobody misses either."""
-    return emulated_cases(tmp_path_factory, "scored").folder
+    """Two whole cases with one effect each, nobody misses either; a copy, since answers are written beside them."""
+    return shutil.copytree(emulated_cases(tmp_path_factory, "scored").folder, tmp_path_factory.mktemp("scored") / "set")
 
 
 @pytest.fixture(scope="session")
