@@ -122,7 +122,7 @@ def test_frames_that_lost_a_row_or_a_cell_are_refused(tmp_path, text, settings, 
         (FRAME + "Data\n", "line 4: text below the last frame: 'Data'"),
         (
             "Time: 1\n" + FRAME + "Time: 2\nNote: x\n" + FRAME,
-            "the lines above line 7 are not those of the other frames",
+            "the lines above line 2 are not those of the other frames",
         ),
         (FRAME.replace(".", "9."), "no temperature is below 209.1 degC: are they in kelvin, or counts\\? unit decides"),
     ],
