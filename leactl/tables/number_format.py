@@ -57,8 +57,17 @@ class TableFormat(Block):
 class DetectedFormat(TableFormat):
     """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
 
-    encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
+    encoding: (
+        Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "cp1252", "gbk", "gb18030", "cp949", "shift_jis"] | None
+    ) = None
     delimiter: Literal[",", ";", "\t", "|"] | None = None
+
+    @model_validator(mode="after")
+    def _marks_differ(self) -> "DetectedFormat":
+        """A comma may be both: some programs write `25,3` as two cells of a comma-separated line."""
+        if self.decimal is not None and self.decimal == self.thousands:
+            raise ValueError(f"decimal {self.decimal!r} is the thousands mark as well")
+        return self
 
 
 class NumberFormat(NamedTuple):

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from io import SEEK_END, TextIOWrapper
+from io import SEEK_END, StringIO, TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
@@ -26,12 +26,14 @@ MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
 HEAD_BYTES = 1 << 12  # by which an encoding is detected
 SHOWN_BYTES = 60  # before and after a byte that is in another encoding
+READINGS = ("cp1252", "cp949", "shift_jis", "gbk")  # of such bytes: Western, Korean, Japanese and Chinese Windows
 DELIMITERS = (",", ";", "\t", "|")
 DELIMITER_NAMES = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
 UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
 STAMPED = re.compile(r"[^:=]*[0-9]\s*:[0-9]")  # `PM 12:00:00`, which is no aside
+HALF_CELLS = re.compile(r"([^,]*[0-9],[0-9]+,)*[^,]*[0-9],[0-9]+,*\s*")  # `10:00:00,5,25,31`: two numbers
 ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivity: 0.95`, `Time = 12:00`
 
 
@@ -126,7 +128,7 @@ def open_text(path: Path, encoding: str, most: int | None = None, advice: str = 
                 stream.buffer.seek(max(at - SHOWN_BYTES, 0))
                 before, after = stream.buffer.read(min(at, SHOWN_BYTES)), stream.buffer.read(SHOWN_BYTES)
                 line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
-                readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk"))
+                readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in READINGS)
                 raise InputError(f"{path}: not {encoding} at byte {at}; its line reads {readings}{advice}") from None
             except UnicodeError as error:  # UTF-16 without a byte order mark
                 raise InputError(f"{path}: not {encoding}: {error}{advice}") from None
@@ -206,6 +208,8 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
         names = " or ".join(DELIMITER_NAMES.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
         raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
     delimiter, at = headers[0]
+    if delimiter == form.decimal:
+        delimiter, lines = ";", join_halves(lines)
     table = Table(path, [])
     table.remarks.append(
         f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}"
@@ -226,6 +230,24 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     with suppress(InputError):
         return next(rows_of(Path(), [line], delimiter), (0, list[str]()))[1]
     return []
+
+
+def join_halves(lines: Sequence[str]) -> list[str]:
+    """Lines of comma-separated cells with semicolons; numbers that a decimal comma cuts into two cells are joined.
+
+    A line with quotes keeps its cells, since its program quotes numbers with a comma.
+    """
+    joined = []
+    for line in lines:
+        plain = line.rstrip("\r\n")
+        cells = cells_of(plain, ",")
+        if '"' not in plain and HALF_CELLS.fullmatch(plain):
+            filled = strip_cells(cells)
+            cells = [",".join(filled[at : at + 2]) for at in range(0, len(filled), 2)] + cells[len(filled) :]
+        row = StringIO()
+        csv.writer(row, delimiter=";", lineterminator=line[len(plain) :]).writerow(cells)
+        joined.append(row.getvalue())
+    return joined
 
 
 def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
@@ -268,6 +290,8 @@ def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, e
         if line > last_line + 1:
             raise InputError(f"{table.path}: line {last_line + 1}: a quote opens a cell that does not end in its line")
         last_line = line
+        if '"' in lines[line - before - 1] and any('"' in cell for cell in cells):
+            table.remarks.append(f"line {line}: a quote stands in a cell, whose cells may not end where they should")
         if len(cells) != width or not cells[0][:1].isdigit() or cells[0] == headings[0]:
             filled = strip_cells(cells)
             if not filled:
@@ -281,7 +305,7 @@ def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, e
             if not STAMPED.match(filled[0]) and note_aside(table, line, filled):
                 continue
         if uneven is not None:
-            faults.append(width_fault(table.path, *uneven, width))
+            faults.append(width_fault(table.path, *uneven, width, delimiter))
             uneven = None
             if len(faults) == MOST_FAULTS:
                 break
@@ -293,7 +317,7 @@ def read_rows(table: Table, lines: Sequence[str], before: int, delimiter: str, e
                 table.lines.append(number)
         empty.clear()
     if uneven is not None and len(uneven[1]) > width:
-        faults.append(width_fault(table.path, *uneven, width))
+        faults.append(width_fault(table.path, *uneven, width, delimiter))
     elif uneven is not None:
         table.remarks.append(f"the last row, line {uneven[0]}, ends after {len(uneven[1])} of {width} cells: left out")
     if faults:
@@ -308,11 +332,16 @@ def strip_cells(cells: Sequence[str]) -> list[str]:
     return kept
 
 
-def width_fault(path: Path, line: int, cells: Sequence[str], width: int) -> str:
-    """Message for a row with another number of cells than its table; empty cells at the end of a row do not count."""
+def width_fault(path: Path, line: int, cells: Sequence[str], width: int, detected: str = "") -> str:
+    """Message for a row with another number of cells than its table; empty cells at the end of a row do not count.
+
+    A comma as detected delimiter may be a decimal comma that the setting `decimal` joins.
+    """
     if len(cells) == width or len(strip_cells(cells)) <= width <= len(cells):
         return ""
     hint = "; is a decimal comma taken for the delimiter?" if len(cells) > width else ""
+    if hint and detected == ",":
+        hint += " decimal: ',' joins such cells"
     return f"{path}: line {line}: {len(cells)} cells where {width} were expected{hint}"
 
 

@@ -2,22 +2,35 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from leactl.driver.batch import refuse_text_order
 from leactl.errors import InputError
-from leactl.tables.number_format import read_numbers
-from leactl.tables.text_table import DELIMITER_NAMES, DELIMITERS, SEP_LINE, Aside, read_text, strip_cells
+from leactl.tables.number_format import read_numbers, split_cell
+from leactl.tables.text_table import (
+    DELIMITER_NAMES,
+    DELIMITERS,
+    SEP_LINE,
+    Aside,
+    cells_of,
+    join_halves,
+    read_text,
+    rows_of,
+    strip_cells,
+)
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
     Array,
     CameraFile,
     emissivity_remarks,
+    hot_remarks,
     missing_remarks,
+    odd_number_remarks,
     row_times,
     to_celsius,
     unit_in,
@@ -29,6 +42,10 @@ LETTER = re.compile(r"[^\W\d_]")
 CELL_ENDS = re.compile(f"[{''.join(DELIMITERS)}]")
 STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "min": np.min}
 NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
+FRAME_LABEL = re.compile(r"[^\W\d_]+\s*[0-9]+")  # `Frame 12`, in the first cell of the first row of a frame
+SIZE_NAMES = (("height", "imageheight"), ("width", "imagewidth"))  # of rows and of columns, in lower case
+FEWEST_COUNTED = 3  # rows or columns that count by one, which pixels hardly do
+HINT = "skip_lines, index_column and frame_size tell which cells are pixels"
 
 
 @dataclass
@@ -37,8 +54,15 @@ class PixelFrame:
 
     path: Path
     line: int
+    delimiter: str
     rows: list[str] = field(default_factory=list)
     above: list[Aside] = field(default_factory=list)
+    label: tuple[int, int] = (0, 0)  # line and cells of what looks like a row behind a word and is taken for none
+    size: tuple[int | None, int | None] = (None, None)  # rows and columns, as the file states them
+
+    def cells(self, row: int) -> list[str]:
+        """Cells of one row, with its number."""
+        return split_line(self.rows[row], self.delimiter)
 
 
 def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> CameraFile:
@@ -54,20 +78,29 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         text, encoding = read_text(path, settings.encoding)
         lines = text.splitlines()
         delimiter = delimiter_of(path, lines, settings)
+        if delimiter == settings.decimal:
+            delimiter, lines = ";", join_halves(lines)
         remarks.append(f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells")
-        frames += frames_in(path, lines, delimiter, settings)
+        *of_file, rest = frames_in(path, lines, delimiter, settings)
+        if rest.rows:
+            of_file.append(rest)
+        take_stated_size(of_file, settings)
+        remarks += text_line_remarks(of_file, rest)
+        frames += of_file
         if not text.endswith(("\n", "\r")):
             remarks.append(f"{path.name} has no end of its last line: the last pixel may be cut")
     remarks = list(dict.fromkeys(remarks))
     if settings.time.line is None:
         refuse_text_order(paths)
-    frames, width, left_out = frames_of_one_size(frames, delimiter)
+    refuse_halves(frames, settings)
+    frames, width, left_out = frames_of_one_size(frames, settings)
+    check_first_cells(frames, settings)
     remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
 
     def where(row: int) -> str:
         return f"{frames[row].path}: the frame from line {frames[row].line} on"
 
-    cells = region_cells(frames, delimiter, width, settings)
+    cells, in_sight = region_cells(frames, width, settings)
     cells_by_region = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
     sizes = {name: len(of[0]) for name, of in cells.items()}
 
@@ -94,7 +127,13 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         plain = read_numbers({line: stamps}, settings, lambda _, row: where(row), {})[0][line]
     clock = row_times(len(frames), stamps, plain, line, settings, where)
     remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
+    remarks += odd_number_remarks(cells_by_region, in_sight, convention, place) + hot_remarks(values, settings)
     return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Cells of a line; quotes protect a delimiter in a cell."""
+    return cells_of(line, delimiter) if '"' in line else line.split(delimiter)
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
@@ -102,64 +141,126 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
-    sample = [line for line in lines[:200] if line.strip() and not is_text_line(line, settings)][:50]
-    fitting = [
-        mark
-        for mark in DELIMITERS
-        if sample
-        and len({len(strip_cells(line.split(mark))) for line in sample}) == 1
-        and len(strip_cells(sample[0].split(mark))) > 1
-        and all(looks_plain(cell) or not any(c.isdigit() for c in cell) for cell in sample[0].split(mark))
-    ]
+    first = settings.skip_lines
+    sample = [line for line in lines[first : first + 200] if line.strip() and not is_text_line(line, settings)][:50]
+    sample = sample[1:] or sample  # the first may be the size of the frame
+    fitting = []
+    for mark in DELIMITERS:
+        rows = [strip_cells(split_line(line, mark)) for line in sample]
+        plain = rows and all(looks_plain(cell) or not any(c.isdigit() for c in cell) for cell in rows[-1])
+        if plain and len({len(row) for row in rows}) == 1 and len(rows[0]) > 1:
+            fitting.append(mark)
     if len(fitting) != 1:
         names = " and ".join(DELIMITER_NAMES.get(mark, repr(mark)) for mark in fitting) or "no mark"
-        raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides")
+        hint = "" if fitting else f", where its first lines are rows; {HINT}"
+        raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides{hint}")
     return fitting[0]
 
 
 def is_text_line(line: str, settings: ThermalCsvSettings) -> bool:
     """Whether a line begins with a word and is no row of pixels; marks of missing pixels may be letters too."""
-    first = CELL_ENDS.split(line, maxsplit=1)[0].strip("\"' ")
+    first = next((plain for cell in CELL_ENDS.split(line) if (plain := cell.strip("\"' ["))), "")
     return LETTER.match(first) is not None and first not in settings.missing
 
 
+def is_labelled_row(cells: Sequence[str], settings: ThermalCsvSettings) -> bool:
+    """Whether a word stands before pixels: `Frame 1;25.0;25.1`."""
+    missing = frozenset(settings.missing)
+    read = [split_cell(cell, missing) for cell in cells[1:]]
+    return None not in read and sum(bool(cell and cell.number) for cell in read) > 1
+
+
 def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[PixelFrame]:
-    """Split the lines of a file into frames."""
-    frames = [PixelFrame(path, 1)]
+    """Split the lines of a file into frames; the last one has no row if the lines end with text or a blank line."""
+    frames = [PixelFrame(path, 1, delimiter)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
             continue
-        cells = strip_cells(line.split(delimiter))
-        if not cells or is_text_line(line, settings):
+        cells = strip_cells(split_line(line, delimiter))
+        is_text = bool(cells) and is_text_line(line, settings)
+        labelled = is_text and is_labelled_row(cells, settings)
+        begins = labelled and settings.index_column is True and FRAME_LABEL.fullmatch(cells[0]) is not None
+        if not cells or number <= settings.skip_lines or is_text or begins:
             if frames[-1].rows:
-                frames.append(PixelFrame(path, number + 1))
-            if cells:
-                note_named_value(frames[-1], number, cells)
-            continue
+                frames.append(PixelFrame(path, number + 1, delimiter))
+            if cells and not begins:
+                note_named_value(frames[-1], number, cells, delimiter)
+                frames[-1].label = (number, len(cells)) if labelled else (0, 0)
+            if not begins:
+                continue
+        if '"' in line:
+            next(rows_of(path, [line], delimiter, strict=True, before=number - 1))
         if not frames[-1].rows:
             frames[-1].line = number
         frames[-1].rows.append(line)
-    return [frame for frame in frames if frame.rows]
+    return frames
 
 
-def note_named_value(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
+def text_line_remarks(frames: Sequence[PixelFrame], rest: PixelFrame) -> list[str]:
+    """Remarks on lines of text in a file that stand where those of the other frames do not."""
+    remarks = []
+    if frames and not rest.rows and rest.above:
+        remarks.append(
+            f"{rest.path.name}: line {rest.above[0].line}: text below the last frame: {rest.above[0].name!r}"
+        )
+    usual = [aside.name for aside in frames[1].above] if len(frames) > 1 else []
+    for number, frame in enumerate(frames):
+        names = [aside.name for aside in frame.above]
+        if (names if number else names[len(names) - len(usual) :]) != usual:
+            remarks.append(f"{frame.path.name}: the lines above line {frame.line} are not those of the other frames")
+            break
+    return remarks
+
+
+def take_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
+    """Store the size of the frames as a file states it: by name, in a line above, or by numbering rows and columns."""
+    if not frames:
+        return
+    first = frames[0]
+    named = {aside.name.lower(): aside.value for aside in first.above}
+    rows, columns = (
+        next((int(named[name]) for name in names if named.get(name, "").isdecimal()), None) for names in SIZE_NAMES
+    )
+    if len(first.rows) > 1:
+        size = strip_cells(first.cells(0))
+        below = len(first.rows) - 1, len(strip_cells(first.cells(1)))
+        if size == [str(below[1]), str(below[0])]:
+            first.rows.pop(0)
+            first.line += 1
+            rows, columns = below
+    if settings.index_column is True:
+        columns = columns or first.label[1] - 1 if first.label[1] else columns  # the numbers of the columns
+        rows = rows or len(first.rows) if first.cells(0)[0].strip("\"' ") == "0" else rows  # a lost row leaves a gap
+    for frame in frames:
+        frame.size = rows, columns
+
+
+def note_named_value(frame: PixelFrame, line: int, cells: Sequence[str], delimiter: str) -> None:
     """Store the named value of a line between frames: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
-    match = NAME_VALUE.fullmatch(cells[0])
-    name, value = (match[1], match[2]) if match else (cells[0], "")
-    frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
+    filled = [cell for cell in cells if cell]
+    match = NAME_VALUE.fullmatch(filled[0])
+    name, value = (match[1], match[2]) if match else (filled[0], "")
+    value = delimiter.join([value, *cells[1:]]) if value else " ".join(filled[1:2])  # a stamp may have a comma
+    frame.above.append(Aside(line, name.strip("\"'"), value))
 
 
-def frames_of_one_size(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
+def frames_of_one_size(
+    frames: list[PixelFrame], settings: ThermalCsvSettings
+) -> tuple[list[PixelFrame], int, list[str]]:
     """Check that frames have one size; an incomplete last frame is left out. Returns frames, width and remarks.
 
     Raises
     ------
-    InputError : no frame, or a frame of another size before the last.
+    InputError : no frame, or a frame of another size before the last or than is stated.
     """
     if not frames:
         raise InputError("no frame of numbers was found")
-    sizes = [{len(strip_cells(row.split(delimiter))) for row in frame.rows} for frame in frames]
-    width, height = max(sizes[0]), len(frames[0].rows)
+    if settings.frame_size is not None:
+        frames = [part for frame in frames for part in parts_of(frame, settings.frame_size[0])]
+    index = int(settings.index_column is True)
+    sizes = [{len(strip_cells(frame.cells(row))) - index for row in range(len(frame.rows))} for frame in frames]
+    stated = settings.frame_size or frames[0].size
+    height, width = stated[0] or len(frames[0].rows), stated[1] or max(sizes[0])
     remarks = []
     last = frames[-1]
     if len(frames) > 1 and (len(last.rows) < height or min(sizes[-1]) < width):
@@ -168,20 +269,85 @@ def frames_of_one_size(frames: list[PixelFrame], delimiter: str) -> tuple[list[P
     for frame, widths in zip(frames, sizes, strict=True):
         if widths != {width} or len(frame.rows) != height:
             shape = f"{len(frame.rows)} rows of {' or '.join(map(str, sorted(widths)))} cells"
-            raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {height} of {width} were expected")
+            expected = f"{height} of {width} were expected; {HINT}"
+            raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {expected}")
+    if None in stated:
+        remarks.append("nothing states the size of the frames, by which lost rows or cells are seen; frame_size does")
     return frames, width, remarks
 
 
+def parts_of(frame: PixelFrame, height: int) -> list[PixelFrame]:
+    """The frames of a height that lines without a blank one between them hold; the lines as they are if they do not."""
+    if len(frame.rows) % height:
+        return [frame]
+    starts = range(0, len(frame.rows), height)
+    return [replace(frame, line=frame.line + at, rows=frame.rows[at : at + height]) for at in starts]
+
+
+def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
+    """Check that what stands before and above the pixels is told by the settings.
+
+    Raises
+    ------
+    InputError : rows or columns are numbered, or a row is labelled, and no setting says so; or row numbers have a gap.
+    """
+    first = frames[0]
+    index = int(settings.index_column is True)
+    above = strip_cells(first.cells(0))[index:]
+    if len(above) >= FEWEST_COUNTED and counts_by_one(above):
+        raise InputError(f"{first.path}: line {first.line}: counts its columns, which are no pixels; {HINT}")
+    for frame in frames:
+        cells = [frame.cells(row)[0].strip("\"' ") for row in range(len(frame.rows))]
+        filled = [cell for cell in cells if cell and not FRAME_LABEL.fullmatch(cell)]
+        if settings.index_column is True and filled and not (len(filled) == len(cells) and counts_by_one(filled)):
+            row = next(row for row in range(len(cells)) if not counts_by_one(cells[: row + 1]))
+            raise InputError(f"{frame.path}: line {frame.line + row}: {cells[row]!r} is not the next number of a row")
+        if settings.index_column is not None:
+            continue
+        if frame.label[1] == len(strip_cells(frame.cells(0))):
+            what = f"line {frame.label[0]}: a word and as many cells as a row has"
+        elif not any(cells):
+            what = f"line {frame.line}: the first cell of every row is empty"
+        elif len(cells) >= FEWEST_COUNTED and counts_by_one(cells):
+            what = f"line {frame.line}: the first cells count the rows"
+        else:
+            continue
+        raise InputError(f"{frame.path}: {what}; index_column says whether first cells are pixels")
+
+
+def counts_by_one(cells: Sequence[str]) -> bool:
+    """Whether cells are whole numbers of which each is the one before plus one."""
+    if not all(cell.strip("\"' ").isdecimal() for cell in cells):
+        return False
+    numbers = [int(cell.strip("\"' ")) for cell in cells]
+    return all(after == before + 1 for before, after in pairwise(numbers))
+
+
+def refuse_halves(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
+    """Raise InputError if every two cells of comma-separated rows may be one number with a decimal comma."""
+    if settings.decimal is not None or not frames or frames[0].delimiter != ",":
+        return
+    first = frames[0]
+    index = int(settings.index_column is True)
+    rows = [strip_cells(first.cells(row))[index:] for row in range(len(first.rows))]
+    ends = {len(cell) for row in rows for cell in row[1::2]}
+    whole = all(cell.lstrip("+-").isdecimal() for row in rows for cell in row)
+    if whole and len(ends) == 1 and all(len(row) % 2 == 0 for row in rows):
+        both = ",".join(rows[0][:2])
+        raise InputError(f"{first.path}: line {first.line}: {both!r} is one number or two; decimal decides")
+
+
 def region_cells(
-    frames: Sequence[PixelFrame], delimiter: str, width: int, settings: ThermalCsvSettings
-) -> dict[str, list[list[str]]]:
-    """The cells of each region, by frame.
+    frames: Sequence[PixelFrame], width: int, settings: ThermalCsvSettings
+) -> tuple[dict[str, list[list[str]]], set[str]]:
+    """The cells of each region, by frame, and all cells of their rows.
 
     Raises
     ------
     InputError : a region lies outside the frames.
     """
     height = len(frames[0].rows)
+    index = int(settings.index_column is True)
     spans: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {}
     for name, region in settings.regions.items():
         spans[name] = span_of(region)
@@ -189,12 +355,15 @@ def region_cells(
             raise InputError(f"{frames[0].path}: region {name} goes past the frames of {height} rows, {width} columns")
     needed = sorted({row for rows, _ in spans.values() for row in range(rows[0], rows[1] + 1)})
     cells: dict[str, list[list[str]]] = {name: [] for name in spans}
+    in_sight: set[str] = set()
     for frame in frames:
-        split = {row: frame.rows[row].split(delimiter) for row in needed}
+        split = {row: frame.cells(row)[index:] for row in needed}
+        for row_cells in split.values():
+            in_sight.update(row_cells)
         for name, (rows, columns) in spans.items():
             rows_of_region = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
             cells[name].append([cell for row_cells in rows_of_region for cell in row_cells])
-    return cells
+    return cells, in_sight
 
 
 def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -1,7 +1,7 @@
 """Read a table of regions over time: one row per frame, with columns named by the user."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,16 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.tables.number_format import Numbers, read_numbers
-from leactl.tables.text_table import Aside, Table, common_unit, read_table, unit_of
+from leactl.tables.number_format import NumberFormat, Numbers, Where, read_numbers, split_cell
+from leactl.tables.text_table import MOST_FAULTS, Aside, Table, common_unit, read_table, unit_of
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
 from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
 
 Array = npt.NDArray[np.float64]
 COLDEST, HOTTEST = -460.0, 6000.0  # range of cameras in any of the units
+HOT_DEGC = 200.0  # above which no part of an actuator stays, and below room temperature in kelvin
+NEAR = 10.0  # of any unit, by which a number may lie outside the range of those around it
+FEWEST_USUAL = 2  # numbers with a decimal mark by which others are judged
 EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
-UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位", re.IGNORECASE)
+UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位|単位|단위", re.IGNORECASE)
 
 
 class CameraFile(NamedTuple):
@@ -64,6 +67,9 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
         remarks.append(f"{table.repeated_headers + 1} blocks under the same headings")
     remarks += emissivity_remarks(table.asides) + emissivity_column_remarks(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
+    region_cells = {heading: cells[heading] for heading in headings.values()}
+    in_sight = {text for of_column in region_cells.values() for text in of_column}
+    remarks += odd_number_remarks(region_cells, in_sight, convention, table.place) + hot_remarks(values, settings)
     return CameraFile(clock, values, where, remarks)
 
 
@@ -108,7 +114,8 @@ def unit_in(
                 raise InputError(f"{path}: column {heading!r}: {text!r} behind a number is no temperature unit")
             sources_by_unit.setdefault(in_cell, f"cells of {heading!r}")
     for aside in asides:
-        if UNIT_LINE.search(aside.name) and (unit := unit_named(aside.value)):
+        unit = unit_named(aside.value) or unit_named(unit_of(aside.value))
+        if UNIT_LINE.search(aside.name) and unit:
             sources_by_unit.setdefault(unit, f"line {aside.line}")
     if settings.unit is not None:
         sources_by_unit.setdefault(settings.unit, "the setting unit")
@@ -142,6 +149,52 @@ def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers])
         if over or missing:
             remarks.append(f"{headings[name]}: {', '.join(filter(None, (missing, over)))}: NaN")
     return remarks
+
+
+def odd_number_remarks(
+    columns: Mapping[str, Sequence[str]], in_sight: Iterable[str], convention: NumberFormat, place: Where
+) -> list[str]:
+    """Remarks on numbers that lie far from those around them and are written otherwise.
+
+    Such a number has an exponent, or lies among the others only if the decimal mark that they have is put in.
+
+    Parameters
+    ----------
+    columns : cells by heading.
+    in_sight : the cells around them, and they themselves.
+    """
+    usual = [text for text in map(number_in, in_sight) if convention.decimal in text and "e" not in text]
+    if len(usual) < FEWEST_USUAL:
+        return []
+    decimals = {len(text.rpartition(convention.decimal)[2]) for text in usual}
+    values = [value for text in usual if (value := convention.value(text)) is not None]
+    low, high = min(values) - NEAR, max(values) + NEAR
+    remarks = []
+    for heading, cells in columns.items():
+        for text in dict.fromkeys(cells):
+            number = number_in(text)
+            value = convention.value(number) if number else None
+            if value is None or low <= value <= high:
+                continue
+            lost = convention.decimal not in number and any(low <= value / 10.0**count <= high for count in decimals)
+            if lost or "e" in number:
+                why = "has an exponent" if "e" in number else "may have lost its decimal mark"
+                remarks.append(f"{place(heading, cells.index(text))}: {text!r} {why}")
+    return remarks[:MOST_FAULTS]
+
+
+def number_in(text: str) -> str:
+    """The number in a cell, in lower case; empty if there is none."""
+    cell = split_cell(text, frozenset())
+    return cell.number.lower() if cell else ""
+
+
+def hot_remarks(values: Array, settings: ThermalCsvSettings) -> list[str]:
+    """A remark on temperatures that a setting calls degC although no part of an actuator is that hot throughout."""
+    coldest = float(np.nanmin(values, initial=np.inf))
+    if settings.unit != "degC" or not HOT_DEGC < coldest < np.inf:
+        return []
+    return [f"no temperature is below {coldest:.4g} degC: are they in kelvin, or counts? unit decides"]
 
 
 def emissivity_remarks(asides: list[Aside]) -> list[str]:

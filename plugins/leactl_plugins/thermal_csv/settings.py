@@ -16,6 +16,7 @@ from leactl.units import known_units
 STRICT = ConfigDict(frozen=True, extra="forbid")
 Heading = Annotated[str, StringConstraints(strict=True, strip_whitespace=True, min_length=1)]
 Pixel = Annotated[int, Field(strict=True, ge=0, le=20_000)]
+Size = Annotated[int, Field(strict=True, ge=1, le=20_000)]
 QUANTITIES = ("winding_temperature", "housing_temperature", "ambient_temperature")
 
 
@@ -79,6 +80,9 @@ class ThermalCsvSettings(DetectedFormat, RecordSettings):
     regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], CameraRegion], Field(min_length=1)]
     time: StampSettings = StampSettings()
     unit: Literal["degC", "degF", "K"] | None = None
+    skip_lines: Annotated[int, Field(strict=True, ge=0, le=1000)] = 0  # at the head of a file, which hold no pixels
+    index_column: bool | None = None  # whether the first cell of a row is its number or the label of a frame
+    frame_size: tuple[Size, Size] | None = None  # rows and columns
 
     @model_validator(mode="after")
     def _one_form_of_file(self) -> Self:
@@ -87,6 +91,8 @@ class ThermalCsvSettings(DetectedFormat, RecordSettings):
         needed = "time.line" if self.matrix else "time.column"
         if (self.time.line if self.matrix else self.time.column) is None and self.time.frame_rate_Hz is None:
             raise ValueError(f"time: {needed} or time.frame_rate_Hz is needed")
+        if not self.matrix and (self.skip_lines or self.index_column is not None or self.frame_size is not None):
+            raise ValueError("skip_lines, index_column and frame_size are of frames; the regions are columns")
         return self
 
     def shown(self) -> list[Shown]:
@@ -119,8 +125,8 @@ def zone_of(name: str) -> timezone | ZoneInfo:
 
 
 UNIT_NAMES = {
-    "degC": ("°c", "º c", "ºc", "℃", "degc", "deg c", "c", "celsius", "摄氏度"),
-    "degF": ("°f", "ºf", "℉", "degf", "deg f", "f", "fahrenheit", "华氏度"),
+    "degC": ("°c", "º c", "ºc", "℃", "degc", "deg c", "c", "celsius", "degrees celsius", "摄氏度", "섭씨", "摂氏"),
+    "degF": ("°f", "ºf", "℉", "degf", "deg f", "f", "fahrenheit", "degrees fahrenheit", "华氏度", "화씨", "華氏"),
     "K": ("k", "°k", "kelvin", "开尔文"),
 }
 assert set(UNIT_NAMES) == set(known_units("winding_temperature"))
