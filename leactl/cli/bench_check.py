@@ -112,14 +112,14 @@ def _examine(
     from leactl.runner.bench_check.procedure import examine, reading, turning
 
     rest = reading(bench, setup, out, realtime, served, bus)
-    turn, moves = turning(bench, current, setup, out, realtime, served, bus) if move else (None, None)
+    turn = turning(bench, current, setup, out, realtime, served, bus) if move else None
     if dry_run:
-        typer.echo(f"leactl: {moves}" if moves else "leactl: every drive stays off", err=True)
-        print_rehearsal(turn or rest, as_json)
+        typer.echo(f"leactl: {turn[1] if turn else 'every drive stays off'}", err=True)
+        print_rehearsal(turn[0] if turn else rest, as_json)
         return
     if turn is not None and not (rest.in_process or yes or sys.stdin.isatty()):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")
-    question = f"{moves}. Keep clear of the shaft. Go on?"
+    question = f"{turn[1] if turn else ''}. Keep clear of the shaft. Go on?"
     examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
     text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
     unread = print_answer(encodable(text, encoding_of_stdout()))

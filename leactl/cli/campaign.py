@@ -133,7 +133,7 @@ def run(
 ) -> None:
     """Begin a campaign or go on with it."""
     from leactl.errors import AcceptanceFailed
-    from leactl.report.campaign import plan_text
+    from leactl.report.campaign import demands, plan_text
     from leactl.report.outputs import check_folder
     from leactl.runner.campaign.conduct import Manner, conduct
     from leactl.runner.campaign.entries import previews
@@ -147,10 +147,8 @@ def run(
         expected = previews(entries)
         rows = [
             _about(entry)
-            | {
-                "duration_s": round(expected[entry.cell.step, entry.cell.condition].duration_s, 3),
-                "finished": entry.cell.key in now.finished,
-            }
+            | demands(expected[entry.cell.step, entry.cell.condition])
+            | {"finished": entry.cell.key in now.finished}
             for entry in entries
         ]
         body = {"campaign": campaign.name, "variant": variant, "seed": campaign.seed, "folder": str(folder)}

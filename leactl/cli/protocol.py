@@ -91,10 +91,10 @@ def plan(
 ) -> None:
     """Print the expanded timeline with duration and peak values; nothing moves."""
     from leactl.protocol.protocolfile import load, read_overrides
-    from leactl.report.plan import head, peaks, plan_lines, searches
+    from leactl.report.plan import head, hottest, peaks, plan_lines, searches
 
     expanded = load(protocol, read_overrides(overrides), condition)
-    hottest: dict[str, float] = {}
+    hottest_degc: dict[str, float] = {}
     passes, limits, slow = "", None, ""
     stays_on: list[str] = []
     alone: list[str] = []
@@ -119,7 +119,7 @@ def plan(
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
         stays_on = [supply.told for supply in left_on(expanded, windings, there)]
-        hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
+        hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
             slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
         passes = (
@@ -127,12 +127,12 @@ def plan(
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        thermal_body = {"hottest_degC": hottest, "left_on": stays_on, "one_sensor": alone} if bench else {}
+        thermal_body = {"hottest_degC": hottest_degc, "left_on": stays_on, "one_sensor": alone} if bench else {}
         heat = {"searches": searches(expanded)} | thermal_body
         typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
-    for role, value in hottest.items():
+    for role, value in hottest_degc.items():
         typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
     for line in [*stays_on, *alone]:
         typer.echo(line)

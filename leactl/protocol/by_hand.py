@@ -7,7 +7,7 @@ cannot express. The run file keeps the text, and `leactl run` accepts it.
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from leactl import yamlfile
 from leactl.driver.contract import Mode
@@ -15,10 +15,18 @@ from leactl.errors import InputError
 from leactl.protocol.plan import Plan
 from leactl.protocol.protocolfile import expanded
 from leactl.protocol.setpointkeys import SPELLINGS
+from leactl.protocol.signals import MultisineSignal
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 RATE_HZ = 50
 HELD = "held"  # the step in which a bench turns and pulls
-SWING_HZ, SWINGS = 2.0, 5  # a torque either way for 0.25 s: interlocks see no lasting contradiction
+SWINGS_HZ = (2.0, 2.4)  # a torque either way for a quarter of a second: interlocks see no lasting contradiction
+SWING_S = 2.5  # whole periods of both, whose difference begins and ends at 0 and leaves a shaft at rest where it was
 REST_S = 0.5  # in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
@@ -117,18 +125,30 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
 
 
 def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
-    """Steps that let one drive after the other swing the shaft by a sine of current [A], the other drives off."""
-    current, swing = SPELLINGS[Mode.CURRENT].setpoint, f"frequency_Hz: {SWING_HZ!r}, duration_s: {SWINGS / SWING_HZ!r}"
+    """Steps that let one drive after the other swing the shaft by a beat of current [A], the other drives off.
+
+    A sine alone would push a shaft of little friction ever onwards; after this one stands where it began.
+    """
+    current = SPELLINGS[Mode.CURRENT].setpoint
+    swing = f"frequencies_Hz: {list(SWINGS_HZ)!r}, duration_s: {SWING_S!r}"
     steps = tare_steps() if tare else []
     for role, amplitude in currents.items():
         steps += [
             f"mode: {{{role}: {Mode.CURRENT}}}",
-            f"signal: {{role: {role}, kind: sine, amplitude_A: {amplitude!r}, {swing}}}",
+            f"signal: {{role: {role}, kind: multisine, amplitude_A: {amplitude!r}, {swing}}}",
             f"set: {{role: {role}, {current}: 0}}",
             f"mode: {{{role}: off}}",
             f"hold: {{name: rest, duration_s: {REST_S!r}}}",
         ]
     return steps
+
+
+def swing(times: "Array") -> "Array":
+    """The beat of `swinging_steps` over its amplitude, of shape (n,), at times (n,) of the loop's cycles [s]."""
+    signal = MultisineSignal(
+        kind="multisine", role="test", frequencies_Hz=SWINGS_HZ, amplitude_A=1.0, duration_s=SWING_S
+    )
+    return signal.around(times, SPELLINGS[Mode.CURRENT])
 
 
 def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:

@@ -3,11 +3,22 @@
 from collections.abc import Mapping
 from typing import Any
 
+from leactl.report.plan import hottest, peaks
 from leactl.report.terminal import duration
+from leactl.runner.session import Preview
+
+
+def demands(expected: Preview) -> dict[str, Any]:
+    """Return duration, largest setpoints and winding temperatures of a run, from ambient, as JSON takes them."""
+    return {
+        "duration_s": round(expected.duration_s, 3),
+        "peaks": peaks(expected.plan),
+        "hottest_degC": hottest(expected.forecast),
+    }
 
 
 def plan_text(title: str, body: Mapping[str, Any]) -> str:
-    """Return every run in order with its duration, a line before each change of what is mounted, and the time in all.
+    """Return every run in order with its demands, a line before each change of what is mounted, and the time in all.
 
     Parameters
     ----------
@@ -15,19 +26,30 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
     """
     rows = body["runs"]
     lines = [f"{body['campaign']}: {title}".rstrip(": ")]
-    width = max(len(row["step"]) for row in rows)
+    texts = [_columns(row) for row in rows]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
     prompted = ""
     for number, row in enumerate(rows, start=1):
         if row["prompt"] and row["prompt"] != prompted:
             lines.append(f"      mount {row['prompt']}")
         prompted = row["prompt"]
+        columns = "  ".join(f"{text:<{width}}" for text, width in zip(texts[number - 1], widths, strict=True))
         details = "  ".join(filter(None, (row["actuator"], row["condition"], f"repeat {row['repeat']}")))
         done = "  finished" if row["finished"] else ""
-        lines.append(f"{number:>5}  {row['step']:<{width}}  {duration(row['duration_s']):>8}  {details}{done}")
+        lines.append(f"{number:>5}  {duration(row['duration_s']):>8}  {columns}  {details}{done}")
     remaining_s = sum(row["duration_s"] for row in rows if not row["finished"])
     count = sum(not row["finished"] for row in rows)
     lines.append(f"{count} of {len(rows)} runs are left, {duration(remaining_s)} of bench time, in {body['folder']}")
     return "\n".join(lines)
+
+
+def _columns(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    """A run's step with its protocol where that is named otherwise, its largest setpoints, and its hottest windings."""
+    step, protocol = row["step"], row["protocol"]
+    largest = ", ".join(f"{peak['role']} {peak['value']:.4g} {peak['unit']}" for peak in row["peaks"])
+    windings = ", ".join(f"{role} {value:.0f}" for role, value in row["hottest_degC"].items())
+    name = step if step == protocol else f"{step} ({protocol})"
+    return name, largest or "no setpoint", f"windings {windings} degC at most"
 
 
 def campaign_state_text(body: Mapping[str, Any]) -> str:

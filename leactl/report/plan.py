@@ -11,6 +11,7 @@ from leactl.report.terminal import duration
 from leactl.runfile.write.description import new_run_id
 from leactl.runner.session import Rehearsal, Request
 from leactl.safety.limits import Limits
+from leactl.safety.thermal.foresight import Forecast
 
 
 def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
@@ -51,6 +52,11 @@ def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
     ]
 
 
+def hottest(forecast: Forecast) -> dict[str, float]:
+    """Return by role the hottest that a winding may become [degC]."""
+    return {role: round(value, 2) for role, value in forecast.peaks.items()}
+
+
 def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
     plan, windings = rehearsal.plan, rehearsal.windings
@@ -66,10 +72,10 @@ def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
             role: {
                 "begins_degC": round(float(windings.recalled[role].nodes[0]), 2),
                 "known": windings.recalled[role].known,
-                "hottest_degC": round(hottest, 2),
+                "hottest_degC": peak,
                 "limit_degC": windings.settings.limit,
             }
-            for role, hottest in rehearsal.forecast.peaks.items()
+            for role, peak in hottest(rehearsal.forecast).items()
         },
         "left_on": list(rehearsal.left_on),
         "tripped": False,
@@ -90,8 +96,8 @@ def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, An
     """
     lines = plan_lines(rehearsal.plan, request.bench.limits)
     for role, winding in body["windings"].items():
-        hottest, limit = winding["hottest_degC"], winding["limit_degC"]
-        lines.append(f"winding {role} at most {hottest:g} degC, limit {limit:g} degC; {winding['known']}")
+        peak, limit = winding["hottest_degC"], winding["limit_degC"]
+        lines.append(f"winding {role} at most {peak:g} degC, limit {limit:g} degC; {winding['known']}")
     lines += [*body["left_on"], *body["one_sensor"]]
     lines.append(f"would open {', '.join(device['name'] for device in body['devices'])}")
     lines.append(f"bench '{body['bench']}' is not tripped, and no other run holds it")

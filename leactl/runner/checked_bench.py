@@ -15,6 +15,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.emulation.bench.block import check_emulated
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
+from leactl.quantities import ChannelSpec
 from leactl.runner.thermal_admission import STOPS_WITHIN_S
 from leactl.safety.thermal.box import Box
 from leactl.yamlfile import Document
@@ -39,7 +40,9 @@ def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Doc
     except InputError as error:
         faults += error.faults
     try:
-        require_channels_for_interlocks(Bench(file, devices, MachineWiring()), document)
+        bench = Bench(file, devices, MachineWiring())
+        faults += _alike_channels(bench, devices, document)
+        require_channels_for_interlocks(bench, document)
     except InputError as error:
         faults += error.faults
     if faults:
@@ -52,6 +55,21 @@ def _unknown_interfaces(file: BenchFile, document: Document) -> Iterator[str]:
     for name, bus in file.buses.items() if file.emulated is None else ():
         if isinstance(bus, CanBus) and (fault := unknown_interface(bus)):
             yield document.fault(("buses", name, "interface"), fault)
+
+
+def _alike_channels(bench: Bench, devices: Sequence[CheckedDevice], document: Document) -> Iterator[str]:
+    """Channels of the same quantity, role and location as another's: no run file takes them."""
+    settings = {device.name: device.settings for device in devices}
+    first: dict[tuple[str, str, str], ChannelSpec] = {}
+    for channel in (channel for stream in bench.streams().values() for channel in stream):
+        other = first.setdefault((channel.quantity, channel.role, channel.location), channel)
+        if channel.quantity and other is not channel:
+            shown = [each.place for each in settings[channel.device].shown() if each.quantity == channel.quantity]
+            yield document.fault(
+                ("devices", channel.device, "settings", *(shown[-1][:2] if shown else ())),
+                f"{channel.quantity} of {channel.role} is measured by {other.device} too; another role or location"
+                " was expected",
+            )
 
 
 def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:

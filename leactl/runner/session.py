@@ -179,10 +179,16 @@ def execute(
 
 @dataclass(frozen=True)
 class Preview:
-    """What a run would take."""
+    """What a run would take, from windings at ambient."""
 
-    duration_s: float  # at the least, with the waits for cooling that it is to insert
+    plan: Plan  # with the waits for cooling that it is to insert
+    forecast: Forecast
     planned_bytes: float
+
+    @property
+    def duration_s(self) -> float:
+        """Bench time, at the least."""
+        return self.plan.duration_s
 
 
 def preview(request: Request) -> Preview:
@@ -198,7 +204,7 @@ def preview(request: Request) -> Preview:
     request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     ready, bench, _supervisor = _ready(request, windings)
-    return Preview(ready.plan.duration_s, _planned_bytes(request, bench))
+    return Preview(ready.plan, windings.forecast(ready.plan), _planned_bytes(request, bench))
 
 
 def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:

@@ -66,6 +66,7 @@ class Windings:
         self.recalled |= recalled or {}
         start = {role: known.nodes for role, known in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
+        self._foreseen: tuple[Plan, Forecast] | None = None
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
     @contextmanager
@@ -95,8 +96,10 @@ class Windings:
             self.keeper.doubted = not confirmed
 
     def forecast(self, plan: Plan) -> Forecast:
-        """What a plan would do to the windings."""
-        return self._foresight().forecast(plan)
+        """What a plan would do to the windings; that of the plan that was admitted is at hand."""
+        if self._foreseen is None or self._foreseen[0] is not plan:
+            self._foreseen = plan, self._foresight().forecast(plan)
+        return self._foreseen[1]
 
     def rest_before(self, plan: Plan) -> float | None:
         """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
@@ -120,12 +123,12 @@ class Windings:
         ------
         InputError : a winding may pass its limit; with the step, the time, and the wait that would help.
         """
-        foresight = self._foresight()
-        forecast = foresight.forecast(plan)
+        forecast = self.forecast(plan)
         if forecast.passing is None:
             return plan
-        longer, later = foresight.with_waits(plan)
+        longer, later = self._foresight().with_waits(plan)
         if insert_cooldown and later.passing is None:
+            self._foreseen = longer, later
             return longer
         at = forecast.passing
         if later.passing is None:

@@ -243,8 +243,25 @@ def test_a_plan_is_printed_and_nothing_is_made(here):
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert [row["run"] for row in told["runs"]][:2] == ["s0//unloaded/1", "s1//unloaded/1"]
-    assert told["runs"][1]["duration_s"] == 9
+    planned = leactl("protocol", "plan", "spin.yaml", "--set", "hold_s=9", "--bench", "emulated", "--json")
+    alone, row = json.loads(planned.stdout), told["runs"][1]
+    assert (row["step"], row["protocol"], row["duration_s"]) == ("s1", alone["name"], 9)
+    keys = ("role", "quantity", "value", "unit")
+    assert row["peaks"] == [{key: peak[key] for key in keys} for peak in alone["peaks"]]
+    assert (row["peaks"][0]["role"], row["peaks"][0]["value"]) == ("test", 0.5)
+    assert row["hottest_degC"] == alone["hottest_degC"]
+    assert row["hottest_degC"]["test"] > 25
     assert not (here / "runs").exists()
+    lines = leactl("campaign", "small.yaml", "--dry-run").stdout.splitlines()
+    hottest = ", ".join(f"{role} {value:.0f}" for role, value in alone["hottest_degC"].items())
+    assert lines[2].split("  ")[3:] == [
+        "   0:09",
+        f"s1 ({alone['name']})",
+        "test 0.5 A",
+        f"windings {hottest} degC at most",
+        "unloaded",
+        "repeat 1",
+    ]
     text = leactl("campaign", "real.yaml", "--dry-run")
     assert text.stdout.count(f"mount bench 'testbed-{os.getpid()}'") == 4
     assert "4 of 4 runs are left, 0:01 of bench time, in runs/small" in text.stdout

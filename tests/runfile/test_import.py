@@ -3,14 +3,17 @@
 import json
 import textwrap
 
-import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from leactl.errors import InputError
 from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.proposal.survey import survey
+from leactl.runfile.importing.sources.formats.mat import mat_tree
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
+from tests.runfile import mat73
 
 N = 400
 T = np.arange(N) * 0.005
@@ -214,6 +217,12 @@ streams:
 """
 
 
+MAT_ONE = """
+mechanical: free
+streams: {loop: {time: {column: t}, channels: {angle: {column: q, quantity: angle}}}}
+"""
+
+
 def test_mat_5_with_structs(folder):
     rig = {"name": "EMPS"}
     content = {"t": T[:, None], "vir": VOLTS[:, None], "gtau": 35.15, "log": {"q": ANGLE}, "rig": rig}
@@ -224,17 +233,83 @@ def test_mat_5_with_structs(folder):
         assert run.attributes["actuator"] == "EMPS"
 
 
-def test_mat_7_3(folder):
-    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
-        file["t"], file["vir"], file["gtau"] = T[None, :], VOLTS[None, :], [[35.15]]
-        file["log/q"] = ANGLE[None, :]
-        file["m"] = np.stack([T, SPEED], axis=1)  # as MATLAB lays out a 2 x N matrix
-        name = file.create_dataset("rig/name", data=np.array([[ord(c)] for c in "EMPS"], "u2"))
-        name.attrs["MATLAB_class"] = np.bytes_("char")
-    with Run.open(imported(folder, folder / "a.mat", MAT)) as run:
-        np.testing.assert_allclose(run.channel("angle").values, ANGLE)
-        np.testing.assert_allclose(run.channel("velocity").values, SPEED)
-        assert run.attributes["actuator"] == "EMPS"
+MAT_CONTENT = {
+    "t": T[:, None],
+    "vir": VOLTS.astype("f4")[:, None],
+    "gtau": 35.15,
+    "log": {"q": ANGLE[:, None], "valid": T > 0.1},
+    "rig": {"name": "EMPS", "joints": ["hip", "knee"], "sides": np.array(["left ", "right"])},
+    "m": np.stack([T, SPEED], axis=0),
+    "trials": [{"omega": SPEED}, {"omega": 2.0 * SPEED}],
+    "none": np.empty((0, 0)),
+}
+
+
+def test_mat_7_3_gives_the_run_of_mat_5(folder):
+    text = (
+        MAT
+        + """
+      valid: {column: log.valid, quantity: drive_enabled}
+      second: {column: "trials[1].omega", quantity: velocity, role: load}
+"""
+    )
+    savemat(folder / "five.mat", MAT_CONTENT)
+    mat73.save(folder / "seven.mat", MAT_CONTENT)
+    runs = [Run.open(imported(folder, folder / name, text)) for name in ("five.mat", "seven.mat")]
+    keys = [("angle", "test"), ("velocity", "test"), ("velocity", "load"), ("torque_reference", "test")]
+    for key in [*keys, ("drive_enabled", "test")]:
+        five, seven = (run.channel(*key) for run in runs)
+        np.testing.assert_array_equal(five.values, seven.values)
+        np.testing.assert_array_equal(five.time, seven.time)
+    np.testing.assert_allclose(runs[1].channel("angle").values, ANGLE)
+    np.testing.assert_allclose(runs[1].channel("velocity", "load").values, 2.0 * SPEED)
+    assert [run.attributes["actuator"] for run in runs] == ["EMPS", "EMPS"]
+    for run in runs:
+        run.close()
+    assert mat_tree(folder / "seven.mat")["rig"] == {
+        "name": "EMPS",
+        "joints": ["hip", "knee"],
+        "sides": ["left", "right"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (mat73.Object("timeseries"), "'q' holds a MATLAB object (timeseries), which only MATLAB decodes"),
+        (mat73.Object("timetable"), "'q' holds a MATLAB object (timetable), which only MATLAB decodes"),
+        (mat73.Sparse(), "'q' holds a sparse matrix (save full(...) of it) where a column"),
+        (np.exp(1j * T), "'q' holds complex numbers (save real(...) and imag(...) of them)"),
+        (np.empty((0, 0)), "column 'q' holds no number at all"),
+        ("EMPS", "'q' holds 'EMPS' where a column of numbers was expected"),
+        ({"x": T}, "'q' holds a group of x where a column of numbers was expected"),
+    ],
+)
+def test_what_mat_7_3_holds_besides_numbers_is_told(folder, value, words):
+    mat73.save(folder / "a.mat", {"t": T, "q": value})
+    with pytest.raises(InputError) as refused:
+        imported(folder, folder / "a.mat", MAT_ONE)
+    assert words in str(refused.value)
+
+
+def test_a_field_of_an_object_is_refused_with_what_it_is(folder):
+    mat73.save(folder / "a.mat", {"t": T, "ts": mat73.Object("timeseries")})
+    with pytest.raises(InputError, match="ts has no 'Data'; it is a MATLAB object \\(timeseries\\), which only MATLAB"):
+        imported(folder, folder / "a.mat", MAT_ONE.replace("column: q", "column: ts.Data"))
+
+
+def test_a_file_of_objects_alone_has_no_table_and_says_why(folder):
+    mat73.save(folder / "a.mat", {"out": {"logs": mat73.Object("timeseries")}})
+    with pytest.raises(InputError, match=r"a.mat: no table of numbers; out.logs holds a MATLAB object \(timeseries\)"):
+        survey(folder / "a.mat")
+
+
+def test_the_variables_of_mat_7_3_are_proposed(folder):
+    mat73.save(folder / "a.mat", {"log": {"time_s": T, "q_rad": ANGLE}, "ts": mat73.Object("timeseries")})
+    tables = [seen.table for seen in survey(folder / "a.mat").tables]
+    assert [(table.records, [column.name for column in table.columns]) for table in tables] == [
+        ("log", ["q_rad", "time_s"])
+    ]
 
 
 TWO_CLOCKS = """

@@ -62,7 +62,9 @@ def dead(name, **quantity):
 def checked(tmp_path, monkeypatch):
     """Check a bench file, changed by `file`, on a bench that is as `truth` changes it."""
 
-    def check(file=same, truth=same, move=True, seed=1, current=None, setup="", agrees=lambda: True, limits=None):
+    def check(
+        file=same, truth=same, move=True, seed=1, current=None, setup="", agrees=lambda: True, limits=None, lost=None
+    ):
         bench = copy.deepcopy(SHIPPED)
         bench["emulated"]["seed"] = seed
         bench["limits"] |= limits or {}
@@ -78,9 +80,13 @@ def checked(tmp_path, monkeypatch):
             def __init__(self, _file, devices, *args, **options):
                 names = {each.name for each in devices}
                 super().__init__(true_file, [each for each in true_devices if each.name in names], *args, **options)
+                self.wires["can0"].disturb(lambda frame, _source: None if self.loses(frame) else 0.0)
+
+            def loses(self, frame):
+                return lost is not None and frame.identifier == lost[0] and self.time.now() >= lost[1]
 
         rest = reading(str(path), setup, tmp_path, False, False, ())
-        turn = turning(str(path), current, setup, tmp_path, False, False, ())[0] if move else None
+        turn = turning(str(path), current, setup, tmp_path, False, False, ()) if move else None
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Wired)
         examined = examine(rest, turn, lambda request: execute(request, granted, lambda _: nullcontext()), agrees)
         monkeypatch.undo()
@@ -103,6 +109,50 @@ def test_a_right_bench_is_contradicted_in_nothing(checked, seed):
     assert [each.verdict for each in moved] == [Verdict.OK] * 9
     for outcome in examined.outcomes:
         assert (outcome.status, verify(outcome.path)) == ("complete", [])
+
+
+def motion(outcome, role="test"):
+    with Run.open(outcome.path) as run:
+        return [run.channel(quantity, role).values for quantity in ("angle", "velocity")]
+
+
+def test_a_shaft_of_a_twentieth_of_the_friction_swings_back_and_comes_to_rest(checked):
+    smooth = {"coulomb_friction": 0.01, "viscous_damping": 0.0}
+    examined = checked(truth=lambda bench: bench["emulated"].update(test=smooth, load=dict(smooth)))
+    angle, velocity = motion(examined.outcomes[-1])
+    assert examined.outcomes[-1].status == "complete"
+    assert 1.0 < np.abs(angle).max() < np.pi  # a sine of the same amplitude pushes it on by 30 rad
+    assert abs(velocity[-1]) < 0.1
+
+
+def test_a_move_goes_no_farther_and_no_faster_than_was_told_before(checked, tmp_path):
+    _request, move = turning("emulated", None, "", tmp_path, False, False, ())
+    angle, velocity = motion(checked().outcomes[-1])
+    assert 0.4 * move.travel < np.abs(angle).max() < move.travel
+    assert 0.5 * move.speed < np.abs(velocity).max() < move.speed
+
+
+@pytest.mark.parametrize(("name", "stands"), [("drive_test", 1.3), ("drive_load", -1.3)])
+def test_a_move_that_begins_near_the_limit_of_the_angle_is_refused_with_where_the_shaft_stands(checked, name, stands):
+    placed = {**reads(name, "angle", 1.0), "offset": stands}
+    examined = checked(truth=faults(placed), limits={"angle_rad": 1.5})
+    assert isinstance(examined.end(), InputError)
+    assert str(examined.end()).startswith(f"--move: {name} stands at {stands:g} rad, and the move may turn it by 0.99")
+    assert "; -1.5 to 1.5 rad are allowed (limits.angle_rad, interlocks.angle): turn the shaft" in str(examined.end())
+    assert len(examined.outcomes) == 1  # nothing was moved, nothing is latched
+    assert examined.outcomes[0].status == "complete"
+
+
+def test_an_interlock_of_the_angle_leaves_no_more_room_than_a_limit(checked):
+    def narrow(bench):
+        bench["interlocks"]["angle"] |= {"trip_low_rad": -0.5}
+
+    assert "; -0.5 to inf rad are allowed" in str(checked(narrow, narrow).end())
+
+
+def test_a_move_that_begins_far_enough_from_the_limit_of_the_angle_is_made(checked):
+    examined = checked(truth=faults({**reads("drive_test", "angle", 1.0), "offset": 0.4}), limits={"angle_rad": 1.5})
+    assert (examined.end(), len(examined.outcomes)) == (None, 2)
 
 
 def test_only_one_drive_at_a_time_swings_within_a_quarter_of_a_turn(checked):
@@ -243,6 +293,74 @@ def test_a_drive_without_any_motion_is_named_where_the_other_turns_the_shaft(che
     assert statement.why.startswith("no velocity of it")
 
 
+MOTION_OF_TEST, CURRENT_OF_TEST = 0x281, 0x181  # identifiers of what node 1 answers to a SYNC
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("identifier", "quantities", "starved"),
+    [(MOTION_OF_TEST, ("velocity", "angle"), (TORQUE, MOTION)), (CURRENT_OF_TEST, ("q_axis_current",), (TORQUE,))],
+)
+@pytest.mark.parametrize(("at_s", "since"), [(1.19, "1.18"), (3.99, "3.98")])  # before, and while the shaft turns
+def test_a_channel_that_falls_silent_is_named_with_its_device_and_the_time(
+    checked, identifier, quantities, starved, at_s, since
+):
+    examined = checked(lost=(identifier, at_s))
+    assert isinstance(examined.end(), SafetyTrip)
+    for quantity in quantities:
+        statement = told(examined)["drive_test", f"{quantity} of test"]
+        assert statement.verdict is Verdict.WRONG
+        assert statement.why == f"fell silent at {since} s: is its cable, or its bus, loose?"
+    for about in starved if at_s < 3 else (TORQUE,):
+        assert told(examined)["drive_test", about].verdict is Verdict.OPEN
+        assert f"{quantities[0]} of test: fell silent at " in told(examined)["drive_test", about].why
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_silence_that_a_patient_bench_lets_last_is_named_too(checked):
+    examined = checked(lost=(MOTION_OF_TEST, 3.0), limits={"cyclic_age_s": 6.0})
+    assert [outcome.status for outcome in examined.outcomes] == ["complete", "complete"]
+    assert told(examined)["drive_test", "velocity of test"].why.startswith("fell silent at 2.98 s")
+    assert "velocity of test: fell silent at 2.98 s" in told(examined)["drive_load", SHAFT].why
+
+
+def second_sensor(**settings):
+    def put(bench):
+        bench["devices"]["second"] = copy.deepcopy(bench["devices"]["torque_sensor"])
+        bench["devices"]["second"]["settings"]["address"] = 0x49
+        bench["devices"]["second"]["settings"]["inputs"][0].update(settings)
+
+    return put
+
+
+def test_two_sensors_of_one_torque_are_told_and_nothing_is_moved(checked):
+    put = second_sensor(location="flange")
+    examined = checked(put, put)
+    (statement,) = wrong(examined.statements)
+    assert isinstance(examined.end(), AcceptanceFailed)
+    assert (statement.device, statement.about) == ("torque_sensor", "torque of test")
+    assert statement.why == "second gives it too, and move and analyses take one"
+    assert "  devices.torque_sensor.settings.inputs[0]: leave it out, or leave second out" in statement.change
+    assert len(examined.outcomes) == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({}, "torque of test is measured by torque_sensor too"),
+        ({"quantity": "velocity", "scale_per_V": 20}, "velocity of test is measured by drive_test too"),
+    ],
+)
+def test_two_channels_that_no_run_file_tells_apart_are_refused_with_the_file(checked, settings, words):
+    with pytest.raises(InputError, match=r"mine.yaml:\d+:\d+  devices.second.settings.inputs\[0\]: " + words):
+        checked(second_sensor(**settings))
+
+
+def test_two_drives_in_one_role_are_refused_with_the_file(checked):
+    with pytest.raises(InputError, match="two drives in the role 'test'"):
+        checked(device("drive_load", role="test"))
+
+
 def test_a_sensor_that_may_stand_for_minutes_is_not_called_frozen_within_a_second(checked):
     def patient(bench):
         bench["interlocks"]["torque"]["stuck_s"] = 600.0
@@ -378,9 +496,14 @@ def test_a_ratio_is_judged_by_its_bound_and_its_error(value, std, verdict):
         (1 / 4, "near 1/4: lines for counts"),
         (-1.0, "turned"),
         (1.17, ""),
-        (-1.17, "turned and by no usual factor"),
+        (-1.17, "turned, and by 1.17, which is no usual factor"),
         (6.0, "near 6: a gear, or pole pairs"),
     ],
 )
 def test_a_factor_of_a_turn_has_a_name(value, near):
     assert factor_of_a_turn(Slope(value, 1e-4), 41) == near
+
+
+def test_a_turned_factor_of_a_size_that_is_hardly_known_is_given_with_its_size():
+    assert factor_of_a_turn(Slope(-1.3, 0.2), 41) == "turned, by 1.3"
+    assert factor_of_a_turn(Slope(-1.005, 0.2), 41) == "turned"

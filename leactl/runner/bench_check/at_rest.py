@@ -10,6 +10,7 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, Verdict
 from leactl.runner.session import Request
 
+ONE_A_ROLE = ("torque", "velocity", "angle", "q_axis_current")
 NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says that noise shows within them
 
 
@@ -28,7 +29,8 @@ def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]
     ----------
     reported : what each device says of itself, as `Outcome.reported`.
     """
-    return [*_identities(request, reported), *_notices(run, request), *_channels(run, request)]
+    channels = [*_channels(run, request), *_measured_twice(run, request)]
+    return [*_identities(request, reported), *_notices(run, request), *channels]
 
 
 def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> Iterator[Statement]:
@@ -63,6 +65,21 @@ def _channels(run: Run, request: Request) -> Iterator[Statement]:
     for quantity, role in measured:
         if not quantity.endswith("_reference") and quantity not in NOT_MEASURED:
             yield from (_channel(channel, request) for channel in run.channels(quantity, role))
+
+
+def _measured_twice(run: Run, request: Request) -> Iterator[Statement]:
+    """Quantities of which an analysis takes the one channel of a role, where several devices or inputs give it."""
+    settings = {device.name: device.settings for device in request.devices}
+    for quantity, role in ((quantity, role) for quantity in ONE_A_ROLE for role in ("test", "load")):
+        channels = run.channels(quantity, role)
+        for channel in channels[1:]:
+            places = [shown.place for shown in settings[channel.device].shown() if shown.quantity == quantity]
+            line = request.bench_document.fault(
+                ("devices", channel.device, "settings", *(places[-1][:2] if places else ())),
+                f"leave it out, or leave {channels[0].device} out, or give it another role",
+            )
+            why = f"{channels[0].device} gives it too, and move and analyses take one"
+            yield Statement(channel.device, f"{quantity} of {role}", Verdict.WRONG, why=why, change=line)
 
 
 def _channel(channel: Channel, request: Request) -> Statement:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from leactl.bench.benchfile import BenchFile
 from leactl.driver import registry
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, Stopped
@@ -41,6 +43,26 @@ class Move:
         each = " and ".join(f"{role} {current:.3g} A" for role, current in self.currents.items())
         far = f"up to {self.speed:.2g} rad/s and {self.travel:.2g} rad"
         return f"one drive after the other swings the shaft, {each}, {far}"
+
+    def check_room(self, run: Run, bench: BenchFile) -> None:
+        """Check that limits and interlocks of the angle leave room for the move from where the shaft stands in a run.
+
+        Raises
+        ------
+        InputError : an angle that the move could carry beyond them.
+        """
+        for role in self.currents:
+            angle = run.channel("angle", role)
+            known = angle.values[np.isfinite(angle.values)]
+            allowed = [each.window("trip") for each in bench.interlocks.of("angle", role)]
+            allowed += [bench.limits.of("angle") or (-math.inf, math.inf)]
+            low, high = max(lows for lows, _ in allowed), min(highs for _, highs in allowed)
+            if len(known) and not low + self.travel <= known[-1] <= high - self.travel:
+                raise InputError(
+                    f"--move: {angle.device} stands at {known[-1]:.3g} rad, and the move may turn it by"
+                    f" {self.travel:.2g} rad to either side; {low:.3g} to {high:.3g} rad are allowed (limits.angle_rad,"
+                    " interlocks.angle): turn the shaft towards the middle by hand, or lower --current"
+                )
 
 
 @dataclass(frozen=True)
@@ -111,7 +133,10 @@ def turning(
 
 
 def examine(
-    rest: Request, turn: Request | None, perform: Callable[[Request], Outcome], agrees: Callable[[], bool]
+    rest: Request,
+    turn: tuple[Request, Move] | None,
+    perform: Callable[[Request], Outcome],
+    agrees: Callable[[], bool],
 ) -> Examined:
     """Check a bench at rest and then, if asked for, agreed to, and nothing is wrong so far, by turning its shaft.
 
@@ -131,22 +156,27 @@ def examine(
         return Examined(name, unopened(failures(rest)), (), error)
     with Run.open(first.path) as run:
         statements = at_rest(run, rest, first.reported)
-    examined = Examined(name, statements, (first,), first.error)
-    if turn is None or examined.end() is not None:
-        return examined
+        examined = Examined(name, statements, (first,), first.error)
+        if turn is None or examined.end() is not None:
+            return examined
+        request, move = turn
+        try:
+            move.check_room(run, rest.bench)
+        except InputError as error:
+            return replace(examined, error=error)
     if not agrees():
         return replace(examined, error=Stopped("not confirmed; nothing was moved (--yes confirms without a question)"))
     try:
-        second = perform(turn)
+        second = perform(request)
     except LeactlError as error:
         return replace(examined, error=error)
     with Run.open(second.path) as run:
-        statements += Turning(run, turn).statements()
+        statements += Turning(run, request).statements()
     return Examined(name, statements, (first, second), second.error)
 
 
 def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str) -> Move:
-    """Return the currents of a move, and the speed and travel of the least friction that the motor files allow.
+    """Return the currents of a move, and the most speed and travel of any friction that the motor files allow.
 
     Raises
     ------
@@ -174,18 +204,22 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
 
 
 def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float, float]:
-    """Speed [rad/s] and travel [rad] that a sine of current reaches at most, by the least friction of the files."""
+    """Speed [rad/s] and travel to either side [rad] that a swing by this current [A] and the rest after it reach.
+
+    That is the most by any friction that the motor files allow: a little lets a shaft go farther to one side than none.
+    """
     boxes = [Box.of(each) for each in shaft]
-    friction, damping = (
-        sum(getattr(box, name).low for box in boxes) for name in ("coulomb_friction", "viscous_damping")
-    )
-    inertia, rate = sum(each.rotor_inertia for each in shaft), 2.0 * math.pi * by_hand.SWING_HZ
-    speed = angle = fastest = farthest = 0.0
-    for step in range(round(by_hand.SWINGS / by_hand.SWING_HZ / STEP_S)):
-        drive = motor.torque_constant * current * math.sin(rate * step * STEP_S)
-        pulled = speed + STEP_S / inertia * (drive - damping * speed)
-        kept = abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
-        speed = math.copysign(max(kept, 0.0), pulled)
-        angle += STEP_S * speed
-        fastest, farthest = max(fastest, abs(speed)), max(farthest, abs(angle))
-    return fastest, farthest
+    losses = [box.coulomb_friction for box in boxes], [box.viscous_damping for box in boxes]
+    levels = (np.linspace(sum(r.low for r in ranges), sum(r.high for r in ranges), 5) for ranges in losses)
+    friction, damping = (grid.ravel() for grid in np.meshgrid(*levels))
+    inertia = sum(each.rotor_inertia for each in shaft)
+    beat = by_hand.swing(np.arange(round(by_hand.SWING_S * by_hand.RATE_HZ)) / by_hand.RATE_HZ)
+    cycles = np.append(beat, np.zeros(round(by_hand.REST_S * by_hand.RATE_HZ)))
+    speed = angle = fastest = farthest = np.zeros(len(friction))
+    for torque in np.repeat(motor.torque_constant * current * cycles, round(1.0 / by_hand.RATE_HZ / STEP_S)):
+        pulled = speed + STEP_S / inertia * (torque - damping * speed)
+        kept = np.abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
+        speed = np.copysign(np.maximum(kept, 0.0), pulled)
+        angle = angle + STEP_S * speed
+        fastest, farthest = np.maximum(fastest, np.abs(speed)), np.maximum(farthest, np.abs(angle))
+    return float(fastest.max()), float(farthest.max())

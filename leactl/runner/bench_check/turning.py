@@ -17,6 +17,7 @@ import numpy.typing as npt
 from leactl.analysis.signals.levels import standard_error
 from leactl.gap.setup.conventions import UNITS, convention, whole
 from leactl.runfile.read.reader import Run
+from leactl.runner.bench_check.silence import silences
 from leactl.runner.bench_check.statement import SURE, Statement, Verdict, ratio, setting
 from leactl.runner.drill.emulated import drives
 from leactl.runner.session import Request
@@ -34,6 +35,7 @@ TURNED_RAD = 0.02  # by which a shaft has turned, far above its winding-up and t
 LAGS = 0.01  # of a ratio of two channels of motion, that a filter's lag may leave
 LOOP = 0.1  # of a current, by which a drive may miss a demand that swings at 2 Hz
 ALIKE = 0.1  # of each other, within which the factors of both drives speak of the torque sensor
+ENDED = "the move ended early"
 SENSES = {"test": 1.0, "load": -1.0}  # of the torque that a role's current puts on the sensor
 COUNTS = ("counts_per_turn",)
 CONSTANT, INERTIA = 0, 3  # of the coefficients of a torque
@@ -82,17 +84,23 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
     return [Slope(float(c), standard_error(part)) for c, part in zip(coefficients, influence.T, strict=True)]
 
 
+def of_size_one(slope: Slope) -> bool:
+    """Whether a ratio of two channels of motion may be 1 or -1."""
+    size = abs(slope.value)
+    return abs(math.log(size)) < LAGS + SURE * slope.std / size
+
+
 def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     """What a wrong factor of an angle or a velocity is near to; empty where it is near nothing known."""
     size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
     error = SURE * slope.std / size
-    if abs(math.log(size)) < LAGS + error:
-        return turned
+    if of_size_one(slope):
+        return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAGS else turned
     name, number = convention(size, error), whole(size, error)
     if name in UNITS and number is None:
         return " and ".join(filter(None, (turned, f"near {name}: another unit")))
     if number is None:
-        return f"{turned} and by no usual factor" if turned else ""
+        return f"turned, and by {size:.4g}, which is no usual factor" if turned else ""
     inverse = "1/" if size < 1.0 else ""
     meant = (
         "pole pairs" if number == pole_pairs else "lines for counts" if number in (2, 4) else "a gear, or pole pairs"
@@ -108,10 +116,14 @@ class Turning:
         names = drives(request.devices)
         self._drives = {names[device.name]: device for device in request.devices if device.name in names}
         self._motions = {role: Motion.of(run, role) for role in self._drives}
+        self._silences = silences(run, request.bench.limits, 1.0 / request.plan.rate_Hz)
         self._motors = motors_of(request.bench)
 
     def statements(self) -> Iterator[Statement]:
         """Yield what the move shows of each drive, of the shaft between them, and of the torque sensor."""
+        for (quantity, role), silence in self._silences.items():
+            why = f"{silence}: is its cable, or its bus, loose?"
+            yield Statement(silence.device, f"{quantity} of {role}", Verdict.WRONG, why=why)
         for role in self._drives:
             yield from self._drive(role)
         torques = self._torques()
@@ -129,9 +141,15 @@ class Turning:
             none_read = "no current is read while one is demanded: is the motor connected?"
             yield judged if fitted[0].value else replace(judged, why=none_read)
         else:
-            yield Statement(name, "current over its demand", Verdict.OPEN, why="the move ended early")
+            why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED
+            yield Statement(name, "current over its demand", Verdict.OPEN, why=why)
         yield self._turned(role)
         yield self._velocity(role, *motion.travels())
+
+    def _silence_of(self, role: str, *quantities: str) -> str:
+        """Which of these channels of a role fell silent, and from when on; empty where none did."""
+        silent = [(name, self._silences[name, role]) for name in quantities if (name, role) in self._silences]
+        return "; ".join(f"{name} of {role}: {silence}" for name, silence in silent)
 
     def _turned(self, role: str) -> Statement:
         """Whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
@@ -141,9 +159,9 @@ class Turning:
         terms = np.column_stack([rate, motion.velocity, np.sign(motion.velocity)])[moving]
         fitted = slopes(terms, self._motors[role].torque_constant * motion.current[moving])
         if not fitted or not abs(fitted[0].value) > SURE * fitted[0].std:
-            return Statement(
-                name, about, Verdict.OPEN, why="the shaft has hardly turned: is it free, is --current enough?"
-            )
+            silent = self._silence_of(role, "velocity", "q_axis_current", "drive_enabled")
+            why = silent or "the shaft has hardly turned: is it free, is --current enough?"
+            return Statement(name, about, Verdict.OPEN, why=why)
         turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
         rotors = sum(motor.rotor_inertia for motor in turned)
         low, high, (value, std) = rotors / UNALIKE, rotors * UNALIKE, fitted[0]
@@ -160,18 +178,20 @@ class Turning:
         """Whether the change of the angle is the integral of the velocity."""
         device, about = self._drives[role], "angle over integral of velocity"
         rows = len(by_velocity) // WINDOW * WINDOW
-        velocity, angle = (part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle))
-        reach = [float(np.ptp(np.nancumsum(part))) if rows else 0.0 for part in (velocity, angle)]
+        windows = np.stack([part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle)])
+        velocity, angle = windows[:, np.isfinite(windows).all(axis=0)]
+        silent = self._silence_of(role, "velocity", "angle")
+        reach = [float(np.ptp(np.cumsum(part))) if len(part) else 0.0 for part in (velocity, angle)]
         if max(reach) < TURNED_RAD:
-            return Statement(device.name, about, Verdict.OPEN, why="the shaft has not turned")
-        if not np.nanmax(np.abs(velocity)) or not np.nanmax(np.abs(angle)):
+            return Statement(device.name, about, Verdict.OPEN, why=silent or "the shaft has not turned")
+        if not velocity.any() or not angle.any():
             stands = "velocity" if reach[0] < reach[1] else "angle"
             return Statement(
                 device.name, about, Verdict.WRONG, why=f"frozen: the {stands} stands while the other moves"
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
-            return Statement(device.name, about, Verdict.OPEN, why="the move ended early")
+            return Statement(device.name, about, Verdict.OPEN, why=silent or ENDED)
         judged = ratio(device.name, about, *fitted[0], LAGS)
         if judged.verdict is not Verdict.WRONG:
             return judged
@@ -190,17 +210,19 @@ class Turning:
                 return Statement(self._drives[role].name, about, Verdict.WRONG, why=why)
         fitted = slopes(test[moving, np.newaxis], load[moving])
         if not fitted:
-            return Statement(device.name, about, Verdict.OPEN, why="the shaft has hardly turned")
+            silent = "; ".join(filter(None, (self._silence_of(role, "velocity") for role in ("test", "load"))))
+            return Statement(device.name, about, Verdict.OPEN, why=silent or "the shaft has hardly turned")
         judged = ratio(device.name, about, *fitted[0], LAGS)
         if judged.verdict is not Verdict.WRONG:
             return judged
         slope, near = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
-        if slope.value < 0.0 and near == "turned":
+        if slope.value < 0.0 and of_size_one(slope):
             line = setting(self._request, device, ("sign",), "turn it: the drive is mounted the other way")
             return replace(judged, why=near, change=line)
         off = {role: self._off_by_inertia(role, fit) for role, fit in torques.items() if fit}
         device = self._drives[max(off, key=lambda role: off[role])] if len(off) == 2 else device
         advice = f"a turn of it has {abs(slope.value):.4g} or {1.0 / abs(slope.value):.4g} times as many"
+        advice += "; it is mounted the other way as well (sign)" if slope.value < 0.0 else ""
         by_inertia = ", by the inertia of" if len(off) == 2 else "; of either drive, first of"
         why = f"{near or 'no usual factor'}{by_inertia} {device.name}"
         return replace(judged, why=why, change=setting(self._request, device, COUNTS, advice))
@@ -246,8 +268,9 @@ class Turning:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
                 judged[role] = ratio(name, about, *relative, WEAKER)
             else:
-                why = "it takes a shaft that either drive turns, in turn"
-                why = why if self._run.status == "complete" else "the move ended early"
+                alone = "it takes a shaft that either drive turns, in turn"
+                silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
+                why = "; ".join(filter(None, silent)) or (alone if self._run.status == "complete" else ENDED)
                 judged[role] = Statement(name, about, Verdict.OPEN, why=why)
         off = {role: each.measured for role, each in judged.items() if each.verdict is Verdict.WRONG}
         size = max(1.0, *map(abs, off.values())) if off else 1.0

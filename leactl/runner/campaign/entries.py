@@ -137,15 +137,14 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
     """
     by_step: dict[tuple[str, str], Preview] = {}
     faults: dict[str, None] = {}
+    first: dict[tuple[str, str], Entry] = {}
     for entry in entries:
-        place = entry.cell.step, entry.cell.condition
-        if place in by_step:
-            continue
+        first.setdefault((entry.cell.step, entry.cell.condition), entry)
+    for place, entry in first.items():
         check()
         try:
             by_step[place] = preview(entry.request)
         except InputError as error:
-            by_step[place] = Preview(0.0, 0.0)
             faults |= dict.fromkeys(entry.step.fault(entry.cell.condition, fault) for fault in error.faults)
     if faults:
         raise InputError(list(faults))

@@ -3,6 +3,7 @@
 import re
 from array import array
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,13 @@ MOST_COLUMNS = 64  # of a matrix whose columns are listed
 SURVEYED = 200  # leading rows by which a column is judged to be numeric
 LONGEST_PATH = 200  # characters; deeper nodes are not listed
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class Undecoded:
+    """A node whose values cannot be read, with what it is and what to do instead."""
+
+    description: str
 
 
 class TreeSource:
@@ -54,8 +62,16 @@ class TreeSource:
         return f"{self.path}: {name!r} row {row}"
 
     def tables(self) -> list[ListedTable]:
-        """Tables of the tree: lists of records, matrices, and sibling columns of equal length."""
-        return list(_tables(self._tree, ""))
+        """Tables of the tree: lists of records, matrices, and sibling columns of equal length.
+
+        Raises
+        ------
+        InputError : there is none, but a node that cannot be decoded.
+        """
+        tables = list(_tables(self._tree, ""))
+        if not tables and (undecoded := list(_undecoded(self._tree, ""))):
+            raise InputError(f"{self.path}: no table of numbers; {undecoded[0]}")
+        return tables
 
     def _indexed(self, base: Any, index: int, records: str | None) -> Any:
         where = records or "the file"
@@ -114,11 +130,22 @@ class TreeSource:
 
 
 def _described(value: Any) -> str:
+    if isinstance(value, Undecoded):
+        return value.description
     if isinstance(value, dict):
         return f"a group of {', '.join(map(str, value)) or 'nothing'}"
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} of {value.dtype}"
     return f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"[:60]
+
+
+def _undecoded(node: Any, path: str) -> Iterator[str]:
+    """What the nodes of nested groups hold that cannot be decoded, each with its path."""
+    for name, value in node.items() if isinstance(node, dict) else ():
+        below = f"{path}.{name}" if path else str(name)
+        if isinstance(value, Undecoded):
+            yield f"{below} holds {value.description}"
+        yield from _undecoded(value, below)
 
 
 def _tables(node: Any, path: str) -> Iterator[ListedTable]:

@@ -1,4 +1,8 @@
-"""MAT files of versions 4 to 7.3, of which 7.3 is HDF5."""
+"""MAT files of versions 4 to 7.3, of which 7.3 is HDF5.
+
+Attributes of a dataset or group tell what an array of version 7.3 is: `MATLAB_class` and others. They are read as the
+open readers matio (`src/mat73.c`) and mat-io read them, for MATLAB's maker describes no version after 7.
+"""
 
 import os
 import zlib
@@ -13,7 +17,7 @@ from leactl.regular import open_regular
 from leactl.runfile.hdf5.opening import open_foreign, reading
 from leactl.runfile.hdf5.tree import DEEPEST_FOREIGN, MOST_UNPACKED
 from leactl.runfile.importing.sources.source import SourceRequest
-from leactl.runfile.importing.sources.trees import TreeSource
+from leactl.runfile.importing.sources.trees import TreeSource, Undecoded
 
 ENDINGS = (".mat",)
 MAT_HEADER: Final = 128  # bytes, of versions 5 to 7
@@ -44,7 +48,7 @@ def mat_tree(path: Path) -> Any:
     # scipy meets a damaged file with whatever its parser stumbles over
     except (ValueError, TypeError, KeyError, IndexError, EOFError, NotImplementedError, MemoryError) as error:
         raise InputError(f"{path}: not a MAT file that can be read: {' '.join(str(error).split())}") from None
-    return {name: value for name, value in tree.items() if not name.startswith(("__", "#"))}
+    return {name: value for name, value in tree.items() if not name.startswith("__")}
 
 
 def refuse_swelling(path: Path) -> None:
@@ -78,7 +82,9 @@ def refuse_swelling(path: Path) -> None:
 def hdf5_tree(path: Path) -> Any:
     """The variables of a MAT file of version 7.3."""
     with open_foreign(path) as file, reading(path):
-        return _Referring(path, file).members(file, 0)
+        reader = _Referring(path, file)
+        # "#refs#" holds what cells refer to, "#subsystem#" what objects consist of
+        return {name: reader.value(child, 0) for name, child in file.items() if not name.startswith("#")}
 
 
 class _Referring:
@@ -88,11 +94,8 @@ class _Referring:
         self._path, self._file = path, file
         self._read: dict[int, Any] = {}  # by address
 
-    def members(self, group: Any, depth: int) -> dict[str, Any]:
-        """Members of a group by name."""
-        return {name: self._value(child, depth) for name, child in group.items() if name != "#refs#"}
-
-    def _value(self, node: Any, depth: int) -> Any:
+    def value(self, node: Any, depth: int) -> Any:
+        """What a dataset or group holds; `depth` is the number of structs and cells around it."""
         address = h5py.h5o.get_info(node.id).addr
         if address not in self._read:
             if depth == DEEPEST_FOREIGN:  # as where a cell refers to itself
@@ -101,12 +104,44 @@ class _Referring:
         return self._read[address]
 
     def _unread(self, node: Any, depth: int) -> Any:
+        kind = _text(node.attrs.get("MATLAB_class", b""))
+        if "MATLAB_object_decode" in node.attrs:  # its numbers are those of the object, not its values
+            return Undecoded(f"a MATLAB object ({kind}), which only MATLAB decodes (save its vectors as variables)")
+        if "MATLAB_sparse" in node.attrs:
+            return Undecoded("a sparse matrix (save full(...) of it)")
         if isinstance(node, h5py.Group):
-            return self.members(node, depth)
-        if h5py.check_ref_dtype(node.dtype) is not None:  # cells and arrays of structs
-            references = [reference for reference in node[()].reshape(-1) if reference]
-            return [self._value(self._file[reference], depth) for reference in references]
+            return self._struct(node, depth)
+        if node.attrs.get("MATLAB_empty", 0):  # its numbers are the lengths of its dimensions
+            return "" if kind == "char" else np.empty(0)
+        if h5py.check_ref_dtype(node.dtype) is not None:
+            return self._cells(node, depth)
+        if node.dtype.names:
+            return Undecoded("complex numbers (save real(...) and imag(...) of them)")
         values = np.asarray(node[()]).T  # MATLAB counts columns first
-        if node.attrs.get("MATLAB_class") == b"char":
-            return values.astype("<u2").tobytes().decode("utf-16-le", "replace")
+        if kind == "char":
+            rows = [row.tobytes().decode("utf-16-le", "replace") for row in np.atleast_2d(values.astype("<u2"))]
+            return rows[0] if len(rows) == 1 else [row.rstrip() for row in rows]
         return values
+
+    def _struct(self, group: Any, depth: int) -> Any:
+        """A struct by field; an array of structs, whose fields refer to a value for each, as a list of them."""
+        fields = dict(group.items())
+        of_many = [_refers(child) and "MATLAB_class" not in child.attrs for child in fields.values()]
+        if not fields or not all(of_many):
+            return {name: self.value(child, depth) for name, child in fields.items()}
+        columns = [self._cells(child, depth) for child in fields.values()]
+        return [dict(zip(fields, values, strict=True)) for values in zip(*columns, strict=True)]
+
+    def _cells(self, dataset: Any, depth: int) -> list[Any]:
+        """The values that a dataset refers to."""
+        return [self.value(self._file[reference], depth) for reference in dataset[()].reshape(-1) if reference]
+
+
+def _refers(node: Any) -> bool:
+    """Whether a node is a dataset of references."""
+    return isinstance(node, h5py.Dataset) and h5py.check_ref_dtype(node.dtype) is not None
+
+
+def _text(value: Any) -> str:
+    """The text of an attribute."""
+    return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
