@@ -2,8 +2,10 @@
 
 import math
 import re
+from pathlib import Path
 
 import pytest
+from leactl_plugins.scpi_supply import models
 from leactl_plugins.scpi_supply.models import OUTPUTS, dialect_of
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 from pydantic import ValidationError
@@ -14,6 +16,7 @@ from .failing import FailingSupplyEnd
 from .supply_bench import HEATED, SupplyBench
 from .transports import SERIAL
 
+README = Path(models.__file__).with_name("README.md")
 LIMITS = {"voltage_limit_V": 5.5, "current_limit_A": 1.0}
 E36300 = {"dialect": "e36300", "model": "E36312A", "output": 2, **LIMITS}
 DP832 = {"dialect": "dp800", "model": "DP832", "output": 2, **LIMITS}
@@ -460,6 +463,18 @@ def test_a_status_that_lost_a_digit_is_no_state(answer):
     assert [text for text in bench.supply.notices() if text.startswith("a round was lost")]
 
 
+@pytest.mark.parametrize(("register", "mode"), [(b"+257\n", "current"), (b"+258\n", "voltage")])
+def test_higher_bits_of_an_output_s_register_do_not_hide_how_it_regulates(register, mode):
+    bench = SupplyBench(**E36300)
+    bench.supply.open()
+    bench.supply.supply(5.0, 0.9)
+    bench.supply.switch_on()
+    bench.until(lambda _: b"ISUM2:COND?" in bench.said)
+    bench.far.spoil(register.hex())
+    assert bench.rows()[0].fault == ""
+    assert any(text.startswith(f"constant {mode}") for text in bench.supply.notices())
+
+
 def test_errors_of_an_spd3303_are_read_in_its_own_form():
     bench = SupplyBench(**SPD3303)
     bench.far.receive(b"MEAS:POW? CH2\n", 0.0)
@@ -496,6 +511,17 @@ def test_an_output_that_is_missing_or_not_there_is_refused_in_one_line(settings,
         ScpiSupplySettings(**(HEATED | settings))
     [error] = refused.value.errors()
     assert error["msg"] == f"Value error, {complaint}"
+
+
+def test_the_page_lists_the_models_with_their_outputs():
+    rows = re.findall(r"^\| \S+ (.*) \| `(\w+)` \| (.*?) \|", README.read_text(), re.MULTILINE)
+    listed = {
+        model: (dialect, [int(number) for number in numbers.split(", ")])
+        for several, dialect, numbers in rows
+        for model in several.split(", ")
+        if numbers[0].isdecimal()
+    }
+    assert listed == {model: (dialect_of(model), list(outputs)) for model, outputs in OUTPUTS.items()}
 
 
 def test_the_only_output_may_be_named():
