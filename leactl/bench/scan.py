@@ -112,10 +112,11 @@ def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
     return ((each.name, each.driver) for each in registry.survey() if each.driver is not None)
 
 
-def settings_left_open(driver: "type[Driver]", settings: Mapping[str, object]) -> list[str]:
+def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
     """Settings that a bench file must have and that do not follow from what a device answered."""
-    fields = driver.Settings.model_fields
-    return [name for name, described in fields.items() if described.is_required() and name not in settings]
+    settings, fields = sighting.settings or {}, driver.Settings.model_fields
+    needed = [name for name, described in fields.items() if described.is_required() or name in sighting.left_open]
+    return [name for name in needed if name not in settings]
 
 
 # -- CAN -------------------------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ class Sighting(NamedTuple):
     identity: "Identity"
     settings: Mapping[str, Any] | None  # those of the driver that follow from the answer; None: it is for another one
     detail: str = ""  # what else the device said of itself
+    left_open: tuple[str, ...] = ()  # settings that this device needs beside those that every one does
 
 
 Seen = Iterator[Sighting | str]

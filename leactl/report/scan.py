@@ -88,13 +88,14 @@ def _device(name: str, wire: ScannedWire, each: Answered) -> str:
     settings = [f"      {_flow({key: value})[1:-1]}\n" for key, value in (each.sighting.settings or {}).items()]
     settings += [
         f"      {key}: {FILL_IN}  # {_expected(schema[key], driver.example.get(key))}{told_by}\n"
-        for key in settings_left_open(driver, each.sighting.settings or {})
+        for key in settings_left_open(driver, each.sighting)
     ]
     return f"{text}    settings:\n{''.join(settings)}" if settings else text
 
 
 def _expected(field: dict[str, Any], example: Any) -> str:
     """What a setting takes, in words; of a list an example."""
+    field = next((each for each in field.get("anyOf", ()) if each.get("type") != "null"), field)
     if "enum" in field:
         return " or ".join(map(str, field["enum"]))
     if field.get("type") == "array" and example:
@@ -144,7 +145,7 @@ def _driver(each: Answered) -> str:
 def _left_open(each: Answered) -> list[str]:
     if not _driver(each):
         return []
-    return ["role", *settings_left_open(registry.load(each.driver), each.sighting.settings or {})]
+    return ["role", *settings_left_open(registry.load(each.driver), each.sighting)]
 
 
 def _place(wire: ScannedWire, each: Answered) -> str:

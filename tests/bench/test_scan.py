@@ -7,6 +7,8 @@ import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
+from leactl_plugins.scpi_supply.models import OUTPUTS, dialect_of
 
 from leactl.bench.benchfile import SerialBus
 from leactl.bench.scan import (
@@ -21,6 +23,7 @@ from leactl.bench.scan import (
     i2c_probes,
     line_probes,
     rates_of,
+    settings_left_open,
 )
 from leactl.driver import registry
 from leactl.driver.conversation import Unreadable
@@ -533,6 +536,18 @@ def test_the_device_of_a_line_is_recognised_at_its_rate(driver, baudrate, model,
     assert (each.driver, each.line.baudrate, dict(each.sighting.settings)) == (driver, baudrate, settings)
     assert model in each.sighting.identity.model
     assert report.notes == []
+
+
+@pytest.mark.parametrize("model", OUTPUTS)
+def test_which_output_of_several_feeds_a_motor_is_left_open(model):
+    bench, dialect = LineBench(), dialect_of(model)
+    bench.wire.device = ScpiSupplyEmulator(dialect, model, KnownBench(bench.clock).load, "AB12", 2)
+    (each,) = bench.scan().answered
+    assert dict(each.sighting.settings) == {"dialect": dialect, "model": model, "serial_number": "AB12"}
+    assert each.sighting.identity.serial == "AB12"
+    driver = registry.load(each.driver)
+    assert settings_left_open(driver, each.sighting) == ["output", "feeds", "voltage_limit_V", "current_limit_A"]
+    assert not any(output.on for output in bench.wire.device.outputs)
 
 
 def test_every_shipped_probe_on_a_line_is_tried_here():

@@ -20,11 +20,12 @@ SUPPLY = {
     "role": "bench",
     "settings": {
         "dialect": "dp800",
-        "model": "DP811A",
+        "model": "DP832A",
         "serial_number": "DP8A0001",
+        "output": 2,
         "feeds": "bus",
-        "voltage_limit_V": 40.0,
-        "current_limit_A": 5.0,
+        "voltage_limit_V": 30.0,
+        "current_limit_A": 3.0,
     },
 }
 
@@ -88,6 +89,7 @@ def test_its_part_of_a_bench_file_is_taken_once_it_is_filled_in(answer, tmp_path
     file.write_text(head + part)
     unfilled = leactl("bench", "check", file)
     assert unfilled.returncode == 2
+    assert "output: FILL_IN  # integer, at least 1, at most 9; leactl driver info scpi_supply" in part
     assert unfilled.stderr.count("FILL_IN") + unfilled.stderr.count("role") > 0
     known = {
         "counts_per_turn": 40000,
@@ -95,6 +97,7 @@ def test_its_part_of_a_bench_file_is_taken_once_it_is_filled_in(answer, tmp_path
         "current_limit_A": 5.0,
         "feeds": "bus",
         "model": "1688B",
+        "output": 2,
     }
     for key, value in known.items():
         part = part.replace(f"{key}: FILL_IN", f"{key}: {value}")
@@ -119,7 +122,7 @@ def test_a_wire_that_a_run_uses_is_refused_and_the_others_are_asked(served):
         done = leactl("bench", "scan", *served["supply0"], *served["lan0"])
     assert done.returncode == 5
     assert f"{bus.port} is driven by a run, process " in done.stderr
-    assert "DP811A" in done.stdout
+    assert "DP832A" in done.stdout
 
 
 def test_what_was_seen_is_told_where_a_person_stops_it(served):

@@ -255,15 +255,31 @@ class FailingLine:
 
 
 class FailingSupplyEnd(FailingLine, ScpiSupplyEmulator):
-    """A supply that speaks SCPI, into a resistor."""
+    """A supply that speaks SCPI, whose fed output is at a resistor."""
 
-    def __init__(self, dialect: str = "e36xx", model: str = "E3633A", serial_number: str = "0") -> None:
-        super().__init__(dialect, model, Resistor(), serial_number)
+    def __init__(
+        self, dialect: str = "e36xx", model: str = "E3633A", serial_number: str = "0", output: int | None = None
+    ) -> None:
+        super().__init__(dialect, model, Resistor(), serial_number, output)
+
+    def leave_on(self, volts: float, amperes: float) -> None:
+        """Be switched on, as another program or a person at the front panel has left it."""
+        self.fed.set_volts, self.fed.set_amperes, self.fed.on = volts, amperes, True
+        self.fed.regulate()
+
+    def go_off(self) -> None:
+        """Be switched off at the front panel."""
+        self.fed.on = False
+        self.fed.regulate()
+
+    def output(self) -> list:
+        """Whether it is on, and what is at the terminals."""
+        return [self.fed.on, self.fed.volts, self.fed.amperes]
 
     def trip(self) -> None:
         """Have the over-voltage protection trip."""
-        self.over_voltage.tripped = True
-        self._regulate()
+        self.fed.over_voltage.tripped = True
+        self.fed.regulate()
 
     def note_error(self, number: int, text: str) -> None:
         """Have an entry in the error queue."""
@@ -271,16 +287,46 @@ class FailingSupplyEnd(FailingLine, ScpiSupplyEmulator):
 
     def protect_itself(self, volts: float, over_voltage: bool, amperes: float, over_current: bool) -> None:
         """Have protections at these levels, each armed or not, as somebody has left them."""
-        self.over_voltage.level, self.over_voltage.armed = volts, over_voltage
-        self.over_current.level, self.over_current.armed = amperes, over_current
+        self.fed.over_voltage.level, self.fed.over_voltage.armed = volts, over_voltage
+        self.fed.over_current.level, self.fed.over_current.armed = amperes, over_current
 
     def armed(self) -> list:
         """Whether either protection is armed."""
-        return [self.over_voltage.armed, self.over_current.armed]
+        return [self.fed.over_voltage.armed, self.fed.over_current.armed]
 
     def levels(self) -> list:
         """Both settings and both protections' levels."""
-        return [self.set_volts, self.set_amperes, self.over_voltage.level, self.over_current.level]
+        fed = self.fed
+        return [fed.set_volts, fed.set_amperes, fed.over_voltage.level, fed.over_current.level]
+
+    def in_remote_control(self) -> bool:
+        """Whether the front panel is locked."""
+        return self.remote
+
+    def select(self, number: int) -> None:
+        """Have this output selected, on which a command acts that names none."""
+        self.selected = self.outputs[number - 1]
+
+    def use_others(self) -> None:
+        """Have somebody else's loads at the other outputs: on, at levels and protections of their own."""
+        for output in self._others():
+            output.set_volts, output.set_amperes, output.on = 1.0 + output.number / 8, 0.25, True
+            output.over_voltage.level = 2.5 + output.number / 8
+            output.regulate()
+
+    def others(self) -> list:
+        """Everything that can be set at the other outputs, and what is at their terminals."""
+        return [
+            [
+                *(output.number, output.on, output.volts, output.set_volts, output.set_amperes),
+                *(output.over_voltage.level, output.over_voltage.armed, output.over_voltage.tripped),
+                *(output.over_current.level, output.over_current.armed, output.over_current.tripped),
+            ]
+            for output in self._others()
+        ]
+
+    def _others(self) -> list:
+        return [output for output in self.outputs if output is not self.fed]
 
 
 class FailingBk1688bEnd(FailingLine, Bk1688bEmulator):

@@ -51,7 +51,8 @@ class SupplyBench:
 
     def far_end(self):
         """Which instrument is there."""
-        return "scpi_supply", self.settings.dialect, self.settings.model, self.settings.serial_number or "0"
+        settings = self.settings
+        return "scpi_supply", settings.dialect, settings.model, settings.serial_number or "0", settings.output
 
     def expect(self, **other):
         """Have the driver expect something else than the instrument is."""

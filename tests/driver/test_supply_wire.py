@@ -231,6 +231,7 @@ def test_protections_are_put_back_as_they_were_found(bench):
         b"CURR:PROT?",
         b"CURR:PROT:STAT ON",
         b"CURR:PROT:STAT?",
+        b"SYST:LOC",
     ]
     assert bench.far.levels()[2:] == [12.0, 15.0]
     assert bench.far.armed() == [False, True]
@@ -700,7 +701,7 @@ def test_nothing_but_output_on_switches_the_far_end_on(chunks):
     for step, chunk in enumerate(chunks):
         far.receive(chunk, 0.1 * step)
         far.tick(0.1 * step)
-    assert not far.on or b"OUTP" in b"".join(chunks).upper()
+    assert not far.fed.on or b"OUTP" in b"".join(chunks).upper()
 
 
 # -- the parser and the port -----------------------------------------------------------------------------------------
@@ -725,7 +726,7 @@ def test_every_number_that_a_supply_prints_is_read(value, form):
 
 @given(st.floats(-20, 20), st.sampled_from(["e36xx", "dp800"]))
 def test_every_reading_that_a_supply_prints_is_read_and_no_rest_of_one_is_another(value, dialect):
-    form = DIALECTS[dialect].reading
+    form = DIALECTS[dialect]("", 0).reading
     text = FailingSupplyEnd(dialect)._number(value)
     assert answers.reading(text.encode(), form, 20.0) == float(text)
     if dialect == "e36xx":

@@ -173,7 +173,7 @@ def test_the_supply_of_the_bus_is_what_the_drives_read_and_is_made_safe_after_th
     run(bench, 2.0, period=0.01)
     assert emulated.rig.actuators["test"].velocity == pytest.approx(20.0, rel=0.01)
     power = emulated.rig.bus_power
-    assert emulated.far_ends["supply"].amperes == pytest.approx(power / 29.6, rel=0.1)
+    assert emulated.far_ends["supply"].fed.amperes == pytest.approx(power / 29.6, rel=0.1)
     outcome = make_safe(bench.drivers.values())
     assert list(outcome) == ["drive_test", "drive_load", "torque_sensor", "daq", "supply"]
     assert outcome["supply"].safe

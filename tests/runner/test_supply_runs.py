@@ -275,11 +275,11 @@ SCPI = {
 }
 
 
-def protected(tmp_path, **changed):
+def protected(tmp_path, supply=SCPI, **changed):
     """The shipped bench of heated leads with a supply that has an over-voltage protection."""
     bench = yaml.safe_load((benchfile.SHIPPED / "emulated-heated.yaml").read_text())
     del bench["devices"]["camera"]
-    bench["devices"]["supply"] = SCPI
+    bench["devices"]["supply"] = supply
     bench["limits"] |= changed
     path = tmp_path / "protected.yaml"
     path.write_text(yaml.safe_dump(bench))
@@ -346,7 +346,7 @@ def test_a_supply_with_a_protection_has_it_armed_while_it_heats_and_put_back(hea
 
     def look(bench):
         far = bench.far_ends["supply"]
-        levels.append((far.on, far.over_voltage.level, far.over_voltage.armed))
+        levels.append((far.fed.on, far.fed.over_voltage.level, far.fed.over_voltage.armed))
 
     outcome, bench = heat(UNATTENDED, bench=protected(tmp_path), heat_s=10, at=[(0.0, look), (6.0, look)])
     assert outcome.status == "complete", outcome.reason
@@ -369,8 +369,60 @@ def test_the_protection_ends_the_current_where_every_process_is_dead(heat, tmp_p
 
     outcome, bench = heat(UNATTENDED, bench=protected(tmp_path), heat_s=200, at=[(8.0, die)])
     assert outcome.status == "tripped"  # the loop wakes up long after, if it does
-    assert bench.far_ends["supply"].over_voltage.tripped
+    assert bench.far_ends["supply"].fed.over_voltage.tripped
     assert 0.57 < max(hottest) < 0.528 * (1 + 0.004 * (130 - 25))
+
+
+# -- one output of several -------------------------------------------------------------------------------------------
+
+SECOND_OF_THREE = SCPI | {
+    "settings": SCPI["settings"] | {"dialect": "dp800", "model": "DP832", "output": 2, "current_limit_A": 3}
+}
+
+
+@pytest.mark.parametrize(
+    ("mishap", "status"),
+    [
+        (lambda _bench: None, "complete"),
+        (lambda bench: bench.far_ends["supply"].lose_regulation(0.5), "tripped"),
+        (stuck, "failed"),
+    ],
+    ids=["whole", "out of regulation", "stuck"],
+)
+def test_a_run_heats_by_one_output_and_leaves_the_others_as_they_are(heat, tmp_path, mishap, status):
+    others = []
+
+    def look(bench):
+        far = bench.far_ends["supply"]
+        assert far.fed.number == 2
+        protections = ("over_voltage", "over_current")
+        others.append(
+            [vars(each) | {name: dict(vars(getattr(each, name))) for name in protections} for each in far.outputs[::2]]
+        )
+
+    def use(bench):
+        for output in bench.far_ends["supply"].outputs[::2]:
+            output.set_volts, output.set_amperes, output.on = 3.3, 0.5, True
+            output.regulate()
+        look(bench)
+
+    bench = protected(tmp_path, SECOND_OF_THREE)
+    outcome, emulated = heat(bench=bench, current_A=2.5, heat_s=6, at=[(0.0, use), (4.0, look), (4.5, mishap)])
+    assert outcome.status == status, outcome.reason
+    look(emulated)
+    assert others[0] == others[1] == others[2]
+    assert [output["on"] for output in others[2]] == [True, True]
+    assert emulated.far_ends["supply"].fed.stuck or emulated.rig.line_current == 0.0
+
+
+def test_a_bench_file_without_the_output_is_refused_with_its_place(tmp_path):
+    settings = {key: value for key, value in SECOND_OF_THREE["settings"].items() if key != "output"}
+    path = protected(tmp_path, SECOND_OF_THREE | {"settings": settings})
+    done = leactl("bench", "check", path)
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert line.endswith("output is missing: DP832 has several, 1 to 3 was expected")
+    assert "protected.yaml" in line
 
 
 def test_the_page_tells_what_stays_on(tmp_path):

@@ -7,6 +7,9 @@ from leactl.driver.conversation import Unreadable
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
+LOOSE_ERROR = re.compile(r"([+-]?\d{1,5})\s*[, ]\s*(.*)")
+STATUS = re.compile(r"0[xX]([0-9a-fA-F]{1,4})")
+OUTPUTS = {1: "independent", 2: "parallel", 3: "series"}  # bits 2 and 3 of an SPD3303X's status
 MOST = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 stands for infinity, 9.91E37 for not a number
 BEYOND = 1.2  # times its rating: what a supply does not show even where its protections are at their highest
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
@@ -83,6 +86,69 @@ def register(line: bytes) -> int:
     return int(text)
 
 
+def regulation(line: bytes) -> int:
+    """Parse how an output of several regulates: the two lowest bits of its condition register, 1 current, 2 voltage.
+
+    Higher bits tell of protections, which are asked for by name.
+
+    Raises
+    ------
+    Unreadable : not a whole number from 0 to 65535.
+    """
+    return register(line) & 0b11
+
+
+def word(line: bytes) -> str:
+    """Parse one word or number without its quotes, in capitals.
+
+    Raises
+    ------
+    Unreadable : anything else.
+    """
+    text = _text(line).strip('"').upper()
+    if not re.fullmatch(r"[A-Z0-9,]{1,20}", text):
+        raise Unreadable(f"{text!r} where a word was expected")
+    return text
+
+
+def status_on(line: bytes, output: int) -> bool:
+    """Parse whether output 1 or 2 is on by the status of an SPD3303X.
+
+    Raises
+    ------
+    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    """
+    return bool(_status(line) >> (output + 3) & 1)
+
+
+def status_regulation(line: bytes, output: int) -> int:
+    """Parse how output 1 or 2 regulates by the status of an SPD3303X: 1 current, 2 voltage, as other families say it.
+
+    Raises
+    ------
+    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    """
+    return 1 if _status(line) >> (output - 1) & 1 else 2
+
+
+def status_outputs(line: bytes) -> str:
+    """Parse how the outputs of an SPD3303X are connected: independent, parallel or series.
+
+    Raises
+    ------
+    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    """
+    return OUTPUTS[_status(line) >> 2 & 0b11]
+
+
+def _status(line: bytes) -> int:
+    text = _text(line)
+    match = STATUS.fullmatch(text)
+    if match is None or int(match[1], 16) >> 2 & 0b11 not in OUTPUTS:  # neither connection: a digit is lost
+        raise Unreadable(f"{text!r} where a hexadecimal status was expected")
+    return int(match[1], 16)
+
+
 def entry(line: bytes) -> ErrorEntry:
     """Parse an entry of the error queue.
 
@@ -97,17 +163,31 @@ def entry(line: bytes) -> ErrorEntry:
     return ErrorEntry(int(match[1]), match[2])
 
 
-def identity(line: bytes) -> InstrumentIdentity:
-    """Parse the identity of the instrument.
+def loose_entry(line: bytes) -> ErrorEntry:
+    """Parse an entry of an error queue that quotes no text and may separate it by blanks: `0  No Error`.
 
     Raises
     ------
-    Unreadable : not four fields.
+    Unreadable : not a number with a text.
+    """
+    text = _text(line)
+    match = LOOSE_ERROR.fullmatch(text)
+    if match is None or not re.search("[A-Za-z]", match[2]):  # `0 5` or `0,3.1` is another query's
+        raise Unreadable(f"{text!r} where an error entry was expected")
+    return ErrorEntry(int(match[1]), match[2].strip('"'))
+
+
+def identity(line: bytes) -> InstrumentIdentity:
+    """Parse the identity of the instrument; an SPD3303X has the version of its hardware behind the four fields.
+
+    Raises
+    ------
+    Unreadable : neither four nor five fields.
     """
     fields = [field.strip() for field in _text(line).split(",")]
-    if len(fields) != 4 or not fields[0] or not fields[1]:
+    if len(fields) not in (4, 5) or not fields[0] or not fields[1]:
         raise Unreadable(f"{_text(line)!r} where an identity of four fields was expected")
-    return InstrumentIdentity(*fields)
+    return InstrumentIdentity(*fields[:4])
 
 
 def _text(line: bytes) -> str:

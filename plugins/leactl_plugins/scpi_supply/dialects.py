@@ -1,66 +1,234 @@
-"""Commands of two families of supplies that SCPI does not standardise: protection, ranges, readings, device clear."""
+"""Commands of four families of supplies, for one output: what SCPI does not standardise, and which output is meant.
 
+Where a model has several outputs, every command and every query names the output itself, so that none depends on which
+output somebody has selected. In a command, `{}` stands for a value, or for ON or OFF.
+"""
+
+import math
 import re
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final, NamedTuple
+
+from leactl.driver.contract import TripAccuracy
+from leactl.driver.conversation import Query
+from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply.models import TRACKING
+
+ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
+# the data sheets of the E36xx have 0.5 % and 0.5 V for the over-voltage protection; so has Rigol for its supplies
+PROTECTION = TripAccuracy(0.005 + ROUNDED, 0.5 + ROUNDED_BESIDE)
+UNKNOWN = TripAccuracy(0.0, math.inf)  # no level is low enough to be counted on
+LEAST_E36300 = 0.002  # A; an E36312A answers this, or less, to CURR? MIN
+OVER_VOLTAGE, OVER_CURRENT = "over-voltage protection", "over-current protection"
+EXPONENT = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # Keysight's, always so long
+INDEPENDENT = "set them independent at the instrument"
+
+
+class Level(NamedTuple):
+    """A value that can be set and read back."""
+
+    command: str
+    query: str
 
 
 class Protection(NamedTuple):
     """One protection: its level, its switch, and whether it has tripped."""
 
     name: str
-    set_level: str
-    level: str
-    switch: str
+    level: Level
+    switch: str  # empty: it cannot be switched off
     armed: str
     tripped: str
 
 
-class ScpiDialect(NamedTuple):
-    """Commands of one family of instruments."""
+class Demand(NamedTuple):
+    """What the instrument must answer before the output is used, so that it and others do not act on each other."""
 
-    voltage: Protection
-    current: Protection
-    set_range: str  # empty: the family has no ranges that can be set
-    reading: re.Pattern[str]  # what is answered to MEAS, to the last digit
-    clear: bytes  # gives up what the instrument is about, where it knows such a byte
+    question: Query
+    accepted: tuple[str, ...]
+    otherwise: str
+
+
+class ScpiDialect(NamedTuple):
+    """Commands of one family of instruments for one output."""
+
+    voltage: Level
+    current: Level
+    measure_voltage: str
+    measure_current: str
+    switch: str
+    on: Query
+    condition: Query  # 1: constant current, 2: constant voltage
+    error: Query
+    over_voltage: Protection | None
+    over_current: Protection | None
+    reading: re.Pattern[str]  # what is answered to a measurement, to the last digit
+    remote: str = "SYST:REM"  # empty: there is no such command
+    local: str = "SYST:LOC"
+    demands: tuple[Demand, ...] = ()
+    select: Level | None = None  # this output is the one that a command acts on whose end, and channel list, is lost
+    set_range: str = ""  # empty: the family has no ranges that can be set
+    decimals: int = 4  # of a level
+    least_current: float = 0.0  # A, that it can be set to
+    clear: bytes = b""  # gives up what the instrument is about, where it knows such a byte
+    trip_accuracy: TripAccuracy = PROTECTION
 
     @property
     def off(self) -> bytes:
         """Bytes that switch the output off from any state; the line feed ends an incomplete earlier command."""
-        return self.clear + b"\nSYST:REM\nOUTP OFF\n"
+        select = self.select.command if self.select else ""
+        lines = [line for line in (self.remote, select, self.switch.format("OFF")) if line]
+        return self.clear + b"\n" + "".join(f"{line}\n" for line in lines).encode("ascii")
 
 
-DIALECTS: Final = {
-    "e36xx": ScpiDialect(
-        Protection(
-            "over-voltage protection",
-            "VOLT:PROT",
-            "VOLT:PROT?",
-            "VOLT:PROT:STAT",
-            "VOLT:PROT:STAT?",
-            "VOLT:PROT:TRIP?",
+def _e36xx(_model: str, _output: int) -> ScpiDialect:
+    """One output."""
+    volts, amperes = (
+        Protection(name, Level(f"{head} {{}}", f"{head}?"), f"{head}:STAT {{}}", f"{head}:STAT?", f"{head}:TRIP?")
+        for name, head in ((OVER_VOLTAGE, "VOLT:PROT"), (OVER_CURRENT, "CURR:PROT"))
+    )
+    return ScpiDialect(
+        Level("VOLT {}", "VOLT?"),
+        Level("CURR {}", "CURR?"),
+        "MEAS:VOLT?",
+        "MEAS:CURR?",
+        "OUTP {}",
+        Query("OUTP?", answers.truth),
+        Query("STAT:QUES:COND?", answers.register),
+        Query("SYST:ERR?", answers.entry),
+        volts,
+        amperes,
+        EXPONENT,
+        set_range="VOLT:RANG {}",
+        clear=b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
+    )
+
+
+def _e36300(model: str, output: int) -> ScpiDialect:
+    """Three outputs; a channel list ends each command and query.
+
+    The over-voltage protection has no switch. The over-current protection has no level: it trips as soon as the output
+    regulates its current, which is what it is used for here.
+    """
+    at = f"(@{output})"
+    together = "its outputs are switched or set together: " + INDEPENDENT
+    demands = [
+        Demand(
+            Query(f"CURR:PROT:STAT? {at}", answers.word),
+            ("0",),
+            f"{OVER_CURRENT} is on, and would trip as soon as the output regulates its current: switch it off at the"
+            " instrument",
         ),
+        Demand(Query("OUTP:COUP:CHAN?", answers.word), ("NONE",), together),
+        Demand(Query("OUTP:TRAC?", answers.word), ("0",), together),
+    ]
+    if model != "E36311A":  # whose outputs cannot be paired
+        demands.append(Demand(Query("OUTP:PAIR?", answers.word), ("OFF",), together))
+    return ScpiDialect(
+        Level(f"VOLT {{}},{at}", f"VOLT? {at}"),
+        Level(f"CURR {{}},{at}", f"CURR? {at}"),
+        f"MEAS:VOLT? {at}",
+        f"MEAS:CURR? {at}",
+        f"OUTP {{}},{at}",
+        Query(f"OUTP? {at}", answers.truth),
+        Query(f"STAT:QUES:INST:ISUM{output}:COND?", answers.regulation),
+        Query("SYST:ERR?", answers.entry),
+        Protection(OVER_VOLTAGE, Level(f"VOLT:PROT {{}},{at}", f"VOLT:PROT? {at}"), "", "", f"VOLT:PROT:TRIP? {at}"),
+        None,
+        EXPONENT,
+        demands=tuple(demands),
+        least_current=LEAST_E36300,
+        select=Level(f"INST:NSEL {output}", "INST:NSEL?"),
+        trip_accuracy=UNKNOWN,
+    )
+
+
+def _dp800(model: str, output: int) -> ScpiDialect:
+    """One output, or several with the channel in front of each value and behind each query."""
+    first, last, source = (f"CH{output},", f" CH{output}", f"SOUR{output}:") if output else ("", "", "")
+    volts, amperes = (
         Protection(
-            "over-current protection",
-            "CURR:PROT",
-            "CURR:PROT?",
-            "CURR:PROT:STAT",
-            "CURR:PROT:STAT?",
-            "CURR:PROT:TRIP?",
-        ),
-        "VOLT:RANG",
-        re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII),
-        b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
-    ),
-    "dp800": ScpiDialect(
-        Protection(
-            "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP", "OUTP:OVP?", "OUTP:OVP:QUES?"
-        ),
-        Protection(
-            "over-current protection", "OUTP:OCP:VAL", "OUTP:OCP:VAL?", "OUTP:OCP", "OUTP:OCP?", "OUTP:OCP:QUES?"
-        ),
-        "",
+            name,
+            Level(f"{head}:VAL {first}{{}}", f"{head}:VAL?{last}"),
+            f"{head} {first}{{}}",
+            f"{head}?{last}",
+            f"{head}:QUES?{last}",
+        )
+        for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
+    )
+    demands: tuple[Demand, ...] = ()
+    if output:
+        pair = TRACKING.get(model, ())
+        demands = (
+            *(
+                Demand(
+                    Query(f"OUTP:TRAC? CH{number}", answers.word),
+                    ("OFF", "NONE"),
+                    f"the voltages of outputs {pair[0]} and {pair[1]} follow each other: {INDEPENDENT}",
+                )
+                for number in (pair if output in pair else ())
+            ),
+            Demand(
+                Query("SYST:ONOFFSYNC?", answers.word),
+                ("OFF",),
+                "its outputs are switched together: " + INDEPENDENT,
+            ),
+        )
+    return ScpiDialect(
+        Level(f"{source}VOLT {{}}", f"{source}VOLT?"),
+        Level(f"{source}CURR {{}}", f"{source}CURR?"),
+        f"MEAS:VOLT?{last}",
+        f"MEAS:CURR?{last}",
+        f"OUTP {first}{{}}",
+        Query(f"OUTP?{last}", answers.truth),
+        Query(f"STAT:QUES:INST:ISUM{output}:COND?", answers.regulation)
+        if output
+        else Query("STAT:QUES:COND?", answers.register),
+        Query("SYST:ERR?", answers.entry),
+        volts,
+        amperes,
         re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well
-        b"",
-    ),
+        demands=demands,
+    )
+
+
+def _spd3303(_model: str, output: int) -> ScpiDialect:
+    """Two outputs with the channel in each command, and a status word for both; a wrong header is never answered.
+
+    Spelt in full, as the guide has it: an abbreviation that the instrument does not know costs a time-out.
+    """
+    status = "SYSTem:STATus?"
+    return ScpiDialect(
+        Level(f"CH{output}:VOLTage {{}}", f"CH{output}:VOLTage?"),
+        Level(f"CH{output}:CURRent {{}}", f"CH{output}:CURRent?"),
+        f"MEASure:VOLTage? CH{output}",
+        f"MEASure:CURRent? CH{output}",
+        f"OUTPut CH{output},{{}}",
+        Query(status, partial(answers.status_on, output=output)),
+        Query(status, partial(answers.status_regulation, output=output)),
+        Query("SYSTem:ERRor?", answers.loose_entry),
+        None,
+        None,
+        re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # two decimals of an SPD3303X-E
+        remote="",
+        local="",
+        demands=(
+            Demand(
+                Query(status, answers.status_outputs),
+                ("independent",),
+                "its outputs are in series or in parallel: " + INDEPENDENT,
+            ),
+        ),
+        decimals=3,
+        trip_accuracy=UNKNOWN,
+    )
+
+
+# by the model and the number of its output, 0 for the only one
+DIALECTS: Final[Mapping[str, Callable[[str, int], ScpiDialect]]] = {
+    "e36xx": _e36xx,
+    "e36300": _e36300,
+    "dp800": _dp800,
+    "spd3303": _spd3303,
 }

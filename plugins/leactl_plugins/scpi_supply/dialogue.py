@@ -3,27 +3,31 @@
 Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Query, Script
+from leactl.driver.contract import Confirmation, TripAccuracy
+from leactl.driver.conversation import Pause, Query, Script
 from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import answers, models
 from leactl_plugins.scpi_supply.answers import ErrorEntry, InstrumentIdentity
-from leactl_plugins.scpi_supply.dialects import DIALECTS, Protection
+from leactl_plugins.scpi_supply.dialects import (
+    DIALECTS,
+    OVER_CURRENT,
+    OVER_VOLTAGE,
+    ROUNDED,
+    ROUNDED_BESIDE,
+    Level,
+    Protection,
+)
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
-ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
-REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, the same in both families
+REGULATED = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
+PAUSES = 5  # some 10 ms each, in which the last command leaves: a closed line drops what it has not sent
 IDENTIFY = Query("*IDN?", answers.identity, patient=True)
-OUTPUT = Query("OUTP?", answers.truth)
-FIRST = OUTPUT._replace(patient=True)  # after who it is: an answer to whoever asked before may be taken for that one
-CONDITION = Query("STAT:QUES:COND?", answers.register)
-ERROR = Query("SYST:ERR?", answers.entry)
 
 
 class ProtectionBefore(NamedTuple):
@@ -38,16 +42,23 @@ class ScpiDialogue:
     """Dialogue with the supply of these settings."""
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
-        self._settings, self._dialect = settings, DIALECTS[settings.dialect]
+        output = settings.output or 0 if settings.model in models.OUTPUTS else 0
+        self._settings, self._dialect = settings, DIALECTS[settings.dialect](settings.model, output)
+        self._output = output
         self.met: InstrumentIdentity | None = None  # who answered last
         self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
         self._armed_at = settings.voltage_limit_V
         self._held = 0.0  # A, the level of the current
         self._found: list[ProtectionBefore] = []  # protections of whoever had the supply before, to be put back
-        volts, amperes = models.most(settings.model)
+        volts, amperes = models.most(settings.model, output)
         reading = partial(answers.reading, form=self._dialect.reading)
-        self._voltage = Query("MEAS:VOLT?", partial(reading, rating=volts))
-        self._current = Query("MEAS:CURR?", partial(reading, rating=amperes))
+        self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=volts))
+        self._current = Query(self._dialect.measure_current, partial(reading, rating=amperes))
+
+    @property
+    def trip_accuracy(self) -> TripAccuracy:
+        """Tolerance of the level of the over-voltage protection [V]."""
+        return self._dialect.trip_accuracy
 
     @property
     def off(self) -> bytes:
@@ -67,7 +78,8 @@ class ScpiDialogue:
         while True:
             yield self._dialect.off
             self._check((yield from self.in_step()))
-            on = yield from _ask(FIRST)
+            # patient, as an answer to whoever asked before may be taken for the identity
+            on = yield from _ask(self._dialect.on._replace(patient=True))
             if on:
                 off_trouble.text = "the output is still on"
                 continue
@@ -92,39 +104,58 @@ class ScpiDialogue:
         DeviceError : another instrument, a setting that does not stick, a protection that has tripped or that somebody
             has armed at a lower level than the limit, an output that cannot be switched off.
         """
-        settings = self._settings
+        settings, dialect = self._settings, self._dialect
         self._found, self._held = [], 0.0
         yield from self.output_off(off_trouble)
-        before = yield from _errors()
+        before = yield from self._errors()
+        yield from self._demand()
         if settings.output_range:
-            yield f"{self._dialect.set_range} {settings.output_range.upper()}"
-        yield from _written("VOLT", "VOLT?", 0.0)
-        yield from _written("CURR", "CURR?", 0.0)
-        limits = {"voltage_limit_V": settings.voltage_limit_V, "current_limit_A": settings.current_limit_A}
+            yield dialect.set_range.format(settings.output_range.upper())
+        yield from self._written(dialect.voltage, 0.0)
+        yield from self._written(dialect.current, dialect.least_current)
+        protections = [
+            (dialect.over_voltage, "voltage_limit_V", settings.voltage_limit_V),
+            (dialect.over_current, "current_limit_A", settings.current_limit_A),
+        ]
+        limits = [(protection, key, limit) for protection, key, limit in protections if protection is not None]
         self._found = yield from self._as_found(limits)
-        yield from _protect(self._dialect.voltage, settings.voltage_limit_V)
-        yield from _protect(self._dialect.current, settings.current_limit_A)
+        for protection, _key, limit in limits:
+            yield from self._protect(protection, limit)
         self.trips_at = self._armed_at = settings.voltage_limit_V
-        refused = yield from _errors()
+        refused = yield from self._errors()
         if refused:
             raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
-        return [f"had an error from before: {number}, {text}" for number, text in before]
+        return [
+            *(f"had an error from before: {number}, {text}" for number, text in before),
+            *(
+                f"no {name} that can be set: {key} bounds nothing but what is commanded"
+                for name, (protection, key, _limit) in zip((OVER_VOLTAGE, OVER_CURRENT), protections, strict=True)
+                if protection is None
+            ),
+        ]
 
-    def _as_found(self, limits: Mapping[str, float]) -> Script[list[ProtectionBefore]]:
+    def _demand(self) -> Script[None]:
+        """Check that the output can be used without acting on others; raise DeviceError if it cannot."""
+        for demand in self._dialect.demands:
+            if (yield from _ask(demand.question)) not in demand.accepted:
+                raise DeviceError(demand.otherwise)
+        select = self._dialect.select
+        if select is not None and (selected := (yield from _ask(Query(select.query, answers.number)))) != self._output:
+            raise DeviceError(f"output {selected:g} is selected after {select.command}")
+
+    def _as_found(self, limits: Sequence[tuple[Protection, str, float]]) -> Script[list[ProtectionBefore]]:
         """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
-        protections = []
-        for protection, (key, limit) in zip(
-            (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
-        ):
-            level = yield from _ask(Query(protection.level, answers.number))
-            armed = yield from _ask(Query(protection.armed, answers.truth))
+        found = []
+        for protection, key, limit in limits:
+            level = yield from _ask(Query(protection.level.query, answers.number))
+            armed = yield from _armed(protection)
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
                 )
-            protections.append(ProtectionBefore(protection, level, armed))
-        return protections
+            found.append(ProtectionBefore(protection, level, armed))
+        return found
 
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
@@ -138,29 +169,33 @@ class ScpiDialogue:
         larger = current > self._held
         if larger:
             yield from self._protected()
-        yield from _written("CURR", "CURR?", current)
-        yield from _written("VOLT", "VOLT?", voltage)
+        yield from self._written(self._dialect.current, max(current, self._dialect.least_current))
+        yield from self._written(self._dialect.voltage, voltage)
         self._held = current
         if not larger:
             yield from self._protected()
 
     def _protected(self) -> Script[None]:
-        level = self.trips_at
-        if level != self._armed_at:
-            yield from _protect(self._dialect.voltage, level)
+        level, protection = self.trips_at, self._dialect.over_voltage
+        if protection is not None and level != self._armed_at:
+            yield from self._protect(protection, level)
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore both protections; returns their names."""
+        """Restore all protections and give the front panel back; returns the names of the protections."""
         protections, self._found = self._found, []
-        if not protections:
-            return ()
-        yield from self.in_step()
+        if protections:
+            yield from self.in_step()
         for protection, level, armed in protections:
-            yield from _written(protection.set_level, protection.level, level)
-            yield f"{protection.switch} {'ON' if armed else 'OFF'}"
-            if (yield from _ask(Query(protection.armed, answers.truth))) is not armed:
+            yield from self._written(protection.level, level)
+            if protection.switch:
+                yield protection.switch.format("ON" if armed else "OFF")
+            if (yield from _armed(protection)) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
+        if self._dialect.local:
+            yield self._dialect.local
+            for _ in range(PAUSES):
+                yield Pause()
         return [before.protection.name for before in protections]
 
     def switched(self, on: bool) -> Script[None]:
@@ -170,8 +205,8 @@ class ScpiDialogue:
         ------
         DeviceFault : the instrument says that it is not.
         """
-        yield f"OUTP {'ON' if on else 'OFF'}"
-        if (yield from _ask(OUTPUT)) is not on:
+        yield self._dialect.switch.format("ON" if on else "OFF")
+        if (yield from _ask(self._dialect.on)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
@@ -179,9 +214,9 @@ class ScpiDialogue:
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
-        on = yield from _ask(OUTPUT)
-        condition = yield from _ask(CONDITION)
-        errors = yield from _errors()
+        on = yield from _ask(self._dialect.on)
+        condition = yield from _ask(self._dialect.condition)
+        errors = yield from self._errors()
         fault = yield from self._tripped()
         mode = REGULATED.get(condition, "") if on else ""
         if on and not mode and not fault:
@@ -191,42 +226,45 @@ class ScpiDialogue:
 
     def _tripped(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
-        for protection in (self._dialect.voltage, self._dialect.current):
-            if (yield from _ask(Query(protection.tripped, answers.truth))):
+        for protection in (self._dialect.over_voltage, self._dialect.over_current):
+            if protection is not None and (yield from _ask(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
         return ""
 
+    def _protect(self, protection: Protection, level: float) -> Script[None]:
+        yield from self._written(protection.level, level)
+        if protection.switch:
+            yield protection.switch.format("ON")
+        if not (yield from _armed(protection)):
+            raise DeviceError(f"{protection.name} does not stay on")
+        if (yield from _ask(Query(protection.tripped, answers.truth))):
+            raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
-def _protect(protection: Protection, level: float) -> Script[None]:
-    yield from _written(protection.set_level, protection.level, level)
-    yield f"{protection.switch} ON"
-    if not (yield from _ask(Query(protection.armed, answers.truth))):
-        raise DeviceError(f"{protection.name} does not stay on")
-    if (yield from _ask(Query(protection.tripped, answers.truth))):
-        raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
+    def _written(self, level: Level, value: float) -> Script[None]:
+        """Write a level and read it back; raise if it differs by more than rounding."""
+        yield level.command.format(f"{value:.{self._dialect.decimals}f}")
+        held = yield from _ask(Query(level.query, answers.number))
+        if not abs(held - value) <= _off_by(value):
+            raise DeviceError(f"{level.command.split()[0]} holds {held:g} after {value:g} was written")
+
+    def _errors(self) -> Script[tuple[ErrorEntry, ...]]:
+        """Read the error queue until it is empty."""
+        errors: list[ErrorEntry] = []
+        while (entry := (yield from _ask(self._dialect.error))).number:
+            errors.append(entry)
+            if len(errors) > MOST_ERRORS:
+                raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
+        return tuple(errors)
 
 
-def _written(command: str, query: str, value: float) -> Script[None]:
-    """Write a level and read it back; raise if it differs by more than rounding."""
-    yield f"{command} {value:.4f}"
-    held = yield from _ask(Query(query, answers.number))
-    if not abs(held - value) <= _off_by(value):
-        raise DeviceError(f"{command} holds {held:g} after {value:g} was written")
+def _armed(protection: Protection) -> Script[bool]:
+    """Whether a protection is armed; one without a switch always is."""
+    return bool((yield from _ask(Query(protection.armed, answers.truth)))) if protection.switch else True
 
 
 def _off_by(value: float) -> float:
     """Tolerance of a level that is read back."""
     return ROUNDED * value + ROUNDED_BESIDE
-
-
-def _errors() -> Script[tuple[ErrorEntry, ...]]:
-    """Read the error queue until it is empty."""
-    errors: list[ErrorEntry] = []
-    while (entry := (yield from _ask(ERROR))).number:
-        errors.append(entry)
-        if len(errors) > MOST_ERRORS:
-            raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
-    return tuple(errors)
 
 
 def _ask(question: Query) -> Script[Any]:

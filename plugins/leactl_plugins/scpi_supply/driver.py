@@ -1,4 +1,4 @@
-"""Programmable DC supply over a serial line or LAN: switched off at `open` and `close`, every setting is read back.
+"""Programmable DC supply over a serial line or LAN: off at `open` and `close`, every setting is read back.
 
 The instrument takes tens of milliseconds for an answer, and nothing waits for one within the loop.
 """
@@ -12,22 +12,20 @@ from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyLine
 from leactl.errors import InputError
-from leactl_plugins.scpi_supply.dialogue import ROUNDED, ROUNDED_BESIDE, ScpiDialogue
+from leactl_plugins.scpi_supply.dialogue import ScpiDialogue
 from leactl_plugins.scpi_supply.probe import ScpiProbe, identity_of
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 OPEN_S = 8.0  # some forty exchanges at 9600 baud take 2.5 s
-# the data sheets of the E36xx have 0.5 % and 0.5 V for the over-voltage protection; so has Rigol for its supplies
-PROTECTION = TripAccuracy(0.005 + ROUNDED, 0.5 + ROUNDED_BESIDE)
 
 
 class ScpiSupply(Driver):
-    """One supply with one output."""
+    """One output of a supply; its other outputs are left alone."""
 
     Settings = ScpiSupplySettings
     transport = "serial"
     further_transports = ("visa",)
-    summary = "DC supply over a serial line or LAN (SCPI; Keysight E3632A to E3634A, Rigol DP811)"
+    summary = "DC supply over a serial line or LAN (SCPI; Keysight E363xA, E36300, Rigol DP800, Siglent SPD3303X)"
     example: ClassVar[Mapping[str, Any]] = {
         "dialect": "e36xx",
         "model": "E3633A",
@@ -74,7 +72,9 @@ class ScpiSupply(Driver):
         from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
         load = physics.at_supply(settings.feeds, role)
-        return ScpiSupplyEmulator(settings.dialect, settings.model, load, settings.serial_number or "0")
+        return ScpiSupplyEmulator(
+            settings.dialect, settings.model, load, settings.serial_number or "0", settings.output
+        )
 
     # -- commands, for the supervisor --------------------------------------------------------------------------------
 
@@ -100,7 +100,7 @@ class ScpiSupply(Driver):
     @property
     def trip_accuracy(self) -> TripAccuracy:
         """Tolerance of the level of the over-voltage protection [V]."""
-        return PROTECTION
+        return self._dialogue.trip_accuracy
 
     def protect(self, level: float) -> None:
         """Set the level [V] of the over-voltage protection; it takes effect with the next `supply`.

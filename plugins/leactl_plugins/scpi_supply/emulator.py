@@ -1,77 +1,104 @@
-"""Emulator of an SCPI supply: commands of both families, an error queue, and a regulated output.
+"""Emulator of an SCPI supply: commands of four families, an error queue, and one regulated output or several.
 
-Spelt after the Keysight E3632A and E3633A/E3634A User's Guides and the Rigol DP800 Programming Guide; long and short
-forms, optional nodes and letter case are taken as SCPI-1999 volume 1, section 6.2, has them.
+Spelt after the Keysight E3632A and E3633A/E3634A User's Guides, the Rigol DP800 Programming Guide, and for the Siglent
+SPD3303X and the Keysight E36300 after public drivers that quote their guides; long and short forms, optional nodes and
+letter case are taken as SCPI-1999 volume 1, section 6.2, has them. A command that names no output acts on the selected
+one.
 """
 
 import math
 import re
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from leactl.driver.far_end import SupplyLoad
-from leactl_plugins.scpi_supply.models import RANGES
+from leactl_plugins.scpi_supply.emulated_output import EmulatedOutput, NothingConnected, ProtectionState
+from leactl_plugins.scpi_supply.models import OUTPUTS, RANGES, TRACKING
 
 REGULATE_S = 0.05  # the load's resistance changes within seconds
 MOST_INPUT = 512
 QUEUE = 20
 OTHER_RATING = ((60.0, 60.0),)  # a DP800 as well, whose range is set at the instrument
+UNSERVED = (25.0, 1.0)  # an output that the driver does not serve
 OVER_RATING = 1.03  # what can still be programmed
-OVER_PROTECTION = 1.1
+LEAST_A = {"e36300": 0.001}
+ON = ("1", "ON")
+BOOLEANS = (*ON, "0", "OFF")
 NO_ERROR = (0, "No error")
-UNDEFINED, OUT_OF_RANGE, OVERFLOW = (-113, "Undefined header"), (-222, "Data out of range"), (-350, "Queue overflow")
-MAKERS = {"e36xx": "HEWLETT-PACKARD", "dp800": "RIGOL TECHNOLOGIES"}
-REVISIONS = {"e36xx": "1.7-5.0-1.0", "dp800": "00.01.16"}
+UNDEFINED, MISSING = (-113, "Undefined header"), (-109, "Missing parameter")
+OUT_OF_RANGE, OVERFLOW = (-222, "Data out of range"), (-350, "Queue overflow")
+IDENTITIES = {  # maker, and what follows the serial number
+    "e36xx": ("HEWLETT-PACKARD", "1.7-5.0-1.0"),
+    "e36300": ("Keysight Technologies", "2.1.0-1.0.4-1.12"),
+    "dp800": ("RIGOL TECHNOLOGIES", "00.01.16"),
+    "spd3303": ("Siglent Technologies", "1.01.01.02.07R2,V3.0"),
+}
+KEYSIGHT = ("e36xx", "e36300")
+CHANNEL_LIST = re.compile(r"(?:(.*),)?\s*\(@([\d, ]+)\)")  # behind the value
+CHANNEL = re.compile(r"CH(\d)\s*(?:,\s*(.*))?", re.IGNORECASE)  # in front of it
 
-
-class _Level:
-    """A protection: level, switch, whether it has tripped."""
-
-    def __init__(self, level: float) -> None:
-        self.level, self.armed, self.tripped = level, True, False
+Act = Callable[[EmulatedOutput, str], str | None]
 
 
 class ScpiSupplyEmulator:
-    """One supply with one output that feeds a load."""
+    """One supply whose output of this number, or whose only one, feeds a load; nothing is connected to the others."""
 
     def __init__(
-        self, dialect: str, model: str, load: SupplyLoad, serial_number: str = "0", answer_s: float = 0.02
+        self,
+        dialect: str,
+        model: str,
+        load: SupplyLoad,
+        serial_number: str = "0",
+        output: int | None = None,
+        answer_s: float = 0.02,
     ) -> None:
         self.dialect, self.model, self.serial_number = dialect, model, serial_number
-        self._load, self._answer_s = load, answer_s
-        self._ratings = RANGES.get(model, OTHER_RATING) if dialect == "e36xx" else OTHER_RATING
-        self._range = 0
-        volts, amperes = max(v for v, _ in self._ratings), max(a for _, a in self._ratings)
-        self.set_volts, self.set_amperes = 0.0, self._rating[1]
-        self.on = False
-        self.volts = self.amperes = 0.0  # at the terminals
-        self.over_voltage = _Level(OVER_PROTECTION * volts)
-        self.over_current = _Level(OVER_PROTECTION * amperes)
-        self._stuck = self._admits = False
-        self._share = 1.0
+        self._answer_s = answer_s
+        fed = output or 1
+        self.outputs = [
+            EmulatedOutput(number, ratings, load if number == fed else NothingConnected())
+            for number, ratings in enumerate(self._ratings(), start=1)
+        ]
+        self.fed = self.outputs[fed - 1]
+        self.selected = self.outputs[0]
+        self.coupled = self.tracking = False
+        self.remote = False
+        if dialect == "e36300":
+            for each in self.outputs:
+                each.trips_in_regulation, each.over_current.armed = True, False
+        elif dialect == "spd3303":
+            for each in self.outputs:
+                each.over_voltage.armed = each.over_current.armed = False
+        self._admits = False
         self._input = b""
         self._output: deque[tuple[float, bytes]] = deque()
         self._busy = 0.0
         self._errors: deque[tuple[int, str]] = deque()
         self._regulates = 0.0
         self._commands = self._tree()
-        self._regulate()
+
+    def _ratings(self) -> Sequence[tuple[tuple[float, float], ...]]:
+        if self.model in OUTPUTS:
+            known = OUTPUTS[self.model]
+            count = 2 if self.model.startswith("DP82") else 3
+            return [(known.get(number, UNSERVED),) for number in range(1, count + 1)]
+        return [RANGES.get(self.model, OTHER_RATING) if self.dialect == "e36xx" else OTHER_RATING]
 
     # -- what a bench may have go wrong ------------------------------------------------------------------------------
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Make the output stay on, as with a welded relay; `admits` says whether `OUTP?` still answers 1."""
-        self._stuck, self._admits = True, admits
+        """Make the fed output stay on, as with a welded relay; `admits` says whether it still says that it is on."""
+        self.fed.stuck, self._admits = True, admits
 
     def lose_regulation(self, share: float) -> None:
         """Put out only this share of the set voltage and current, and report that it does not regulate."""
-        self._share = share
-        self._regulate()
+        self.fed.share = share
+        self.fed.regulate()
 
     def mend(self) -> None:
         """Return to normal operation."""
-        self._stuck, self._share = False, 1.0
-        self._regulate()
+        self.fed.stuck, self.fed.share = False, 1.0
+        self.fed.regulate()
 
     # -- the wire ----------------------------------------------------------------------------------------------------
 
@@ -95,7 +122,7 @@ class ScpiSupplyEmulator:
                 self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
 
     def tick(self, now: float) -> bytes:
-        """Regulate the output if that is due; returns an answer that is ready."""
+        """Regulate the outputs if that is due; returns an answer that is ready."""
         if now >= self._regulates:
             self._regulates = now + REGULATE_S
             self._regulate()
@@ -106,16 +133,31 @@ class ScpiSupplyEmulator:
     def _obey(self, command: str, now: float) -> None:
         header, _, argument = command.partition(" ")
         for pattern, act in self._commands:
-            if pattern.fullmatch(header):
-                answer = act(argument.strip())
+            if match := pattern.fullmatch(header):
+                numbered = match[1] if pattern.groups else None
+                answers = self._acted(act, numbered, argument.strip())
                 break
         else:
             self._fail(UNDEFINED)
             return
         self._regulate()
-        if answer is not None:
+        if answers:
             self._busy = max(self._busy, now) + self._answer_s
-            self._output.append((self._busy, answer.encode("ascii") + (b"\r\n" if self.dialect == "e36xx" else b"\n")))
+            text = ",".join(answers) + ("\r\n" if self.dialect == "e36xx" else "\n")
+            self._output.append((self._busy, text.encode("ascii")))
+
+    def _acted(self, act: Act, numbered: str | None, argument: str) -> list[str]:
+        """Answers of the outputs that a command names in its header or argument, or of the selected one."""
+        numbers, value = ([int(numbered)] if numbered else []), argument
+        if self.dialect == "e36300" and (match := CHANNEL_LIST.fullmatch(argument)):
+            numbers, value = [int(each) for each in match[2].split(",")], match[1] or ""
+        elif self.dialect in ("dp800", "spd3303") and (match := CHANNEL.fullmatch(argument)):
+            numbers, value = [int(match[1])], match[2] or ""
+        if any(not 1 <= number <= len(self.outputs) for number in numbers):
+            self._fail(OUT_OF_RANGE)
+            return []
+        named = [self.outputs[number - 1] for number in numbers] or [self.selected]
+        return [answer for output in named if (answer := act(output, value.strip())) is not None]
 
     def _fail(self, error: tuple[int, str]) -> None:
         if len(self._errors) == QUEUE:
@@ -123,118 +165,182 @@ class ScpiSupplyEmulator:
         else:
             self._errors.append(error)
 
-    # -- the output --------------------------------------------------------------------------------------------------
-
-    @property
-    def _rating(self) -> tuple[float, float]:
-        return self._ratings[self._range]
-
     def _regulate(self) -> None:
-        tripped = self.over_voltage.tripped or self.over_current.tripped
-        live = self._stuck or (self.on and not tripped)
-        asked = (self.set_volts * self._share, self.set_amperes * self._share) if live else (0.0, 0.0)
-        self.volts, self.amperes = self._load.feed(*asked)
-        for protection, value in ((self.over_voltage, self.volts), (self.over_current, self.amperes)):
-            if protection.armed and value > protection.level and not protection.tripped:
-                protection.tripped = True
-                self._regulate()
-
-    def _condition(self) -> int:
-        if not self.on or self._share != 1.0 or self.over_voltage.tripped or self.over_current.tripped:
-            return 0
-        return 1 if self.volts < self.set_volts - 1e-6 else 2
+        for output in self.outputs:
+            output.regulate()
 
     # -- the commands ------------------------------------------------------------------------------------------------
 
-    def _tree(self) -> list[tuple[re.Pattern[str], Callable[[str], str | None]]]:
-        common: dict[str, Callable[[str], str | None]] = {
-            "*IDN?": lambda _: ",".join(
-                (MAKERS[self.dialect], self.model, self.serial_number, REVISIONS[self.dialect])
-            ),
-            "*CLS": lambda _: self._errors.clear(),
-            "SYSTem:ERRor?": lambda _: self._next_error(),
-            "SYSTem:REMote": lambda _: None,
+    def _tree(self) -> list[tuple[re.Pattern[str], Act]]:
+        source = {"dp800": "[SOURce<n>:]", "spd3303": "[CH<n>:]"}.get(self.dialect, "[SOURce:]")
+        maker, revision = IDENTITIES[self.dialect]
+        common: dict[str, Act] = {
+            "*IDN?": lambda *_: ",".join((maker, self.model, self.serial_number, revision)),
+            "*CLS": lambda *_: self._errors.clear(),
+            "SYSTem:ERRor?": lambda *_: self._next_error(),
+            f"{source}VOLTage": self._set_volts,
+            f"{source}VOLTage?": lambda output, _: self._number(output.set_volts),
+            f"{source}CURRent": self._set_amperes,
+            f"{source}CURRent?": lambda output, _: self._number(output.set_amperes),
+            "MEASure:VOLTage[:DC]?": lambda output, _: self._number(output.volts),
+            "MEASure:CURRent[:DC]?": lambda output, _: self._number(output.amperes),
             "OUTPut[:STATe]": self._switch,
-            "OUTPut[:STATe]?": lambda _: self._truth(self.on),
-            "[SOURce:]VOLTage": self._set_volts,
-            "[SOURce:]VOLTage?": lambda _: self._number(self.set_volts),
-            "[SOURce:]CURRent": self._set_amperes,
-            "[SOURce:]CURRent?": lambda _: self._number(self.set_amperes),
-            "MEASure[:VOLTage][:DC]?": lambda _: self._number(self.volts),
-            "MEASure:CURRent[:DC]?": lambda _: self._number(self.amperes),
-            "STATus:QUEStionable:CONDition?": lambda _: self._register(self._condition()),
         }
-        if self.dialect == "e36xx":
-            subtree = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", self.over_voltage)
-            subtree |= self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", self.over_current)
-            subtree |= {"[SOURce:]VOLTage:RANGe": self._set_range}
-        else:
-            subtree = self._protection("OUTPut:OVP", ":VALue", ":QUES?", self.over_voltage)
-            subtree |= self._protection("OUTPut:OCP", ":VALue", ":QUES?", self.over_current)
-        return [(_pattern(name), act) for name, act in (common | subtree).items()]
+        own = {"e36xx": self._e36xx, "e36300": self._e36300, "dp800": self._dp800, "spd3303": self._spd3303}
+        return [(_pattern(name), act) for name, act in (common | own[self.dialect]()).items()]
 
-    def _protection(self, head: str, level: str, tripped: str, held: _Level) -> dict[str, Callable[[str], str | None]]:
-        def set_level(text: str) -> None:
+    def _panel(self) -> dict[str, Act]:
+        return {
+            "SYSTem:REMote": lambda *_: setattr(self, "remote", True),
+            "SYSTem:LOCal": lambda *_: setattr(self, "remote", False),
+            "OUTPut[:STATe]?": lambda output, _: self._truth(output.on),
+            "MEASure?": lambda output, _: self._number(output.volts),
+        }
+
+    def _e36xx(self) -> dict[str, Act]:
+        return {
+            **self._panel(),
+            **self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", "over_voltage"),
+            **self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", "over_current"),
+            "[SOURce:]VOLTage:RANGe": self._set_range,
+            "STATus:QUEStionable:CONDition?": lambda output, _: self._register(output.condition),
+        }
+
+    def _e36300(self) -> dict[str, Act]:
+        level = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", "over_voltage")
+        return {
+            **self._panel(),
+            **{name: act for name, act in level.items() if ":STATe" not in name},
+            "[SOURce:]CURRent:PROTection:STATe": self._arm("over_current"),
+            "[SOURce:]CURRent:PROTection:STATe?": lambda output, _: self._truth(output.over_current.armed),
+            "[SOURce:]CURRent:PROTection:TRIPped?": lambda output, _: self._truth(output.over_current.tripped),
+            "STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?": lambda output, _: self._register(output.condition),
+            "INSTrument:NSELect": self._select,
+            "INSTrument:NSELect?": lambda *_: f"{self.selected.number}",
+            "OUTPut[:STATe]:COUPle:CHANnel?": lambda *_: "ALL" if self.coupled else "NONE",
+            "OUTPut:TRACk[:STATe]?": lambda *_: self._truth(self.tracking),
+            **({} if self.model == "E36311A" else {"OUTPut:PAIR?": lambda *_: "OFF"}),
+        }
+
+    def _dp800(self) -> dict[str, Act]:
+        pair = TRACKING.get(self.model, ())
+        several: dict[str, Act] = {
+            "STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?": lambda output, _: self._register(
+                output.condition | 4 * output.over_voltage.tripped | 8 * output.over_current.tripped
+            ),
+            "INSTrument:NSELect": self._select,
+            "INSTrument:NSELect?": lambda *_: f"{self.selected.number}",
+            "OUTPut:TRACk?": lambda output, _: self._truth(self.tracking) if output.number in pair else "NONE",
+            "SYSTem:ONOFFSync?": lambda *_: self._truth(self.coupled),
+        }
+        one: dict[str, Act] = {"STATus:QUEStionable:CONDition?": lambda output, _: self._register(output.condition)}
+        return {
+            **self._panel(),
+            **self._protection("OUTPut:OVP", ":VALue", ":QUES?", "over_voltage"),
+            **self._protection("OUTPut:OCP", ":VALue", ":QUES?", "over_current"),
+            **(several if len(self.outputs) > 1 else one),
+        }
+
+    def _spd3303(self) -> dict[str, Act]:
+        return {
+            "INSTrument": lambda output, _: setattr(self, "selected", output),
+            "SYSTem:STATus?": lambda *_: f"0x{self._status():x}",
+        }
+
+    def _status(self) -> int:
+        told = list(enumerate(self.outputs[:2]))  # output 3 is not in it
+        regulated = sum(1 << bit for bit, output in told if output.condition == 1)
+        on = sum(0x10 << bit for bit, output in told if output.on)
+        return regulated | (0x0C if self.coupled else 0x04) | on
+
+    def _protection(self, head: str, level: str, tripped: str, which: str) -> dict[str, Act]:
+        def held(output: EmulatedOutput) -> ProtectionState:
+            state: ProtectionState = getattr(output, which)
+            return state
+
+        def set_level(output: EmulatedOutput, text: str) -> None:
             value = _amount(text)
             if value is None or value < 0.0:
                 return self._fail(OUT_OF_RANGE)
-            held.level = value
+            held(output).level = value
             return None
 
-        def arm(text: str) -> None:
-            held.armed = text.upper() in ("1", "ON")
-
-        state = ":STATe" if self.dialect == "e36xx" else "[:STATe]"
+        state = "[:STATe]" if self.dialect == "dp800" else ":STATe"
         return {
             head + level: set_level,
-            f"{head}{level}?": lambda _: self._number(held.level),
-            head + state: arm,
-            f"{head}{state}?": lambda _: self._truth(held.armed),
-            head + tripped: lambda _: self._truth(held.tripped, "YES", "NO"),
+            f"{head}{level}?": lambda output, _: self._number(held(output).level),
+            head + state: self._arm(which),
+            f"{head}{state}?": lambda output, _: self._truth(held(output).armed),
+            head + tripped: lambda output, _: self._truth(held(output).tripped, "YES", "NO"),
         }
 
-    def _switch(self, text: str) -> None:
-        if text.upper() not in ("0", "1", "ON", "OFF"):
+    def _arm(self, which: str) -> Act:
+        def arm(output: EmulatedOutput, text: str) -> None:
+            if text.upper() not in BOOLEANS:
+                return self._fail(MISSING if not text else OUT_OF_RANGE)
+            getattr(output, which).armed = text.upper() in ON
+            return None
+
+        return arm
+
+    def _select(self, _output: EmulatedOutput, text: str) -> None:
+        if not text.isdecimal() or not 1 <= int(text) <= len(self.outputs):
             return self._fail(OUT_OF_RANGE)
-        on = text.upper() in ("1", "ON")
-        self.on = on or (self._stuck and self._admits and self.on)
+        self.selected = self.outputs[int(text) - 1]
         return None
 
-    def _set_volts(self, text: str) -> None:
-        self.set_volts = self._programmed(text, self._rating[0], self.set_volts)
+    def _switch(self, output: EmulatedOutput, text: str) -> None:
+        if text.upper() not in BOOLEANS:
+            return self._fail(MISSING if not text else OUT_OF_RANGE)
+        on = text.upper() in ON
+        for each in self.outputs if self.coupled else (output,):
+            each.on = on or (each.stuck and self._admits and each.on)
+        return None
 
-    def _set_amperes(self, text: str) -> None:
-        self.set_amperes = self._programmed(text, self._rating[1], self.set_amperes)
+    def _set_volts(self, output: EmulatedOutput, text: str) -> None:
+        output.set_volts = self._programmed(text, 0.0, output.rating[0], output.set_volts)
 
-    def _programmed(self, text: str, rating: float, before: float) -> float:
+    def _set_amperes(self, output: EmulatedOutput, text: str) -> None:
+        least = LEAST_A.get(self.dialect, 0.0)
+        output.set_amperes = self._programmed(text, least, output.rating[1], output.set_amperes)
+
+    def _programmed(self, text: str, least: float, rating: float, before: float) -> float:
         value = _amount(text)
-        if value is None or not 0.0 <= value <= OVER_RATING * rating:
+        if value is None or not least <= value <= OVER_RATING * rating:
             self._fail(OUT_OF_RANGE)
             return before
         return value
 
-    def _set_range(self, text: str) -> None:
-        self._range = 0 if text.upper() == "LOW" else len(self._ratings) - 1
+    def _set_range(self, output: EmulatedOutput, text: str) -> None:
+        output.range = 0 if text.upper() == "LOW" else len(output.ratings) - 1
 
     def _next_error(self) -> str:
         number, text = self._errors.popleft() if self._errors else NO_ERROR
-        return f'{number:+d},"{text}"' if self.dialect == "e36xx" else f'{number},"{text}"'
+        if self.dialect == "spd3303":
+            return f"{number},{text}" if number else "0  No Error"
+        return f'{number:+d},"{text}"' if self.dialect in KEYSIGHT else f'{number},"{text}"'
 
     def _number(self, value: float) -> str:
-        return f"{round(value, 8):+.8E}" if self.dialect == "e36xx" else f"{value:.4f}"
+        if self.dialect == "spd3303":
+            return f"{value:.2f}" if self.model.endswith("-E") else f"{value:.3f}"
+        return f"{round(value, 8):+.8E}" if self.dialect in KEYSIGHT else f"{value:.4f}"
 
     def _register(self, value: int) -> str:
-        return f"{value:+d}" if self.dialect == "e36xx" else f"{value}"
+        return f"{value:+d}" if self.dialect in KEYSIGHT else f"{value}"
 
     def _truth(self, value: bool, yes: str = "ON", no: str = "OFF") -> str:
-        if self.dialect == "e36xx":
+        if self.dialect in KEYSIGHT:
             return "1" if value else "0"
         return yes if value else no
 
 
 def _pattern(name: str) -> re.Pattern[str]:
-    """Pattern of a header in the notation of the manuals: capitals for the short form, brackets for optional parts."""
+    """Pattern of a header in the notation of the manuals: capitals for the short form, brackets for optional parts.
+
+    `<n>` is the number of an output, which may be missing.
+    """
     spelt = re.sub(r"[A-Z]+[a-z]*", lambda word: _either(word[0]), name.replace("*", r"\*").replace("?", r"\?"))
+    spelt = spelt.replace("<n>", r"(\d)?")
     return re.compile(":?" + spelt.replace("[", "(?:").replace("]", ")?"), re.IGNORECASE)
 
 

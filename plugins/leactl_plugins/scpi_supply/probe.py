@@ -5,7 +5,7 @@ from leactl.driver.probe import LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
 from leactl_plugins.scpi_supply.answers import InstrumentIdentity
 from leactl_plugins.scpi_supply.dialogue import IDENTIFY
-from leactl_plugins.scpi_supply.models import RANGES, dialect_of
+from leactl_plugins.scpi_supply.models import OUTPUTS, RANGES, dialect_of
 
 
 class ScpiProbe(LineProbe):
@@ -20,10 +20,11 @@ class ScpiProbe(LineProbe):
             return
         identity, dialect = identity_of(who), dialect_of(who.model)
         if dialect is None:
-            yield Sighting(None, identity, None, f"no supply of this driver ({', '.join(RANGES)})")
+            yield Sighting(None, identity, None, f"no supply of this driver ({', '.join((*RANGES, *OUTPUTS))})")
             return
         number = {"serial_number": identity.serial} if identity.serial else {}
-        yield Sighting(None, identity, {"dialect": dialect, "model": who.model, **number})
+        several = ("output",) if who.model in OUTPUTS else ()  # which of them feeds the motor, no instrument can know
+        yield Sighting(None, identity, {"dialect": dialect, "model": who.model, **number}, left_open=several)
 
 
 def identity_of(who: InstrumentIdentity) -> Identity:

@@ -1,18 +1,20 @@
-"""Settings of one power supply: its model, its load, and the limits of its output."""
+"""Settings of one power supply: its model, its output, its load, and the limits of that output."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from leactl.driver.contract import DriverSettings
+from leactl_plugins.scpi_supply.models import Dialect, dialect_of, models_of, output_trouble
 
 
 class ScpiSupplySettings(DriverSettings):
-    """One supply with one output at the end of a serial line."""
+    """One output of a supply at the end of a serial line or a socket."""
 
-    dialect: Literal["e36xx", "dp800"]
+    dialect: Dialect
     model: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./ -]*$", max_length=40)]  # 2nd field of *IDN?
     serial_number: Annotated[str, Field(max_length=40)] = ""  # 3rd field of *IDN?; the E36xx series leaves it 0
+    output: Annotated[int, Field(strict=True, ge=1, le=9)] | None = None  # of a model with several
     feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
     voltage_limit_V: Annotated[float, Field(strict=True, gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
     current_limit_A: Annotated[float, Field(strict=True, gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815
@@ -25,4 +27,17 @@ class ScpiSupplySettings(DriverSettings):
     def _has_ranges(self) -> "ScpiSupplySettings":
         if self.output_range is not None and self.dialect != "e36xx":
             raise ValueError(f"output_range is known of e36xx alone; with {self.dialect} set it at the instrument")
+        return self
+
+    @model_validator(mode="after")
+    def _has_the_output(self) -> "ScpiSupplySettings":
+        spoken = dialect_of(self.model)
+        if spoken not in (None, self.dialect):
+            raise ValueError(f"{self.model} speaks {spoken}; {self.dialect} was given as its dialect")
+        if spoken is None and self.dialect in ("e36300", "spd3303"):
+            raise ValueError(
+                f"{self.model} is no known model of {self.dialect}; {', '.join(models_of(self.dialect))} are"
+            )
+        if trouble := output_trouble(self.model, self.output):
+            raise ValueError(trouble)
         return self

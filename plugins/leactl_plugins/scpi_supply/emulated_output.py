@@ -1,0 +1,68 @@
+"""One regulated output of an emulated supply: levels, switch, two protections, and what it feeds."""
+
+from leactl.driver.far_end import SupplyLoad
+
+OVER_PROTECTION = 1.1
+
+
+class NothingConnected:
+    """Terminals without a load."""
+
+    def feed(self, voltage: float, current: float) -> tuple[float, float]:
+        """The voltage [V] stands, and no current flows."""
+        return voltage, 0.0
+
+
+class ProtectionState:
+    """A protection: level, switch, whether it has tripped."""
+
+    def __init__(self, level: float) -> None:
+        self.level, self.armed, self.tripped = level, True, False
+
+
+class EmulatedOutput:
+    """An output with one range or two; a wrong or a missing one is nobody's business but its own."""
+
+    def __init__(self, number: int, ratings: tuple[tuple[float, float], ...], load: SupplyLoad) -> None:
+        self.number, self.ratings, self._load = number, ratings, load
+        self.range = 0
+        volts, amperes = max(v for v, _ in ratings), max(a for _, a in ratings)
+        self.set_volts, self.set_amperes = 0.0, self.rating[1]
+        self.on = False
+        self.volts = self.amperes = 0.0  # at the terminals
+        self.over_voltage = ProtectionState(OVER_PROTECTION * volts)
+        self.over_current = ProtectionState(OVER_PROTECTION * amperes)
+        self.trips_in_regulation = False  # the over-current protection has no level of its own
+        self.stuck = False
+        self.share = 1.0
+        self.regulate()
+
+    @property
+    def rating(self) -> tuple[float, float]:
+        """Volts and amperes of the present range."""
+        return self.ratings[self.range]
+
+    @property
+    def tripped(self) -> bool:
+        """Whether a protection has switched it off."""
+        return self.over_voltage.tripped or self.over_current.tripped
+
+    @property
+    def condition(self) -> int:
+        """1 where the current is regulated, 2 where the voltage is, 0 where neither is."""
+        if not self.on or self.share != 1.0 or self.tripped:
+            return 0
+        return 1 if self.volts < self.set_volts - 1e-6 else 2
+
+    def regulate(self) -> None:
+        """Bring the terminals to the levels; a protection that is passed trips."""
+        live = self.stuck or (self.on and not self.tripped)
+        asked = (self.set_volts * self.share, self.set_amperes * self.share) if live else (0.0, 0.0)
+        self.volts, self.amperes = self._load.feed(*asked)
+        passed = self.volts > self.over_voltage.level, self.amperes > self.over_current.level
+        if self.trips_in_regulation:
+            passed = passed[0], self.condition == 1
+        for protection, beyond in zip((self.over_voltage, self.over_current), passed, strict=True):
+            if protection.armed and beyond and not protection.tripped:
+                protection.tripped = True
+                self.regulate()
