@@ -14,9 +14,11 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, LineBus
 from leactl.bench.wire_trace import (
     CALLED,
+    CONNECT,
     ENDED,
     FAILED,
     HEARD,
+    NOT_TAKEN,
     SENT,
     TraceLine,
     expect_can_frames,
@@ -92,8 +94,20 @@ class Wire:
         """Seconds of the trace."""
         return self._replay.clock.now()
 
-    def send(self, text: str) -> None:
-        """Compare sent bytes with the next line of the trace.
+    def connect(self) -> None:
+        """Connect a serial line or a raw socket, or fail to, as in the trace.
+
+        Raises
+        ------
+        OSError : connecting failed in the trace.
+        """
+        line = self._present()
+        if line is not None and line.kind == FAILED and line.text.startswith(CONNECT):
+            self._take()
+            raise OSError(line.text.removeprefix(CONNECT))
+
+    def send(self, text: str) -> str:
+        """Compare sent bytes with the next line of the trace; returns those that were taken.
 
         Raises
         ------
@@ -102,12 +116,14 @@ class Wire:
         """
         line = self._take()
         if line is None:
-            return  # the trace was cut short
+            return text  # the trace was cut short
         if line.kind == FAILED:
             raise OSError(line.text)
-        if line.kind != SENT or line.text != text:
+        taken, _, refused = line.text.partition(NOT_TAKEN)
+        if line.kind != SENT or taken + refused != text:
             stands = f"'{line.kind} {line.text}'"
             raise Diverged(Difference(line.number, self.name, stands, f"'> {text}' was sent"))
+        return taken
 
     def hear(self, timeout: float) -> str | None:
         """The next input within the present call; None, with time advanced by `timeout`, if there is none.
@@ -117,8 +133,8 @@ class Wire:
         OSError : receiving failed in the trace.
         """
         clock = self._replay.clock
-        line = self._lines[self._next] if self._next < len(self._lines) else None
-        if line is None or line.kind == SENT or line.number > self._replay.call_ends:
+        line = self._present()
+        if line is None or line.kind == SENT:
             clock.sleep_until(clock.now() + timeout)
             return None
         self._take()
@@ -143,6 +159,11 @@ class Wire:
             stands = f"'{line.kind} {line.text}'"
             raise Diverged(Difference(line.number, self.name, stands, f"'{kind} {text}' was asked for"))
         return line.text
+
+    def _present(self) -> TraceLine | None:
+        """The next line; None if it does not belong to the present call."""
+        line = self._lines[self._next] if self._next < len(self._lines) else None
+        return line if line is not None and line.number <= self._replay.call_ends else None
 
     def _take(self) -> TraceLine | None:
         if self._next >= len(self._lines):
@@ -192,6 +213,7 @@ class ReplayWiring:
 
 class _LineSide:
     def __init__(self, wire: Wire) -> None:
+        wire.connect()
         self._wire = wire
 
     def read(self, timeout: float) -> bytes:
@@ -199,8 +221,7 @@ class _LineSide:
         return bytes.fromhex(text) if text else b""
 
     def write(self, data: bytes) -> int:
-        self._wire.send(data.hex())
-        return len(data)
+        return len(self._wire.send(data.hex())) // 2
 
     def close(self) -> None:
         """Nothing is open."""

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 HEAD = "# leactl wire trace 1"
 SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
 KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
+CONNECT = "connect "  # before the error of a line that could not be connected
+NOT_TAKEN = "/"  # before the bytes that a full line did not take
 CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
 FLUSH_S = 0.5
 CALLS = (  # methods of a driver that are traced; what it sends follows from these calls and from its input
@@ -207,7 +209,16 @@ class TracedWiring:
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """Function that connects to a serial line."""
         connect = self._wiring.serial(name, bus)
-        return lambda: TracedLine(connect(), name, self._trace)
+
+        def traced() -> SerialLine:
+            try:
+                line = connect()
+            except OSError as error:
+                self._trace.write(name, FAILED, f"{CONNECT}{error}")
+                raise
+            return TracedLine(line, name, self._trace)
+
+        return traced
 
     def library(self, device: str) -> Any:
         """The replacement of a maker's library, which is not traced."""
@@ -241,13 +252,14 @@ class TracedLine:
         return read
 
     def write(self, data: bytes) -> int:
-        """Write bytes; those that were accepted are traced."""
+        """Write bytes; those that were not accepted are marked in the trace."""
         try:
             taken = self._line.write(data)
         except OSError as error:
             self._trace.write(self._name, FAILED, str(error))
             raise
-        self._trace.write(self._name, SENT, data[:taken].hex())
+        refused = f"{NOT_TAKEN}{data[taken:].hex()}" if taken < len(data) else ""
+        self._trace.write(self._name, SENT, f"{data[:taken].hex()}{refused}")
         return taken
 
 

@@ -7,7 +7,7 @@ nothing may wait.
 from collections.abc import Callable, Generator
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from leactl.driver.serial_port import SerialPort
+from leactl.driver.serial_port import Framing, SerialPort
 from leactl.errors import DeviceError, NoAnswer
 
 Result = TypeVar("Result")
@@ -20,13 +20,19 @@ class Unreadable(DeviceError):
 class Query(NamedTuple):
     """A query and the parser of its reply; with `patient`, unreadable replies are skipped until a readable one comes.
 
-    A reply is one line, or all lines up to and including `last`; `means` parses them, joined by line feeds.
+    A text is sent with the port's line end, bytes as they are. A reply is one line, or all lines up to and including
+    `last`; `means` parses them, joined by line feeds. With a `framing` the reply is a frame, and what arrived before
+    the query was sent is dropped.
     """
 
-    text: str
+    text: str | bytes
     means: Callable[[bytes], Any]
     patient: bool = False
     last: bytes | None = None
+    framing: Framing | None = None
+
+    def __str__(self) -> str:
+        return self.text if isinstance(self.text, str) else self.text.hex(" ").upper()
 
 
 class Reply(NamedTuple):
@@ -69,7 +75,8 @@ class Talk(Generic[Result]):
                     return
                 continue
             now = self._port.clock.now()
-            line = self._port.take_line()
+            framing = self._question.framing
+            line = self._port.take_line() if framing is None else self._port.take_frame(framing)
             if line is not None:
                 self._lines.append(line)
                 if self._question.last in (None, line):
@@ -77,7 +84,7 @@ class Talk(Generic[Result]):
                     self._hear(self._question, whole, now)
             elif now >= self._asked + self._answer_s:  # as `finish` waits, to the last bit
                 missed, self._question = self._question, None
-                self._say(self._script.throw, NoAnswer(f"no answer to {missed.text} within {self._answer_s:g} s"))
+                self._say(self._script.throw, NoAnswer(f"no answer to {missed} within {self._answer_s:g} s"))
             else:
                 return
 
@@ -96,10 +103,10 @@ class Talk(Generic[Result]):
                 return self.result
             now = clock.now()
             if now >= deadline:
-                asked = self._question.text if self._question else "the last command"
+                asked = self._question or "the last command"
                 raise NoAnswer(f"no answer to {asked} in time")
             if self._question is not None:
-                self._port.wait(min(deadline, self._asked + self._answer_s))
+                self._port.wait(min(deadline, self._asked + self._answer_s), self._question.framing)
             else:
                 clock.sleep_until(min(deadline, now + 0.01))
 
@@ -109,7 +116,7 @@ class Talk(Generic[Result]):
         except Unreadable as error:
             if not question.patient:
                 self._question = None
-                self._say(self._script.throw, Unreadable(f"{question.text} was answered by {error}"))
+                self._say(self._script.throw, Unreadable(f"{question} was answered by {error}"))
             return
         self._question = None
         self._say(self._script.send, Reply(value, self._asked, now))
@@ -122,10 +129,13 @@ class Talk(Generic[Result]):
             self.ended, self.result = True, end.value
             return None
         if isinstance(said, Query):
-            self._port.write(said.text.encode("ascii") + self._port.line_end)
+            if said.framing is not None:
+                self._port.discard()
+            self._send(said.text)
             self._question, self._asked, self._lines = said, self._port.clock.now(), []
-        elif isinstance(said, bytes):
-            self._port.write(said)
-        elif isinstance(said, str):
-            self._port.write(said.encode("ascii") + self._port.line_end)
+        elif not isinstance(said, Pause):
+            self._send(said)
         return said
+
+    def _send(self, text: str | bytes) -> None:
+        self._port.write(text if isinstance(text, bytes) else text.encode("ascii") + self._port.line_end)

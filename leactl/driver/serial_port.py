@@ -1,18 +1,34 @@
-"""One serial line to one device, without threads: lines of text out and in.
+"""One serial line to one device, without threads: lines of text or binary frames, out and in.
 
-No method waits unless it is given a time, so that a slow instrument can be used from within a fast loop.
+No method waits unless it is given a time, so that a slow instrument can be used from within a fast loop. Bytes stay in
+the order in which they came, whether a driver takes lines or frames of them.
 """
 
-from collections import deque
+import math
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from leactl.driver.clock import Clock
 from leactl.errors import DeviceError
 
 LONGEST_LINE = 256  # bytes, unless a driver expects more; of a longer line only the end is kept
-MOST_LINES = 64  # lines in the queue; further lines drop the oldest
+
+
+class Cut(NamedTuple):
+    """What a `Framing` finds at the beginning of the bytes that have arrived."""
+
+    noise: int  # bytes that cannot begin a frame, whatever follows; they are dropped, and the rest is looked at anew
+    length: int  # of the frame behind them, which need not have arrived in full; 0: more bytes are needed to tell
+
+
+Framing = Callable[[bytes], Cut]
+"""Finds the first frame of a binary protocol in one byte or more, by its header, length and checksum.
+
+The result depends on the bytes alone, never on how they were delivered: a USB adapter splits a frame and closes the
+gap between two frames as it likes. A checksum is therefore checked here: a frame that fails it may be noise, or may
+have hidden the beginning of a valid one, so that only its first byte is noise.
+"""
 
 
 class SerialLine(Protocol):
@@ -39,18 +55,18 @@ class SerialLine(Protocol):
 
 
 class SerialPort:
-    """Lines of one device, each ended by `line_end`; a carriage return before it is removed."""
+    """Lines of one device, each ended by `line_end` (a carriage return before it is removed), or frames of bytes."""
 
     def __init__(self, connect: Callable[[], SerialLine], clock: Clock, name: str = "serial") -> None:
         self._connect = connect
         self.clock = clock
         self.name = name
         self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
-        self.longest_line = LONGEST_LINE
+        self.longest_line = LONGEST_LINE  # and so many bytes are kept of a frame whose length is not known yet
         self._line: SerialLine | None = None
         self._users = 0
-        self._begun = b""
-        self._lines: deque[bytes] = deque(maxlen=MOST_LINES)
+        self._received = b""
+        self._heard = -math.inf  # when bytes came last, or the line was opened
 
     @property
     def connected(self) -> bool:
@@ -107,22 +123,30 @@ class SerialPort:
         ------
         DeviceError : the line is closed or gone.
         """
-        if not self._lines:
-            self._receive(0.0)
-        return self._lines.popleft() if self._lines else None
+        line = self._take(self._by_line_end)
+        return None if line is None else line.removesuffix(self.line_end)[-self.longest_line :].rstrip(b"\r")
 
-    def wait(self, moment: float) -> None:
-        """Wait for a complete line, at most until this moment on the clock.
+    def take_frame(self, framing: Framing) -> bytes | None:
+        """The oldest complete frame by this rule; None if there is none; drops noise before it; never waits.
 
         Raises
         ------
         DeviceError : the line is closed or gone.
         """
-        while not self._lines and (seconds_left := moment - self.clock.now()) > 0.0:
+        return self._take(framing)
+
+    def wait(self, moment: float, framing: Framing | None = None) -> None:
+        """Wait for a complete line, or a frame by this rule, at most until this moment on the clock.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        while not self._complete(framing or self._by_line_end) and (seconds_left := moment - self.clock.now()) > 0.0:
             self._receive(seconds_left)
 
     def discard(self) -> None:
-        """Drop all lines that have arrived, complete or not.
+        """Drop all bytes that have arrived, such as a late answer to an earlier question.
 
         Raises
         ------
@@ -131,6 +155,44 @@ class SerialPort:
         self._receive(0.0)
         self._forget()
 
+    def silent_for(self, seconds: float) -> bool:
+        """Drop all bytes that have arrived, and tell whether none came for so long.
+
+        The silence that some protocols want before a question (Modbus RTU: 3.5 characters). An adapter on USB passes
+        bytes on late, up to 16 ms with FTDI's default latency timer, so that the silence on the line is longer than
+        what is seen here, or bytes are still on their way; it says nothing about the end of a frame.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        self.discard()
+        return self.clock.now() - self._heard >= seconds
+
+    def _take(self, framing: Framing) -> bytes | None:
+        length = self._complete(framing)
+        if not length:
+            self._receive(0.0)
+            length = self._complete(framing)
+        taken, self._received = self._received[:length], self._received[length:]
+        return taken or None
+
+    def _complete(self, framing: Framing) -> int:
+        """Length of the frame with which the bytes now begin, noise dropped; 0 if none is complete."""
+        length = 0
+        while self._received:
+            noise, length = framing(self._received)
+            if not noise:
+                break
+            self._received, length = self._received[noise:], 0
+        if not length:
+            self._received = self._received[-self.longest_line :]
+        return length if length <= len(self._received) else 0
+
+    def _by_line_end(self, received: bytes) -> Cut:
+        end = received.find(self.line_end)
+        return Cut(0, end + len(self.line_end) if end >= 0 else 0)
+
     def _receive(self, timeout: float) -> None:
         if self._line is None:
             raise DeviceError(f"bus '{self.name}': not open")
@@ -138,15 +200,16 @@ class SerialPort:
             read = self._line.read(timeout)
         except OSError as error:
             raise self._gone(error) from None
-        *lines, begun = (self._begun + read).split(self.line_end)
-        self._lines.extend(line[-self.longest_line :].rstrip(b"\r") for line in lines)
-        self._begun = begun[-self.longest_line :]
+        if read:
+            self._received += read
+            self._heard = self.clock.now()
 
     def _open_line(self) -> None:
         try:
             self._line = self._connect()
         except (OSError, ValueError, ImportError) as error:
             raise DeviceError(f"bus '{self.name}': {error}") from None
+        self._heard = self.clock.now()
 
     def _shut(self) -> None:
         self._forget()
@@ -156,8 +219,7 @@ class SerialPort:
                 line.close()
 
     def _forget(self) -> None:
-        self._lines.clear()
-        self._begun = b""
+        self._received = b""
 
     def _gone(self, error: OSError) -> DeviceError:
         return DeviceError(f"bus '{self.name}': the device is gone: {error}")

@@ -15,10 +15,11 @@ from tests.cli.terminal import leactl
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "how-to" / "own-driver.md").read_text(encoding="utf-8")
+LINES, BINARY = GUIDE.split("## Binary protocols over serial\n")
 EMPTY = re.compile(r"^def \w+_of\(.*?(?=^class )", re.MULTILINE | re.DOTALL)  # the one function that is to be filled in
 FUNCTIONS = {
     "serial": dict(
-        zip(("driver.py", "emulator.py"), re.findall(r"```python\n(def .*?)```", GUIDE, re.DOTALL), strict=True)
+        zip(("driver.py", "emulator.py"), re.findall(r"```python\n(def .*?)```", LINES, re.DOTALL), strict=True)
     ),
     "i2c": {
         "driver.py": "def value_of(register):\n    return ((register ^ 0x8000) - 0x8000) * 0.0078125\n",
@@ -60,6 +61,33 @@ def fill_in(bus, package):
         path.write_text(text)
 
 
+def make_binary(package):
+    """Change the package for a serial line as the guide says for Modbus RTU."""
+    question, answer, receive = re.findall(r"```python\n(.*?)```", BINARY.split("\n## ")[0], re.DOTALL)
+    imports = re.findall(r"`(from leactl.*?)`", BINARY)
+    path = package / "leactl_room_meter" / "driver.py"
+    asked = re.compile(r"^QUESTION = .*?(?=^class )", re.MULTILINE | re.DOTALL)
+    text, count = asked.subn(lambda _: f"{question}\n\n", path.read_text())
+    text = text.replace("from leactl.driver.serial_port import SerialPort", imports[0])
+    for old, new in re.findall(r"^\| `(.*)` \| `(.*)` \|$", BINARY, re.MULTILINE):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    path = package / "leactl_room_meter" / "emulator.py"
+    text, filled = EMPTY.subn(lambda _: f"{answer}\n\n", path.read_text())
+    text, received = re.subn(r"^    def receive.*?(?=^    def )", lambda _: f"{receive}\n", text, flags=re.M | re.S)
+    path.write_text(text.replace("Callable\n", f"Callable\n\n{imports[1]}\n", 1))
+    assert (count, filled, received) == (1, 1, 1)
+
+
+def put_on_bench(folder, bus=None):
+    """The emulated bench with the lines of the guide, as mine.yaml."""
+    line, device = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
+    bench = leactl("bench", "show", "emulated").stdout
+    bench = bench.replace("buses:\n", f"buses:\n{bus or line}", 1).replace("devices:\n", f"devices:\n{device}", 1)
+    (folder / "mine.yaml").write_text(bench)
+
+
 def test_what_is_not_filled_in_is_named(package, tmp_path):
     bus, folder = package
     done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
@@ -92,14 +120,84 @@ def test_the_check_finds_a_unit_that_is_off_and_a_line_that_is_guessed(package, 
 def test_the_channel_stands_on_an_emulated_bench_by_the_lines_of_the_guide(tmp_path):
     folder = installed(scaffold.write_package("room_meter", "serial", "ambient_temperature", tmp_path))
     fill_in("serial", folder)
-    bus, device = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
-    bench = leactl("bench", "show", "emulated").stdout
-    bench = bench.replace("buses:\n", f"buses:\n{bus}", 1).replace("devices:\n", f"devices:\n{device}", 1)
-    (tmp_path / "mine.yaml").write_text(bench)
+    put_on_bench(tmp_path)
     done = said(folder, tmp_path, "leactl", "bench", "check", "mine.yaml")
     assert done.returncode == 0, done.stderr
     done = said(folder, tmp_path, "leactl", "bench", "read", "mine.yaml")
     assert re.search(r"ambient_temperature .* degC .* room", done.stdout), done.stdout + done.stderr
+
+
+@pytest.fixture
+def binary(tmp_path):
+    folder = installed(scaffold.write_package("room_meter", "serial", "ambient_temperature", tmp_path))
+    make_binary(folder)
+    return folder
+
+
+def test_a_thermometer_that_speaks_modbus_passes_by_the_guide(binary, tmp_path):
+    done = said(binary, tmp_path, "leactl", "driver", "check", "room_meter")
+    assert done.stdout.startswith("room_meter: keeps the driver contract, in 4 trials"), done.stderr
+    done = said(binary, binary, "pytest", "-q", "-p", "no:cacheprovider")
+    assert " passed" in done.stdout, done.stdout
+
+
+FRAMES = """
+from leactl.driver.serial_port import Cut
+from leactl_room_meter.driver import QUESTION, crc, framing, value_of
+
+answer = bytes.fromhex("01 04 02 FF FF B8 80")
+assert crc(QUESTION) == crc(answer) == 0
+assert value_of(answer) == -0.01
+assert framing(answer) == framing(answer[:4]) == Cut(0, 7)
+assert framing(bytes.fromhex("01 84 02 C2 C1")) == Cut(0, 5)
+for noise in (answer[:-1] + b"x", QUESTION, b"x", bytes.fromhex("01 84 02 C2 C0")):
+    assert framing(noise) == Cut(1, 0)
+"""
+
+
+def test_the_framing_of_the_guide_finds_answers_with_a_right_checksum(binary, tmp_path):
+    (tmp_path / "frames.py").write_text(FRAMES)
+    done = said(binary, tmp_path, "frames")
+    assert done.returncode == 0, done.stderr
+
+
+RAW_SOCKET = '  room_line: {kind: visa, resource: "TCPIP::192.168.0.6::4001::SOCKET"}\n'
+STILL = """
+name: still
+setup: free
+rate_Hz: 50
+steps:
+  - mode: {test: current}
+  - hold: {role: test, current_A: 0.5, duration_s: 2}
+  - mode: {test: "off"}
+"""
+
+
+@pytest.mark.parametrize("bus", [None, RAW_SOCKET], ids=["serial", "raw socket"])
+def test_its_frames_are_traced_and_replayed(binary, tmp_path, bus):
+    driver = binary / "leactl_room_meter" / "driver.py"
+    transport = '    transport = "serial"\n'
+    assert transport in driver.read_text()
+    further = re.search(r"`(further_transports = .*?)`", BINARY)[1]
+    driver.write_text(driver.read_text().replace(transport, f"{transport}    {further}\n"))
+    put_on_bench(tmp_path, bus)
+    (tmp_path / "still.yaml").write_text(STILL)
+    words = ("run", "still.yaml", "--bench", "mine.yaml", "--out", tmp_path, "--trace", "run.trace")
+    done = said(binary, tmp_path, "leactl", *words)
+    assert done.returncode == 0, done.stderr
+    wire = [line.split() for line in (tmp_path / "run.trace").read_text().splitlines() if " room_line " in line]
+    assert {text for _, _, kind, text in wire if kind == ">"} == {"01040000000131ca"}
+    assert "".join(text for _, _, kind, text in wire if kind == "<").startswith("010402")
+    done = said(binary, tmp_path, "leactl", "driver", "replay", "run.trace", "--bench", "mine.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    replayed = json.loads(done.stdout)
+    assert (replayed["difference"], replayed["raised"]) == (None, [])
+
+
+def test_the_code_of_the_guide_for_binary_protocols_is_checked_as_leactl_s_own_is(binary, tmp_path):
+    for words in (("ruff", "check"), ("ruff", "format", "--check")):
+        done = said(binary, tmp_path, *words, "--config", ROOT / "pyproject.toml", binary / "leactl_room_meter")
+        assert done.returncode == 0, done.stdout
 
 
 def test_the_code_is_checked_as_leactl_s_own_is(package, tmp_path):
