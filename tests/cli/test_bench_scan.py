@@ -95,14 +95,15 @@ def test_its_part_of_a_bench_file_is_taken_once_it_is_filled_in(answer, tmp_path
         "counts_per_turn": 40000,
         "voltage_limit_V": 8.0,
         "current_limit_A": 5.0,
-        "feeds": "bus",
         "model": "1688B",
         "output": 2,
     }
     for key, value in known.items():
         part = part.replace(f"{key}: FILL_IN", f"{key}: {value}")
-    for role in ("test", "load", "bench", "bench"):
+    for role in ("test", "load", "bench", "test"):
         part = part.replace("role: FILL_IN", f"role: {role}", 1)
+    for fed in ("bus", "leads"):
+        part = part.replace("feeds: FILL_IN", f"feeds: {fed}", 1)
     assert "FILL_IN" not in part.partition("\n")[2]
     file.write_text(head + part)
     filled = leactl("bench", "check", file)
