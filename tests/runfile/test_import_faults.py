@@ -195,7 +195,8 @@ def test_clocks_that_disagree(folder, clock, told):
         (
             "b.csv",
             b"\xef\xbb\xbft,q\n" + b"0,1\n" * 9000 + b"0,\xb5\n",
-            "not utf-8-sig at byte 36009; its line reads '0,µ' in cp1252 or '0,�' in gbk; csv.encoding decides",
+            "not utf-8-sig at byte 36009; its line reads '0,µ' in cp1252 or '0,�' in cp949 or '0,ｵ' in shift_jis"
+            " or '0,�' in gbk; csv.encoding decides",
         ),
         ("b.csv", b"t,q\n0,1,2\n1,2,3\n", "line 2: 3 cells where 2 were expected; is a decimal comma taken"),
         ("b.csv", b"t,q,w\n0,1\n1,2\n", "line 2: 2 cells where 3 were expected"),
