@@ -130,3 +130,15 @@ def test_frames_that_lost_a_row_or_a_cell_are_refused(tmp_path, text, settings, 
 def test_what_may_be_wrong_with_frames_is_told(tmp_path, text, words):
     record = read(tmp_path, text, regions=CORNER, time={"frame_rate_Hz": 1.0}, unit="degC")
     assert re.search(words, "\n".join(record.remarks))
+
+
+def test_a_stamp_above_frames_keeps_its_fraction_behind_a_comma_that_is_the_delimiter(tmp_path):
+    text = "".join(f"Time = 10:15:30,{part}\n{FRAME.replace(';', ',')}" for part in ("25", "75"))
+    record = read(tmp_path, text, regions=CORNER, time={"line": "Time"}, unit="degC", frame_size=[3, 3])
+    np.testing.assert_allclose(record.time, [0.0, 0.5])
+
+
+def test_a_quote_within_a_cell_of_a_series_is_told(tmp_path):
+    text = 'Time (s),R1 Avg (°C),R2 Avg (°C)\n"0,0","25,3","26,1"\n"0,5","25,"26,2"\n'
+    record = read(tmp_path, text, regions={"active_1": {"column": "R1 Avg", "quantity": "winding_temperature"}})
+    assert any("line 3: a quote stands in a cell" in remark for remark in record.remarks)

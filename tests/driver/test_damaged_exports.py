@@ -7,7 +7,7 @@ import pytest
 from .camera_exports import EXPORTS
 from .export_mutations import mutated, outcome
 
-SEEDS = 15  # of each export, for every day; the long run has 5,000 files
+SEEDS = 15  # of each of 20 exports; the long run has 5,000 files
 
 
 def outcomes(folder, seeds):
