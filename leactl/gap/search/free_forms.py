@@ -30,6 +30,8 @@ def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidat
 
     Free forms count for no less than what noise lets so many coefficients explain.
     """
+    if not hypothesis:
+        return True
     wider = [*hypothesis, candidate]
     free, count = freed(normal, wider, hypothesis)
     least = free.fit(wider).misfit

@@ -40,7 +40,7 @@ OVERTONES = (2.0, 3.0)  # multiples of an order that a machine's wave has beside
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
-CLOSE = 10.0  # times that, within which a rival's gain is close
+CLOSE = 10.0  # times how far apart gains may be (`apart`), within which a rival's gain is close
 UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
 FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own forms may miss; 17 % of the amplitude
 ERROR_ELSEWHERE = 0.01  # the same over variables in which none of it acts
@@ -225,9 +225,7 @@ class EffectSet:
     taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away, with its overtones,
     left: list[float]  # and what is left there beyond usual noise
     moved: list[list[float]]  # for each member, of each rows: misfit that leaving it out moves, either way
-    missed: dict[
-        Candidate, float
-    ]  # of members with close rivals, and of these: squares that free forms explain further
+    missed: dict[Candidate, float]  # squares that the free forms of members and their close rivals explain further
 
     def explained(self, evidence: Evidence, index: int) -> float:
         """Share of what calibration leaves beyond usual noise that the whole set takes away, where a member acts.
@@ -318,7 +316,7 @@ class CandidateTest:
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
-        """Whether a candidate lowers the misfit by more than errors of the set's forms could, by `ENTRY` squared.
+        """Whether a candidate lowers the misfit by more than the errors of the set's forms could, by `ENTRY` squared.
 
         In each equation a change up to the allowance counts as none, whichever its sign; what the priors of the
         parameters cost counts in full.

@@ -58,8 +58,8 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
         own = presence(member.height) / total if total > 0 else 0.0
         peers = tuple(r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS * presence(member.height))
         together = own + sum(w / total for r, w in zip(rivals[1:], weights, strict=True) if r.effect in peers)
-        alone = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
-        judged.append(Judged(member, explained, present * together, alone, peers))
+        others = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
+        judged.append(Judged(member, explained, present * together, others, peers))
     return sorted(judged, key=lambda item: -item.probability)
 
 
