@@ -19,24 +19,25 @@ from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
 KNOTS = 8  # of a free function, at quantiles of its variable where the member acts
-FEWEST_KNOTS = 4  # values that a variable takes, below which it is a sign and no function of it says more
+FEWEST_KNOTS = 4  # with fewer a variable takes a few values only, as a direction does: no function of it says more
 ACTS = 1e-3  # of a member's largest part in some rows, from which on it acts
 TURN = 2.0 * np.pi
-OUTDONE = 2.0  # times what free forms explain beside an effect, that the effect must explain beside them
+OUTDONE = 2.0  # times more that a further effect must explain than the free forms, each beside the other
 
 
 def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Whether a candidate explains more beside the free forms of a set than these explain beside the candidate.
+    """Whether a candidate explains `OUTDONE` times as much as the free forms of a set, each beside the other.
 
-    Free forms count for no less than what noise lets so many coefficients explain.
+    What one explains is by how much the misfit of both together grows without it. Free forms count for no less than
+    noise lets so many coefficients explain. Where a set has no free form, nothing is to be outdone.
     """
     if not hypothesis:
         return True
     wider = [*hypothesis, candidate]
     free, count = freed(normal, wider, hypothesis)
-    least = free.fit(wider).misfit
-    beside_forms, beside_candidate = free.fit(hypothesis).misfit - least, normal.fit(wider).misfit - least
-    return count == 0 or beside_forms > OUTDONE * max(beside_candidate, float(count))
+    both = free.fit(wider).misfit
+    by_candidate, by_forms = free.fit(hypothesis).misfit - both, normal.fit(wider).misfit - both
+    return count == 0 or by_candidate > OUTDONE * max(by_forms, float(count))
 
 
 def missed_by_form(normal: Normal, hypothesis: Sequence[Candidate], member: Candidate) -> float:
