@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.effects.contract import Signals
-from leactl.gap.search.free_forms import missed_by_form, outdoes_free_forms
+from leactl.gap.search.free_forms import TURN, missed_by_form, outdoes_free_forms
 from leactl.gap.search.regression import Normal, Rows, stack
+from leactl.gap.signals.state import hats
 from leactl.model.nominal import Model
 
 SPRING, UNBALANCE, DRAG = ("position_spring", (1.0,)), ("unbalance", ()), ("quadratic_drag", ())
@@ -39,7 +40,11 @@ def run(law, seed=0, equation="free_torque", drag=0.0, shown=True):
 
 
 def normal(law, **more):
-    return Normal(stack([run(law, seed, **more) for seed in range(3)], {}), [1 / NOISE**2] * 3)
+    return equations_of([run(law, seed, **more) for seed in range(3)])
+
+
+def equations_of(runs):
+    return Normal(stack(runs, {}), [1 / NOISE**2] * len(runs))
 
 
 def linear(angle):
@@ -80,8 +85,7 @@ def test_a_sign_has_no_free_form():
     for rows in several:
         direction = np.sign(rows.signals.velocity)
         rows.columns["effect", asymmetric[0], "()", "asymmetry"] = np.abs(direction)
-    equations = Normal(stack(several, {}), [1 / NOISE**2] * 3)
-    assert missed_by_form(equations, [asymmetric], asymmetric) == math.inf
+    assert missed_by_form(equations_of(several), [asymmetric], asymmetric) == math.inf
 
 
 def test_beside_no_effect_nothing_is_let_free():
@@ -90,11 +94,43 @@ def test_beside_no_effect_nothing_is_let_free():
 
 @given(st.integers(0, 2**20))
 def test_a_law_that_is_right_misses_no_more_than_noise_and_a_wrong_one_what_it_leaves(seed):
-    right = Normal(stack([run(linear, seed)], {}), [1 / NOISE**2])
-    wrong = Normal(stack([run(stiffening, seed)], {}), [1 / NOISE**2])
+    right, wrong = equations_of([run(linear, seed)]), equations_of([run(stiffening, seed)])
     assert missed_by_form(right, [SPRING], SPRING) < 40.0
     left = wrong.fit([SPRING]).misfit - COUNT
     assert missed_by_form(wrong, [SPRING], SPRING) == pytest.approx(left, rel=0.2)
+
+
+@pytest.mark.parametrize("resting", [0.0, 0.8, 0.9])
+def test_a_shaft_that_mostly_rests_shows_what_a_law_misses_where_it_moves(resting):
+    several = []
+    for seed in range(3):
+        at_rest = np.arange(COUNT) < resting * COUNT
+        several.append(run(lambda angle, at_rest=at_rest: stiffening(np.where(at_rest, 1.0, angle)), seed))
+        several[-1].signals.angle[at_rest] = 1.0
+        several[-1].columns["effect", SPRING[0], repr(SPRING[1]), "stiffness"][at_rest] = -1.0
+    equations = equations_of(several)
+    missed = missed_by_form(equations, [SPRING], SPRING)
+    assert missed == pytest.approx(equations.fit([SPRING]).misfit - 3 * COUNT, rel=0.3)
+    assert missed > 100.0
+
+
+def test_a_run_that_hides_the_variable_does_not_bind_the_others():
+    """The spring of the hidden run is softer than that of the others at any of their knots."""
+    others = equations_of([run(stiffening, seed) for seed in range(2)])
+    hidden = run(lambda angle: -0.3 * angle, 2, shown=False)
+    equations = equations_of([run(stiffening, 0), run(stiffening, 1), hidden])
+    alone = missed_by_form(others, [SPRING], SPRING)
+    assert alone > 1000.0
+    free = equations.fit([SPRING]).misfit - missed_by_form(equations, [SPRING], SPRING)
+    assert free == pytest.approx(others.fit([SPRING]).misfit - alone + COUNT, rel=0.2)
+
+
+def test_functions_of_the_place_within_a_turn_go_on_over_its_end():
+    knots = np.array([0.4, 1.0, 3.0, 5.0])
+    end, start = hats(np.array([TURN - 1e-9, 1e-9]), knots, TURN)
+    assert end == pytest.approx(start, abs=1e-6)
+    assert start[0] > 0.0 < start[-1]
+    assert np.allclose(hats(np.linspace(0.0, TURN, 99), knots, TURN).sum(axis=1), 1.0)
 
 
 def test_columns_of_the_equations_stay_as_they_are():

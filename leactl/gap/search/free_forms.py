@@ -1,8 +1,8 @@
-"""What a set of effects misses over the variables that its members act over, measured on the case itself.
+"""What the laws of a set of effects miss of the machine, measured on the case itself.
 
-A member's law is not the machine's to the last digit. What a member explains may therefore be multiplied by a free
-piecewise linear function of each variable that it acts over. Beside such free forms, an effect that only stands in for
-what another's law misses has little left to explain.
+A law is not the machine's to the last digit. What a member of a set explains may therefore be multiplied by a free
+piecewise linear function of each variable in which the effect acts: its free forms. An effect that only stands in for
+what another's law misses has little left to explain beside them.
 """
 
 import math
@@ -18,9 +18,9 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
-KNOTS = 8  # of a free function, at quantiles of its variable where the member acts
-FEWEST_KNOTS = 4  # with fewer a variable takes a few values only, as a direction does: no function of it says more
-ACTS = 1e-3  # of a member's largest part in some rows, from which on it acts
+KNOTS = 8  # of a free function
+FEWEST_VALUES = 4  # a variable that takes fewer, as a direction does, tells nothing of a law's form
+SMALLEST_PART = 1e-3  # of a member's largest part in a run; rows with less of it do not place the knots
 TURN = 2.0 * np.pi
 OUTDONE = 2.0  # times more that a further effect must explain than the free forms, each beside the other
 
@@ -34,35 +34,38 @@ def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidat
     if not hypothesis:
         return True
     wider = [*hypothesis, candidate]
-    free, count = freed(normal, wider, hypothesis)
+    # The parts are those that members explain beside the candidate, with which alone the whole is right.
+    free, count = with_free_forms(normal, wider, hypothesis)
     both = free.fit(wider).misfit
     by_candidate, by_forms = free.fit(hypothesis).misfit - both, normal.fit(wider).misfit - both
     return count == 0 or by_candidate > OUTDONE * max(by_forms, float(count))
 
 
 def missed_by_form(normal: Normal, hypothesis: Sequence[Candidate], member: Candidate) -> float:
-    """Weighted squares that a member of a set would explain further by its free form, beyond noise.
+    """Weighted squares that a member of a set would explain further by its free forms, beyond noise.
 
-    Infinite where it has none: nobody knows what its form misses then.
+    Infinite where it has none, or is fitted to nothing at all: nobody knows what its law misses then.
     """
-    free, count = freed(normal, hypothesis, [member])
+    free, count = with_free_forms(normal, hypothesis, [member])
     return max(normal.fit(hypothesis).misfit - free.fit(hypothesis).misfit - count, 0.0) if count else math.inf
 
 
-def freed(normal: Normal, hypothesis: Sequence[Candidate], members: Sequence[Candidate]) -> tuple[Normal, int]:
-    """Normal equations of a set's columns with the free forms of some members, and how many coefficients these have."""
+def with_free_forms(
+    normal: Normal, hypothesis: Sequence[Candidate], members: Sequence[Candidate]
+) -> tuple[Normal, int]:
+    """Normal equations of a set's columns and the free forms of some members, and how many coefficients these have."""
     fit = normal.fit(hypothesis)
-    rows = [with_effects_alone(one, hypothesis) for one in normal.stack.rows]
+    several = [with_effects_alone(rows, hypothesis) for rows in normal.stack.rows]
     count = 0
     for member in members:
-        parts = [part_of(one, normal, fit, member) for one in rows]
+        parts = [part_of(rows, normal, fit, member) for rows in several]
         for variable in effect_definition(member[0]).acts_over:
-            count += add_free_form(rows, parts, member, variable)
+            count += add_free_form(several, parts, member, variable)
             if variable == "angle":
-                count += add_free_form(rows, parts, member, variable, within_a_turn=True)
+                count += add_free_form(several, parts, member, variable, within_a_turn=True)
     places = {name[1]: place for name, place in normal.stack.place.items() if name[0] == "calibration"}
     priors = {parameter: float(normal.stack.priors[place]) for parameter, place in places.items()}
-    return Normal(stack(rows, priors), normal.weights), count
+    return Normal(stack(several, priors), normal.weights), count
 
 
 def with_effects_alone(rows: Rows, hypothesis: Sequence[Candidate]) -> Rows:
@@ -91,34 +94,55 @@ def add_free_form(
 ) -> int:
     """Put a member's parts, times functions of one variable, beside its columns as further coefficients of it.
 
-    One function less than there are knots, since all together are the member itself.
+    Where every run shows the variable, one function less than there are knots: all together are the member itself.
 
     Parameters
     ----------
     several : rows that get columns.
     parts : what the member explains of each.
-    within_a_turn : whether an angle counts from turn to turn anew; no function of its own where no run turns that far.
+    within_a_turn : whether an angle counts from turn to turn anew; no function of its own where no run turns so far.
 
     Returns
     -------
     int : how many coefficients; none where no run shows the variable, or it takes a few values only.
     """
-    over: dict[int, Array] = {}
+    shown: dict[int, Array] = {}
     for index, (rows, part) in enumerate(zip(several, parts, strict=True)):
         values = variable_in(variable, rows.equation, rows.signals)
         if values is not None and part.any():
-            over[index] = values[rows.index]
+            shown[index] = values[rows.index]
     if within_a_turn:
-        over = {index: values % TURN for index, values in over.items() if np.ptp(values) > TURN}
-    if not over:
+        turns = any(np.ptp(values) > TURN for values in shown.values())
+        shown = {index: values % TURN for index, values in shown.items()} if turns else {}
+    if not shown:
         return 0
-    where_it_acts = [values[np.abs(parts[k]) > ACTS * np.abs(parts[k]).max()] for k, values in over.items()]
-    knots = np.unique(np.quantile(np.concatenate(where_it_acts), np.linspace(0.0, 1.0, KNOTS)))
-    if len(knots) < FEWEST_KNOTS:
+    knots = knots_where([values[acts_in(parts[index])] for index, values in shown.items()])
+    if within_a_turn:
+        knots = knots[:-1]  # the last is the first again, a turn on
+    if not knots.size:
         return 0
-    called = f"{variable} within a turn" if within_a_turn else variable
-    for index, values in over.items():
-        for count, function in enumerate(hats(values, knots)[:, 1:].T):
-            name: Column = ("effect", member[0], repr(member[1]), f"free over {called} {count}")
-            several[index].columns[name] = parts[index] * function
-    return len(knots) - 1
+    elsewhere = any(part.any() for index, part in enumerate(parts) if index not in shown)
+    free_over = f"{variable} within a turn" if within_a_turn else variable
+    functions = range(0 if elsewhere else 1, len(knots))
+    for index, values in shown.items():
+        at_knots = hats(values, knots, TURN if within_a_turn else None)
+        for number in functions:
+            name: Column = ("effect", member[0], repr(member[1]), f"free over {free_over} {number}")
+            several[index].columns[name] = parts[index] * at_knots[:, number]
+    return len(functions)
+
+
+def acts_in(part: Array) -> npt.NDArray[np.bool_]:
+    """The rows in which a member's part is not negligible."""
+    return np.asarray(np.abs(part) > SMALLEST_PART * np.abs(part).max(), np.bool_)
+
+
+def knots_where(runs: Sequence[Array]) -> Array:
+    """Knots of a free function of a variable, from its values in the rows of each run; none where these are few.
+
+    Quantiles of the different values: one at which a variable mostly rests counts once.
+    """
+    values = np.unique(np.concatenate(runs))
+    if len(values) < FEWEST_VALUES:
+        return np.empty(0)
+    return np.quantile(values, np.linspace(0.0, 1.0, KNOTS))

@@ -59,14 +59,14 @@ def state_in(equation: str, signals: Signals) -> dict[Variable, Array]:
     return {variable: values for variable, values in shown.items() if values is not None}
 
 
-def hats(values: Array, knots: Array) -> Array:
-    """Piecewise linear functions, one at each knot, constant beyond the ends.
+def hats(values: Array, knots: Array, period: float | None = None) -> Array:
+    """Piecewise linear functions, one at each knot, constant beyond the ends or periodic.
 
     values : (n,) of a variable.
-    knots : (k,) in ascending order.
+    knots : (k,) in ascending order; within one period where there is one.
 
     Returns
     -------
     Array : (n, k); each row adds up to one.
     """
-    return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
+    return np.stack([np.interp(values, knots, row, period=period) for row in np.eye(len(knots))], axis=1)
