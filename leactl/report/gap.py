@@ -8,10 +8,13 @@ from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
+    MENDED_FIRST,
     bare_units,
     calibration_rows,
     channel_label,
     claimed_causes,
+    claimed_effects,
+    claimed_faults,
     closed_by_calibration,
     closed_count_text,
     closed_text,
@@ -125,7 +128,7 @@ def shrinkage_part(answer: Diagnosis, width: int) -> str:
     shown = largest_first(answer.shrinkage)
     lines: list[str] = []
     headings: tuple[str, ...]
-    if shown and claimed_causes(answer.causes):
+    if shown and claimed_effects(answer):
         headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
         lines.append(
             table(headings, [augmented_row(channel, answer.shrinkage) for channel in shown], width, droppable=1)
@@ -136,6 +139,7 @@ def shrinkage_part(answer: Diagnosis, width: int) -> str:
     if shown and not lines:
         headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
         lines.append(table(headings, [calibrated_row(channel, answer.shrinkage) for channel in shown], width))
+    lines += [filled(MENDED_FIRST, width)] if claimed_faults(answer) else []
     return "\n".join([*lines, filled(closed_count_text(answer.shrinkage), width)])
 
 

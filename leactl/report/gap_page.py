@@ -14,11 +14,14 @@ from leactl.report.gap_figures import channel_cards, effect_cards, rest_cards
 from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
+    MENDED_FIRST,
     PRESENT_FROM,
     bare_units,
     calibration_rows,
     channel_label,
     claimed_causes,
+    claimed_effects,
+    claimed_faults,
     closed_by_calibration,
     closed_count_text,
     closed_text,
@@ -37,7 +40,7 @@ from leactl.report.gap_words import (
     three_digits,
     verdict_sentence,
 )
-from leactl.report.html import Html, document, joined, table, tag
+from leactl.report.html import Html, document, joined, table, tag, with_code
 from leactl.report.page_style import PAGE
 
 NO_CONTENT = Html("")
@@ -103,6 +106,7 @@ def page(answer: Diagnosis, preface: Html = NO_CONTENT) -> str:
     model = answer.extra.get("augmented")
     model_name = f": {model.name}" if model is not None else ""
     cards = effect_cards(answer)
+    notes = [tag("li", with_code(note)) for note in answer.notes]
     body = tag(
         "main",
         tag("h1", f"Gap between model and bench{model_name}"),
@@ -115,7 +119,7 @@ def page(answer: Diagnosis, preface: Html = NO_CONTENT) -> str:
         section("How far the gap shrinks", shrinkage_content(answer)),
         section("Where the gap sits", joined([*channel_cards(answer), regions_table(answer)])),
         section("Calibration", calibration_table(answer)),
-        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else NO_CONTENT),
+        section("Notes", tag("ul", *notes) if notes else NO_CONTENT),
     )
     return document(f"Gap{model_name}", STYLE, body)
 
@@ -129,14 +133,16 @@ def headline(answer: Diagnosis) -> Html:
     """Return the verdict, the probability that something unexplained acts, and the largest gap."""
     facts = [f"Probability that something unexplained acts: {probability_text(answer.unexplained_probability)}."]
     for channel in largest_first(answer.shrinkage)[:1]:
-        after = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_causes(answer.causes) else ""
-        closed = f"; closed {closed_text(channel)}" if claimed_causes(answer.causes) else ""
+        after = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(answer) else ""
+        closed = f"; closed {closed_text(channel)}" if claimed_effects(answer) else ""
         facts.append(
             f"Largest gap: {channel_label(channel, answer.shrinkage)},"
             f" {three_digits(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{after},"
             f" floor {three_digits(channel.floor_rms)}{closed}."
         )
-    facts += [f"{closed_count_text(answer.shrinkage)}."] if answer.shrinkage else []
+    if answer.shrinkage:
+        facts += [MENDED_FIRST] if claimed_faults(answer) else []
+        facts.append(f"{closed_count_text(answer.shrinkage)}.")
     return tag(
         "div",
         tag("p", tag("strong", answer.verdict, class_="verdict"), " ", verdict_sentence(answer), class_="lead"),
@@ -195,7 +201,7 @@ def cause_entry(entry: Cause, closes_no_gap: bool) -> Html:
     if entry.indistinguishable_from:
         parts.append(tag("p", f"Cannot be told from {enumerated(entry.indistinguishable_from)} with these runs."))
     if entry.change:
-        parts.append(tag("p", f"To mend it: {entry.change}."))
+        parts.append(tag("p", "To mend it: ", with_code(entry.change), "."))
     if entry.separating_experiment:
         parts.append(tag("p", "To separate: ", tag("code", f"leactl run {entry.separating_experiment}")))
     return tag("li", *parts)
@@ -236,7 +242,7 @@ def shrinkage_content(answer: Diagnosis) -> Html:
     """Return bars for the channels with a gap, and a table of all channels."""
     if not answer.shrinkage:
         return NO_CONTENT
-    effects = bool(claimed_causes(answer.causes))
+    effects = bool(claimed_effects(answer))
     largest = largest_first(answer.shrinkage)
     shown = largest if effects else [*largest, *closed_by_calibration(answer.shrinkage)][:MOST_CARDS]
     parts = []

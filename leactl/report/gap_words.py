@@ -22,6 +22,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
+MENDED_FIRST = "These are gaps of the runs once the set-up is mended."
 TIME = "time"  # in `Rest.depends_on`
 PRESENT_FROM = 0.5  # probability
 NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap
@@ -36,14 +37,21 @@ Channel = Where | Shrinkage
 
 def verdict_sentence(answer: Diagnosis) -> str:
     """Return the verdict as one sentence that names the causes; faults of the set-up are named apart from effects."""
-    faults, lacking = (
-        claimed_causes([cause for cause in answer.causes if (cause.family == "setup") is of_setup])
-        for of_setup in (True, False)
-    )
+    faults, lacking = claimed_faults(answer), claimed_effects(answer)
     if answer.verdict != "effect" or not faults:
         return VERDICTS[answer.verdict].format(causes=enumerated(lacking))
     lacks = f"; with it mended, the model lacks {enumerated(lacking)}" if lacking else ""
     return f"The set-up has {enumerated(faults)}{lacks}."
+
+
+def claimed_faults(answer: Diagnosis) -> list[str]:
+    """Return the faults of the set-up that are said to act; everything else in an answer is of the runs once mended."""
+    return claimed_causes([cause for cause in answer.causes if cause.family == "setup"])
+
+
+def claimed_effects(answer: Diagnosis) -> list[str]:
+    """Return the effects that are said to act."""
+    return claimed_causes([cause for cause in answer.causes if cause.family != "setup"])
 
 
 def claimed_causes(causes: Sequence[Cause]) -> list[str]:
@@ -104,8 +112,7 @@ def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
 def closes_nothing(answer: Diagnosis) -> bool:
     """Return whether effects are claimed although no gap of held-out runs shrinks with them by more than chance."""
     shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
-    effects = claimed_causes([cause for cause in answer.causes if cause.family != "setup"])  # faults are mended before
-    return bool(effects) and bool(answer.shrinkage) and not shrinks
+    return bool(claimed_effects(answer)) and bool(answer.shrinkage) and not shrinks
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:

@@ -37,6 +37,14 @@ def tag(name: str, *children: str, **attributes: str) -> Html:
     return Html(f"<{name}{attribute_text}>{''.join(escaped(child) for child in children)}</{name}>")
 
 
+def with_code(words: str) -> Html:
+    """Return a text, its parts between backquotes as code."""
+    parts = words.split("`")
+    if len(parts) % 2 == 0:  # one without its other end
+        return escaped(words)
+    return joined([tag("code", part) if place % 2 else escaped(part) for place, part in enumerate(parts)])
+
+
 def joined(parts: list[Html], by: str = "") -> Html:
     """Return elements one after the other, with `by` between them."""
     return Html(escaped(by).join(parts))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.diagnosis import Diagnosis, Region, Shrinkage
+from leactl.gap.diagnosis import Cause, Diagnosis, Region, Shrinkage
 from leactl.report.chart import LineMarks
 from leactl.report.gap import render
 from leactl.report.gap_page import page
@@ -267,3 +267,12 @@ def test_an_effect_that_closes_nothing_has_no_full_bar(low, named):
     assert bars and ("bar" not in bars) is named
     assert ("No gap of held-out runs shrinks" in page(said)) is named
     assert ("No gap of held-out runs shrinks" in " ".join(render(said).split())) is named
+
+
+def test_a_fault_of_the_set_up_closes_nothing_and_its_line_is_code():
+    fault = Cause("channel_sign", 0.99, 1.0, (), family="setup", change="give it `sign: <b>` in the mapping")
+    text = page(answer(causes=(fault,)))
+    assert "To mend it: give it <code>sign: &lt;b&gt;</code> in the mapping." in text
+    assert "with the effects" not in text
+    assert "These are gaps of the runs once the set-up is mended." in text
+    assert ">augmented</span>" not in text
