@@ -17,6 +17,7 @@ class Region:
     low: float
     high: float
     units: str
+    within_turn: bool = False  # of an angle: whole turns are taken off
 
 
 @dataclass(frozen=True)

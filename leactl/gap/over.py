@@ -133,6 +133,14 @@ def turned(angle: Array, periods: float) -> Array:
     return np.asarray(np.mod(angle, whole), np.float64)
 
 
+def repeats(angle: Array, periods: float, explained: Callable[[Array], float]) -> bool:
+    """Whether an effect's part follows an angle within one of so many periods as well as the angle itself.
+
+    explained : share of the part that its means over a variable explain.
+    """
+    return explained(turned(angle, periods)) >= ALIKE * explained(angle)
+
+
 def periods_of(cause: Cause) -> float:
     """How often an effect repeats in a turn; once where nothing says otherwise."""
     return next((item.value for item in cause.parameters if item.name == ORDER), 1.0)

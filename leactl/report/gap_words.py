@@ -211,13 +211,15 @@ def region_text(region: Region | None, share: float) -> str:
         word = "forward" if region.low >= 0.0 else "backward" if region.high <= 0.0 else "of both signs"
         return f"direction {word}, {percent_text(share)}"
     span = f"{three_digits(region.low)} to {three_digits(region.high)} {bare_units(region.units)}".rstrip()
-    return f"{region.variable} {span}, {percent_text(share)}"
+    folded = " within a turn" if region.within_turn else ""
+    return f"{region.variable}{folded} {span}, {percent_text(share)}"
 
 
 def variable_words(picture: Picture) -> str:
     """Return the name of a picture's variable; for an angle that is folded, the number of periods a turn."""
-    if picture.periods is not None and picture.periods > 1.0:
-        return f"angle within one of {picture.periods:.4g} periods of a turn"
+    if picture.periods is not None:
+        several = f"one of {picture.periods:.4g} periods of " if picture.periods > 1.0 else ""
+        return f"angle within {several}a turn"
     return VARIABLES[picture.variable].label if picture.variable in VARIABLES else picture.variable
 
 

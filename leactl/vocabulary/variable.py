@@ -28,7 +28,7 @@ class Shown(NamedTuple):
 
 
 VARIABLES: dict[str, Shown] = {
-    "angle": Shown("angle within a turn", "rad", "angle"),
+    "angle": Shown("angle", "rad", "angle"),
     "velocity": Shown("velocity", "rad/s", "velocity"),
     "acceleration": Shown("acceleration", "rad/s^2", None),
     "direction": Shown("direction", "1", "direction"),

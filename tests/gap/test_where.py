@@ -68,30 +68,50 @@ def test_a_gap_that_an_effect_closes_is_told_by_what_it_acts_in_and_not_by_a_pro
 
     def located(augmented, effects):
         replayed = (np.zeros_like(wave), np.zeros_like(wave), augmented)
-        index, block = np.arange(len(time)), (time // 1.0).astype(int)
-        channel = Compared(
-            "run",
-            "grid",
-            "coupled",
-            "torque",
-            "test",
-            time,
-            index,
-            block,
-            wave + noise,
-            replayed,
-            augmented,
-            3e-3,
-            False,
-        )
+        channel = compared(time, wave + noise, *replayed)
         return where([record], [channel], effects)[0]
 
     told = located(wave, (cogging,))
-    assert told.region.variable == "angle"
+    assert (told.region.variable, told.region.within_turn) == ("angle", True)
     assert 0.0 <= told.region.low < told.region.high <= 2.0 * np.pi
     assert told.share >= MOST
     assert located(wave, ()).region.variable in ("winding_temperature", "time")
     assert located(0.05 * wave, (cogging,)).region.variable != "angle"  # it leaves nearly all of it
+
+
+def compared(time, measured, *replayed):
+    index, block = np.arange(len(time)), (time // 1.0).astype(int)
+    of_run = ("run", "grid", "coupled", "torque", "test")
+    return Compared(*of_run, time, index, block, measured, replayed, replayed[2], 3e-3, False)
+
+
+def test_a_spring_over_several_turns_is_told_over_the_whole_angle():
+    """A stop that is met beyond 14 rad alone, after more than two turns, shows nothing within a turn."""
+    time = np.arange(20000) / 1000.0
+    angle = 20.0 * np.sin(1.7 * time)
+    pull = np.maximum(np.abs(angle) - 14.0, 0.0)
+    record = Record(Path("run.h5"), "grid", "coupled", Clocked(time, 1e-3, {("angle", "test"): angle}), None, {})
+    channel = compared(time, pull, 0.0 * pull, 0.0 * pull, pull)
+    [told] = where([record], [channel], [Cause("position_spring", 0.99, 1.0, ())])
+    assert (told.region.variable, told.region.within_turn) == ("angle", False)
+    assert told.region.high > 14.0
+    [profile] = profiles([record], [channel], [told])
+    assert profile.low[0] < -19.0
+    assert profile.high[-1] > 19.0
+
+
+def test_a_profile_of_a_region_within_a_turn_is_within_a_turn():
+    time = np.arange(20000) / 1000.0
+    angle = 7.0 * time
+    wave = 0.1 * np.sin(angle)
+    record = Record(Path("run.h5"), "grid", "coupled", Clocked(time, 1e-3, {("angle", "test"): angle}), None, {})
+    channel = compared(time, wave, 0.0 * wave, 0.0 * wave, wave)
+    [told] = where([record], [channel], [Cause("unbalance", 0.99, 1.0, ())])
+    assert told.region.within_turn
+    [profile] = profiles([record], [channel], [told])
+    assert 0.0 <= profile.low[0] < profile.high[-1] <= 2.0 * np.pi
+    middle = (profile.low + profile.high) / 2.0
+    assert profile.mean[1] == pytest.approx(0.1 * np.sin(middle), abs=0.005)
 
 
 def test_a_profile_is_over_the_region_s_variable_with_mean_and_spread_of_each_model():
@@ -101,10 +121,7 @@ def test_a_profile_is_over_the_region_s_variable_with_mean_and_spread_of_each_mo
     record = Record(Path("run.h5"), "grid", "coupled", Clocked(time, 1e-2, values), None, {})
     noise = random.normal(0.0, 0.2, len(time))
     replayed = tuple(np.full_like(time, offset) for offset in (-1.0, -0.5, 0.0))
-    index, block = np.arange(len(time)), (time // 1.0).astype(int)
-    channel = Compared(
-        "run", "grid", "coupled", "torque", "test", time, index, block, noise, replayed, replayed[2], 0.1, False
-    )
+    channel = compared(time, noise, *replayed)
     entry = Where("torque", "test", "coupled", "N*m", 1.0, 0.5, 0.1, Region("angle", 1.0, 2.0, "rad"), 0.9)
     sound = Where("torque", "test", "coupled", "N*m", 0.1, 0.1, 0.1)
     over_angle, over_time = profiles([record], [channel], [entry, sound, dataclasses.replace(entry, region=None)])

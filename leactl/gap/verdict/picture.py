@@ -23,6 +23,7 @@ from leactl.gap.over import (
     first_that_follows,
     means,
     periods_of,
+    repeats,
     turned,
 )
 from leactl.gap.replay.compared import Compared
@@ -83,6 +84,7 @@ class View:
 
     part: Part
     variable: Variable
+    periods: float | None  # as `Picture` has them
     edges: Array
     place: Groups
     along: Along
@@ -233,10 +235,10 @@ def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
     if not views:
         return None
     following = [view for view in views if view.along.explained >= FOLLOWED]
-    return picture_of(max(following or views, key=lambda view: view.part.gain * view.along.explained), periods)
+    return picture_of(max(following or views, key=lambda view: view.part.gain * view.along.explained))
 
 
-def picture_of(best: View, periods: float) -> Picture:
+def picture_of(best: View) -> Picture:
     """Means in bins with intervals, before and after."""
     part, bins = best.part, len(best.edges) - 1
     sign = signs(part).get(best.along.name, np.ones_like(part.before))
@@ -252,7 +254,7 @@ def picture_of(best: View, periods: float) -> Picture:
     return Picture(
         best.variable,
         VARIABLES[best.variable].units,
-        periods if best.variable == "angle" else None,
+        best.periods,
         best.along.name or None,
         *part.channel,
         before.rms(counts),
@@ -269,14 +271,23 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
     for variable in variables:
         if variable not in part.values:
             continue
-        values = part.values[variable]
-        values = turned(values, periods) if variable == "angle" else values
-        edges = bin_edges(values, part.effect, bin_count(part.independent))
-        if len(edges) < LEAST_EDGES:
-            continue
-        place = bin_of(values, edges)
-        views.append(View(part, variable, edges, place, best_sign(part.effect, place, signs(part))))
+        values, folds = part.values[variable], None
+        if variable == "angle" and repeats(values, periods, lambda angle: along(part, angle).explained):
+            values, folds = turned(values, periods), periods
+        edges = edges_over(part, values)
+        if len(edges) >= LEAST_EDGES:
+            views.append(View(part, variable, folds, edges, bin_of(values, edges), along(part, values)))
     return first_that_follows(views, lambda view: view.along.explained)
+
+
+def edges_over(part: Part, values: Array) -> Array:
+    """Edges of the bins of a part over a variable."""
+    return bin_edges(values, part.effect, bin_count(part.independent))
+
+
+def along(part: Part, values: Array) -> Along:
+    """The sign along which the effect's own part follows a variable."""
+    return best_sign(part.effect, bin_of(values, edges_over(part, values)), signs(part))
 
 
 def signs(part: Part) -> dict[str, Array]:

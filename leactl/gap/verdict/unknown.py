@@ -185,7 +185,7 @@ def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture
     periods = free.strongest_order() if name == "angle" else 1.0
     whole = Part(channel_of(rows), sample.left, after, part, sample.stretch, dict(sample.state), independent, gain)
     view = view_of(whole, [name], periods)
-    return None if view is None else picture_of(view, periods)
+    return None if view is None else picture_of(view)
 
 
 def deciding(depends_on: Sequence[str], nearest: Sequence[Near], touching: Collection[str]) -> str | None:

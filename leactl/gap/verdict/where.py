@@ -16,6 +16,7 @@ from leactl.gap.over import (
     first_that_follows,
     last_reversal,
     periods_of,
+    repeats,
     turned,
 )
 from leactl.gap.replay.compared import Compared
@@ -93,7 +94,8 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
             series = variable_of(by_name[one.run], one, variable)
             if series is not None:
                 # a sign that is taken in between samples is neither: back to -1, 0, 1
-                values.append(np.round(series) if variable == "direction" else series)
+                series = np.round(series) if variable == "direction" else series
+                values.append(turned(series, 1.0) if entry.region and entry.region.within_turn else series)
                 left.append(one.measured - np.stack(one.replayed))
         low, high, mean, std = binned(np.concatenate(values), np.concatenate(left, axis=1))
         curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
@@ -149,6 +151,7 @@ class Over:
 
     quantity: str
     values: Array
+    within_turn: bool  # of an angle: whole turns are taken off
     squares: Array  # of what the calibrated model leaves over
     explained: float  # share of the last model's departure from the calibrated one that follows the variable
 
@@ -163,7 +166,7 @@ def region_of_effects(
     if best is None or (interval := narrowest(best.values, best.squares)) is None:
         return None
     units = OTHER_UNITS.get(best.quantity, UNITS.get(best.quantity, ""))
-    return Region(best.quantity, interval[0], interval[1], units), interval[2]
+    return Region(best.quantity, interval[0], interval[1], units, best.within_turn), interval[2]
 
 
 def regions_of(effect: str) -> list[str]:
@@ -173,7 +176,7 @@ def regions_of(effect: str) -> list[str]:
 
 
 def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> Over | None:
-    """The gap of a channel over a quantity, an angle within its turn; None where no run has it."""
+    """The gap of a channel over a quantity, an angle within a turn where it repeats; None where no run has it."""
     values, parts, squares, signs, blocks = [], [], [], [], 0
     for record, one in group:
         series = variable_of(record, one, quantity)
@@ -188,11 +191,15 @@ def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, perio
     if not values:
         return None
     series, part, sign = (np.concatenate(rows) for rows in (values, parts, signs))
-    within = turned(series, periods) if quantity == "angle" else series
-    place = bin_of(within, bin_edges(within, part, bin_count(blocks)))
-    shown = turned(series, 1.0) if quantity == "angle" else series
-    explained = best_sign(part, place, {"velocity": sign}).explained
-    return Over(quantity, shown, np.concatenate(squares), explained)
+
+    def explained(over: Array) -> float:
+        place = bin_of(over, bin_edges(over, part, bin_count(blocks)))
+        return best_sign(part, place, {"velocity": sign}).explained
+
+    within_turn = quantity == "angle" and repeats(series, periods, explained)
+    shown = turned(series, 1.0) if within_turn else series
+    over = turned(series, periods) if within_turn else series
+    return Over(quantity, shown, within_turn, np.concatenate(squares), explained(over))
 
 
 def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:

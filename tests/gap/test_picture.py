@@ -1,0 +1,31 @@
+"""Over which variable an effect is drawn."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.verdict.picture import Channel, Part, picture_of, view_of
+
+CHANNEL = Channel("velocity", "test", "free", "free_torque", "N*m")
+
+
+def part(effect, angle):
+    groups = np.arange(len(angle)) // 100
+    return Part(CHANNEL, effect, 0.0 * effect, effect, groups, {"angle": angle}, len(angle) / 10.0, 1.0)
+
+
+@pytest.mark.parametrize("order", [1.0, 14.0])
+def test_a_wave_is_drawn_within_one_of_its_periods(order):
+    angle = np.linspace(-20.0, 20.0, 20000)
+    drawn = picture_of(view_of(part(np.sin(order * angle), angle), ["angle"], order))
+    assert drawn.periods == order
+    assert 0.0 <= drawn.bins[0].low < drawn.bins[-1].high <= 2.0 * np.pi / order
+
+
+def test_what_goes_on_over_several_turns_is_drawn_over_the_whole_angle():
+    angle = np.linspace(-20.0, 20.0, 20000)
+    drawn = picture_of(view_of(part(-0.1 * angle, angle), ["angle"], 1.0))
+    assert drawn.periods is None
+    assert drawn.bins[0].low == pytest.approx(-20.0, abs=0.1)
+    assert [one.before for one in drawn.bins] == pytest.approx(
+        [-0.05 * (one.low + one.high) for one in drawn.bins], abs=0.05
+    )
