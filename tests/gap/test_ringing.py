@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, periodograms
+from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, highest_line, periodograms
 
 ROWS = 12_000
 
@@ -35,3 +35,18 @@ def test_segments_with_too_much_missing_are_left_out(missing, expected):
     values = np.ones(SEGMENT)
     values[: round(missing * SEGMENT)] = np.nan
     assert bool(periodograms(values)) is expected
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_loud_run_of_few_segments_makes_no_line_among_many_quiet_ones(seed):
+    draw = np.random.default_rng(seed)
+    quiet = periodograms(0.15 * draw.standard_normal(6000))
+    loud = periodograms(draw.standard_normal(20 * SEGMENT // 2))
+    assert highest_line(quiet + loud)[1] < 1.0
+
+
+@given(seed=st.integers(0, 2**32 - 1), at=st.floats(6.0, 26.0))
+def test_a_tone_is_a_line_in_many_segments_alike(seed, at):
+    draw = np.random.default_rng(seed)
+    tone = 0.5 * np.sin(2.0 * np.pi * at / SEGMENT * np.arange(ROWS))
+    assert highest_line(periodograms(draw.standard_normal(ROWS) + tone))[1] > 1.5

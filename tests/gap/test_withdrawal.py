@@ -9,7 +9,7 @@ import pytest
 
 from leactl.effects import library
 from leactl.effects.contract import Signals
-from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter
+from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
@@ -74,6 +74,25 @@ def test_an_effect_that_closes_nothing_is_taken_back_and_said(model, by_effects,
     assert not applied.augmented.effects
     assert applied.augmented.viscous_damping == 0.024
     assert applied.notes == (f"not named though it fits: saturation; {reason}",)
+
+
+@pytest.mark.parametrize(("augmented", "named"), [(6.5, False), (6.0, True), (5.9, True)])
+def test_no_effect_is_named_with_which_the_squares_of_the_gap_grow(model, augmented, named):
+    """By the number of channels the gap shrinks and one channel closes; by squares it may grow for all that."""
+    large = Shrinkage("velocity", "test", "free", "rad/s", 7.0, 6.0, augmented, 1.0, None, None, None)
+    small = Shrinkage("torque", "test", "locked", "N*m", 1.5, 1.4, 1.1, 1.0, 0.75, 0.5, 0.9)
+
+    def simulate(calibrated, further):
+        lines = (
+            (large, small)
+            if further.effects
+            else tuple(replace(one, augmented_rms=one.calibrated_rms) for one in (large, small))
+        )
+        return Shrunk(lines, (), (), (), growth(-1.0, -0.1 if further.effects else 0.0, bool(further.effects)))
+
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate)
+    assert bool(applied.augmented.effects) is named
+    assert named or "with it the gap of held-out runs grows" in applied.notes[0]
 
 
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])

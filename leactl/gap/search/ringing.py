@@ -5,6 +5,7 @@ see it, but leaves it at one frequency. Spectra of all runs are averaged (Welch,
 neighbours, which needs no reference: smoothing and slow model errors bend a spectrum, they put no line in it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
 COMMANDED = 3  # samples to either side, in which a command makes a current
 LEAP, AROUND = 6.0, 7  # of a moving command's usual bend, that is a leap, and samples around it that are not heard
 STILL = 1e-6  # of a command's greatest bend, up to which it stands
+TINY = float(np.finfo(np.float64).tiny)
 COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
 
 
@@ -60,9 +62,8 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
     lines = {}
     for key, spectrum in spectra.items():
         if len(spectrum) >= FEWEST:
-            at, over = highest_bin(np.mean(spectrum, axis=0))
-            height = over * (1.0 - DEVIATIONS / np.sqrt(len(spectrum))) / max(evidence.lines.get(key, 1.0), 1.0)
-            lines[key] = Line(height, at * rates[key] / SEGMENT)
+            at, height = highest_line(spectrum)
+            lines[key] = Line(height / max(evidence.lines.get(key, 1.0), 1.0), at * rates[key] / SEGMENT)
     return lines
 
 
@@ -117,6 +118,18 @@ def periodograms(values: Array) -> list[Array]:
             power = np.abs(np.fft.rfft(np.where(there, part, 0.0) * window)) ** 2
             powers.append(power / np.sum((window * there) ** 2))
     return powers
+
+
+def highest_line(spectra: Sequence[Array]) -> tuple[int, float]:
+    """The highest bin of the mean of periodograms, and how high it stands less what chance gives it.
+
+    A mean of periodograms scatters as one of so many as carry its power: a loud run of few segments makes lines that
+    the quiet ones do not average out (Kish, 1965: the effective number of unequal weights).
+    """
+    at, over = highest_bin(np.mean(spectra, axis=0))
+    levels = np.median(spectra, axis=1)
+    count = float(np.sum(levels)) ** 2 / max(float(levels @ levels), TINY)
+    return at, over * (1.0 - DEVIATIONS / math.sqrt(max(count, 1.0)))
 
 
 def highest_bin(power: Array) -> tuple[int, float]:

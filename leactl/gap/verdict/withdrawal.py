@@ -105,6 +105,13 @@ def calibration_worse(shrunk: Shrunk) -> bool:
     return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
 
 
+def effects_worse(shrunk: Shrunk) -> bool:
+    """Whether the augmented model is farther from held-out runs, by squares, than the better one without effects."""
+    models = ("nominal_rms", "calibrated_rms", "augmented_rms")
+    *without, augmented = (squares(shrunk, name, NEAR_FLOOR) for name in models)
+    return augmented > min(without)
+
+
 def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
     """Squared distance of one model from held-out runs, summed over the channels in multiples of their floors."""
     lines = [line for line in shrunk.shrinkage if line.floor_rms > 0.0]
@@ -120,7 +127,7 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equa
     """
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
-    if shrunk.growth.effects_worse:
+    if shrunk.growth.effects_worse or effects_worse(shrunk):
         return "with it the gap of held-out runs grows"
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
