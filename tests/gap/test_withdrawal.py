@@ -95,6 +95,26 @@ def test_no_effect_is_named_with_which_the_squares_of_the_gap_grow(model, augmen
     assert named or "with it the gap of held-out runs grows" in applied.notes[0]
 
 
+def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model):
+    """Better than a calibration that took up the effect, and worse than the one that is fitted beside it."""
+    alone = replace(SOUND, fitted=0.05)
+    distances = {alone.fitted: 8.0, SOUND.fitted: 5.0, model.viscous_damping: 7.0}
+
+    def simulate(calibrated, further):
+        plain = distances[calibrated.viscous_damping]
+        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, plain, 6.0 if further.effects else plain, 1.0)
+        by = -1.0 if further.effects else 0.0
+        return Shrunk((line,), (), (), (), growth(plain - 7.0, by, bool(further.effects)))
+
+    applied = apply(model, [alone], [[SATURATION]], beside(SOUND), simulate)
+    assert not applied.fitted.causes
+    assert not applied.augmented.effects
+    assert [(near.effect, near.refused_because) for near in applied.refused] == [
+        ("saturation", "with it the gap of held-out runs grows")
+    ]
+    assert "not named though it fits: saturation; with it the gap of held-out runs grows" in applied.notes
+
+
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])
 def test_each_effect_has_to_close_a_gap_beside_the_others(model, order):
     def simulate(calibrated, augmented):

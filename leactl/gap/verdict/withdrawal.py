@@ -1,7 +1,7 @@
 """Effects and calibration that held-out runs do not bear out are taken back: neither named nor applied."""
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
@@ -9,6 +9,7 @@ from leactl.gap.search.parameters import at_bound, with_calibration, with_effect
 from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
+GROWS = "with it the gap of held-out runs grows"
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -57,7 +58,7 @@ def apply(
     """
     fitted, calibrated = Fitted((), tuple(alone)), with_calibration(model, alone)
     augmented, shrunk = calibrated, None
-    waiting, refusals = list(stages), list[str]()
+    waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(waiting):  # what closes nothing by itself may do so beside another
         index = len(refusals)
         trial = refit([*fitted.causes, *waiting[index]])
@@ -71,10 +72,9 @@ def apply(
             continue
         shrunk = beside if shrunk is None else simulate(calibrated, further)
         fitted, augmented = trial, further
-        del waiting[index]
+        accepted.append(waiting.pop(index))
         refusals.clear()
-    names = [", ".join(cause.effect for cause in stage) for stage in waiting]
-    notes = [f"not named though it fits: {name}; {why}" for name, why in zip(names, refusals, strict=True)]
+    notes = [refusal_note(stage, why) for stage, why in zip(waiting, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
         worse = calibration_worse(shrunk)
@@ -84,6 +84,13 @@ def apply(
             shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
             if calibration_worse(shrunk):
                 calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
+            if effects_worse(shrunk):  # the effects were tried beside another calibration
+                last = accepted.pop()
+                others = apply(model, alone, [*accepted, *waiting], refit, simulate, bounded_fit, in_equations)
+                near = tuple(Near(cause.effect, GROWS) for cause in last)
+                return replace(
+                    others, notes=(*others.notes, refusal_note(last, GROWS)), refused=(*others.refused, *near)
+                )
             notes.append(f"calibration alone is not applied: {reason}; {applied}")
         return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
@@ -91,9 +98,14 @@ def apply(
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
-    reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
+    reason = f"{', '.join(bounded)} ended at a bound" if bounded else GROWS
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes), refused)
+
+
+def refusal_note(stage: Sequence[Cause], reason: str) -> str:
+    """What an answer says of effects that were refused together."""
+    return f"not named though it fits: {', '.join(cause.effect for cause in stage)}; {reason}"
 
 
 def calibration_worse(shrunk: Shrunk) -> bool:
@@ -128,7 +140,7 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equa
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     if shrunk.growth.effects_worse or effects_worse(shrunk):
-        return "with it the gap of held-out runs grows"
+        return GROWS
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
     if shrunk.growth.closed is False and not in_equations:
