@@ -78,7 +78,7 @@ class Picture:
 
     variable: str
     variable_units: str
-    periods: float | None  # of an angle: how many parts of a turn lie on each other
+    periods: float | None  # of an angle that is folded: how many parts of a turn lie on each other
     along: str | None  # variable along whose sign the residual is counted; None where it is taken as it is
     quantity: str
     role: str

@@ -136,8 +136,12 @@ def turned(angle: Array, periods: float) -> Array:
 def repeats(angle: Array, periods: float, explained: Callable[[Array], float]) -> bool:
     """Whether an effect's part follows an angle within one of so many periods as well as the angle itself.
 
+    What turns less than one of them repeats nothing.
+
     explained : share of the part that its means over a variable explain.
     """
+    if np.ptp(angle) <= 2.0 * np.pi / periods:
+        return False
     return explained(turned(angle, periods)) >= ALIKE * explained(angle)
 
 

@@ -12,7 +12,6 @@ from leactl.report.gap_words import (
     bare_units,
     calibration_rows,
     channel_label,
-    claimed_causes,
     claimed_effects,
     claimed_faults,
     closed_by_calibration,
@@ -84,8 +83,7 @@ def simulator_part(answer: Diagnosis, width: int) -> str:
     if nominal is None:
         return ""
     sentences = [
-        filled(verdict_sentence, width)
-        for verdict_sentence in simulator_sentences(nominal, claimed_causes(answer.causes))
+        filled(verdict_sentence, width) for verdict_sentence in simulator_sentences(nominal, claimed_effects(answer))
     ]
     return "\n\n".join(
         ["\n".join(sentences), *(table(*headings_and_rows, width) for headings_and_rows in simulator_tables(nominal))]

@@ -19,7 +19,6 @@ from leactl.report.gap_words import (
     bare_units,
     calibration_rows,
     channel_label,
-    claimed_causes,
     claimed_effects,
     claimed_faults,
     closed_by_calibration,
@@ -212,7 +211,7 @@ def simulator_content(answer: Diagnosis) -> Html:
     nominal = answer.simulator
     if nominal is None:
         return NO_CONTENT
-    summary_text = tag("p", " ".join(simulator_sentences(nominal, claimed_causes(answer.causes))))
+    summary_text = tag("p", " ".join(simulator_sentences(nominal, claimed_effects(answer))))
     pairs = [tag("li", f"{Path(pair.simulated).name} for {Path(pair.real).name}") for pair in nominal.runs]
     runs = tag("details", tag("summary", "Runs"), tag("ul", *pairs))
     return joined(
@@ -267,7 +266,11 @@ def shrinkage_content(answer: Diagnosis) -> Html:
         ]
         for channel in [*largest, *(channel for channel in answer.shrinkage if not open_gap(channel))]
     ]
-    all_channels = table(["channel", *MODELS, "units", "closed (95 %)"], rows, "figures")
+    headings = ["channel", *MODELS, "units", "closed (95 %)"]
+    if not effects:
+        dropped = {headings.index("augmented"), headings.index("closed (95 %)")}
+        headings, *rows = ([cell for k, cell in enumerate(row) if k not in dropped] for row in (headings, *rows))
+    all_channels = table(headings, rows, "figures")
     return joined([*parts, tag("details", tag("summary", "All channels"), all_channels)])
 
 

@@ -22,7 +22,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
-MENDED_FIRST = "These are gaps of the runs once the set-up is mended."
+MENDED_FIRST = "Gaps are of the runs once the set-up is mended."
 TIME = "time"  # in `Rest.depends_on`
 PRESENT_FROM = 0.5  # probability
 NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap

@@ -16,7 +16,7 @@ SINCE = {  # causes that the vocabulary lacked when the labels were written
 
 
 def mistakes(folder):
-    """Cases of a folder whose answer is not what its labels say, with both."""
+    """Cases of a folder that are not told as they are labelled, with label and answer, and how many cases there are."""
     labels = json.loads((folder / "labels.json").read_text(encoding="utf-8"))
     wrong = {}
     for name, label in labels.items():
@@ -41,8 +41,10 @@ def mistakes(folder):
 def is_named(found, named, acting, alike):
     """Whether all that acts is named, one of it first, and nothing that could be told from it."""
     first = found.causes[0]
+    if found.verdict != "effect" or first.probability < NAMED or first.effect not in acting | alike:
+        return False
     reported = {first.effect, *first.indistinguishable_from}
-    return bool(reported & acting) and acting <= named | reported and not named - acting - alike - reported
+    return acting <= named | reported and not named - acting - alike - reported
 
 
 @pytest.mark.skipif(
@@ -51,7 +53,7 @@ def is_named(found, named, acting, alike):
 def test_other_machines_are_told_as_they_are_labelled():
     wrong, count = mistakes(CASES / "machines" / "practice")
     assert count == 12
-    assert len(wrong) <= 1, wrong
+    assert set(wrong) <= {"practice-5"}, wrong  # a mild elasticity, which is calibrated away
 
 
 @pytest.mark.long

@@ -21,6 +21,13 @@ def test_a_wave_is_drawn_within_one_of_its_periods(order):
     assert 0.0 <= drawn.bins[0].low < drawn.bins[-1].high <= 2.0 * np.pi / order
 
 
+def test_what_turns_less_than_once_is_not_folded():
+    angle = np.sin(np.linspace(0.0, 60.0, 20000))
+    drawn = picture_of(view_of(part(-0.1 * angle, angle), ["angle"], 1.0))
+    assert drawn.periods is None
+    assert max(one.high - one.low for one in drawn.bins) < 0.5
+
+
 def test_what_goes_on_over_several_turns_is_drawn_over_the_whole_angle():
     angle = np.linspace(-20.0, 20.0, 20000)
     drawn = picture_of(view_of(part(-0.1 * angle, angle), ["angle"], 1.0))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, highest_line, periodograms
+from leactl.gap.verdict.judge import LINE
 
 ROWS = 12_000
 
@@ -42,11 +43,19 @@ def test_a_loud_run_of_few_segments_makes_no_line_among_many_quiet_ones(seed):
     draw = np.random.default_rng(seed)
     quiet = periodograms(0.15 * draw.standard_normal(6000))
     loud = periodograms(draw.standard_normal(20 * SEGMENT // 2))
-    assert highest_line(quiet + loud)[1] < 1.0
+    assert highest_line(quiet + loud)[1] < LINE
 
 
+@pytest.mark.parametrize("loudness", [0.0, 8.0, 30.0])
 @given(seed=st.integers(0, 2**32 - 1), at=st.floats(6.0, 26.0))
-def test_a_tone_is_a_line_in_many_segments_alike(seed, at):
+def test_a_tone_of_many_quiet_segments_stays_a_line_beside_a_loud_run(loudness, seed, at):
     draw = np.random.default_rng(seed)
     tone = 0.5 * np.sin(2.0 * np.pi * at / SEGMENT * np.arange(ROWS))
-    assert highest_line(periodograms(draw.standard_normal(ROWS) + tone))[1] > 1.5
+    loud = periodograms(loudness * draw.standard_normal(3 * SEGMENT))
+    found, height = highest_line(periodograms(draw.standard_normal(ROWS) + tone) + loud)
+    assert height > LINE
+    assert abs(found - at) <= 1.0
+
+
+def test_segments_without_any_power_make_no_line():
+    assert highest_line([np.zeros(SEGMENT // 2 + 1)] * 9) == (0, 0.0)

@@ -113,6 +113,26 @@ def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model)
         ("saturation", "with it the gap of held-out runs grows")
     ]
     assert "not named though it fits: saturation; with it the gap of held-out runs grows" in applied.notes
+    assert applied.calibrated.viscous_damping == SOUND.fitted  # what beat the effect is what is applied
+    assert applied.shrunk.shrinkage[0].calibrated_rms == 5.0
+
+
+def test_of_several_effects_the_one_goes_without_which_the_gap_is_smallest(model):
+    """Each lets the gap shrink beside the one before it, in the floors of its own; both together are farther off."""
+    none, first, other, both = frozenset(), frozenset({"saturation"}), frozenset({"cogging"}), None
+    distance = {none: 7.0, first: 6.0, other: 3.0, both: 10.0}
+    apart = {none: 8.0, first: 11.0}  # of models without both, in the floors of both
+
+    def simulate(calibrated, further):
+        earlier, names = (frozenset(entry.effect for entry in one.effects) for one in (calibrated, further))
+        whole = both if len(names) == 2 else names
+        before = apart[earlier] if whole is both else distance[earlier]
+        line = Shrinkage("velocity", "test", "free", "rad/s", 20.0, before, distance[whole], 1.0)
+        return Shrunk((line,), (), (), (), growth(-1.0, -1.0 if names else 0.0, bool(names)))
+
+    applied = apply(model, [SOUND], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
+    assert [cause.effect for cause in applied.fitted.causes] == ["cogging"]
+    assert [near.effect for near in applied.refused] == ["saturation"]
 
 
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])

@@ -75,8 +75,8 @@ def test_a_fault_of_the_set_up_is_nothing_that_the_model_lacks():
     assert alone.startswith("verdict: effect. The set-up has channel_sign.\n")
     assert "floor           over floor\n" in alone  # with no effect nothing is closed
     assert "with the effects" not in alone
-    assert "These are gaps of the runs once the set-up is mended." in alone
-    assert "These are gaps of the runs once the set-up is mended." in both
+    assert "Gaps are of the runs once the set-up is mended." in alone
+    assert "Gaps are of the runs once the set-up is mended." in both
     assert "before: the calibrated model; after: with the effects" in both
     assert (
         "The set-up has channel_sign; with it mended, the model lacks one of saturation / torque_sensor_gain." in both

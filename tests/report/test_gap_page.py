@@ -274,5 +274,5 @@ def test_a_fault_of_the_set_up_closes_nothing_and_its_line_is_code():
     text = page(answer(causes=(fault,)))
     assert "To mend it: give it <code>sign: &lt;b&gt;</code> in the mapping." in text
     assert "with the effects" not in text
-    assert "These are gaps of the runs once the set-up is mended." in text
+    assert "Gaps are of the runs once the set-up is mended." in text
     assert ">augmented</span>" not in text

@@ -117,8 +117,8 @@ def add_free_form(
     if not shown:
         return 0
     knots = knots_where([values[acts_in(parts[index])] for index, values in shown.items()])
-    if within_a_turn:
-        knots = knots[:-1]  # the last is the first again, a turn on
+    if within_a_turn and knots.size and knots[0] + TURN - knots[-1] < 0.5 * TURN / KNOTS:
+        knots = knots[:-1]  # the last is nearly the first again, a turn on
     if not knots.size:
         return 0
     elsewhere = any(part.any() for index, part in enumerate(parts) if index not in shown)
@@ -140,9 +140,11 @@ def acts_in(part: Array) -> npt.NDArray[np.bool_]:
 def knots_where(runs: Sequence[Array]) -> Array:
     """Knots of a free function of a variable, from its values in the rows of each run; none where these are few.
 
-    Quantiles of the different values: one at which a variable mostly rests counts once.
+    Quantiles of the different values: one that many rows have to the last digit counts once.
     """
     values = np.unique(np.concatenate(runs))
     if len(values) < FEWEST_VALUES:
         return np.empty(0)
+    if len(values) <= KNOTS:
+        return values
     return np.quantile(values, np.linspace(0.0, 1.0, KNOTS))

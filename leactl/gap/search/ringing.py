@@ -27,7 +27,6 @@ DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
 COMMANDED = 3  # samples to either side, in which a command makes a current
 LEAP, AROUND = 6.0, 7  # of a moving command's usual bend, that is a leap, and samples around it that are not heard
 STILL = 1e-6  # of a command's greatest bend, up to which it stands
-TINY = float(np.finfo(np.float64).tiny)
 COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
 
 
@@ -123,13 +122,13 @@ def periodograms(values: Array) -> list[Array]:
 def highest_line(spectra: Sequence[Array]) -> tuple[int, float]:
     """The highest bin of the mean of periodograms, and how high it stands less what chance gives it.
 
-    A mean of periodograms scatters as one of so many as carry its power: a loud run of few segments makes lines that
-    the quiet ones do not average out (Kish, 1965: the effective number of unequal weights).
+    Each periodogram counts in its own median power, else a loud run of few segments would be all that is heard.
     """
-    at, over = highest_bin(np.mean(spectra, axis=0))
-    levels = np.median(spectra, axis=1)
-    count = float(np.sum(levels)) ** 2 / max(float(levels @ levels), TINY)
-    return at, over * (1.0 - DEVIATIONS / math.sqrt(max(count, 1.0)))
+    own = [power / level for power in spectra if (level := float(np.median(power))) > 0.0]
+    if not own:
+        return 0, 0.0
+    at, over = highest_bin(np.mean(own, axis=0))
+    return at, over * (1.0 - DEVIATIONS / math.sqrt(len(own)))
 
 
 def highest_bin(power: Array) -> tuple[int, float]:

@@ -272,22 +272,19 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
         if variable not in part.values:
             continue
         values, folds = part.values[variable], None
-        if variable == "angle" and repeats(values, periods, lambda angle: along(part, angle).explained):
+        if variable == "angle" and repeats(values, periods, lambda angle: binned(part, angle)[2].explained):
             values, folds = turned(values, periods), periods
-        edges = edges_over(part, values)
+        edges, place, along = binned(part, values)
         if len(edges) >= LEAST_EDGES:
-            views.append(View(part, variable, folds, edges, bin_of(values, edges), along(part, values)))
+            views.append(View(part, variable, folds, edges, place, along))
     return first_that_follows(views, lambda view: view.along.explained)
 
 
-def edges_over(part: Part, values: Array) -> Array:
-    """Edges of the bins of a part over a variable."""
-    return bin_edges(values, part.effect, bin_count(part.independent))
-
-
-def along(part: Part, values: Array) -> Along:
-    """The sign along which the effect's own part follows a variable."""
-    return best_sign(part.effect, bin_of(values, edges_over(part, values)), signs(part))
+def binned(part: Part, values: Array) -> tuple[Array, Groups, Along]:
+    """Edges of a part's bins over a variable, the bin of each row, and the sign along which its effect follows them."""
+    edges = bin_edges(values, part.effect, bin_count(part.independent))
+    place = bin_of(values, edges)
+    return edges, place, best_sign(part.effect, place, signs(part))
 
 
 def signs(part: Part) -> dict[str, Array]:

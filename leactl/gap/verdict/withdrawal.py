@@ -9,7 +9,7 @@ from leactl.gap.search.parameters import at_bound, with_calibration, with_effect
 from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
-GROWS = "with it the gap of held-out runs grows"
+GAP_GROWS = "with it the gap of held-out runs grows"
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -84,23 +84,30 @@ def apply(
             shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
             if calibration_worse(shrunk):
                 calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
-            if effects_worse(shrunk):  # the effects were tried beside another calibration
-                last = accepted.pop()
-                others = apply(model, alone, [*accepted, *waiting], refit, simulate, bounded_fit, in_equations)
-                near = tuple(Near(cause.effect, GROWS) for cause in last)
-                return replace(
-                    others, notes=(*others.notes, refusal_note(last, GROWS)), refused=(*others.refused, *near)
-                )
             notes.append(f"calibration alone is not applied: {reason}; {applied}")
+        if effects_worse(shrunk):  # each was tried beside other models, and in the floors of its own
+            beside_them = fitted.calibration if worse else alone
+            without = [
+                (stage, apply(model, beside_them, all_but(stages, stage), refit, simulate, bounded_fit, in_equations))
+                for stage in accepted
+            ]
+            stage, best = min(without, key=lambda tried: squares(tried[1].shrunk, "augmented_rms", NEAR_FLOOR))
+            near = tuple(Near(cause.effect, GAP_GROWS) for cause in stage)
+            return replace(best, notes=(*best.notes, refusal_note(stage, GAP_GROWS)), refused=(*best.refused, *near))
         return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
-    reason = f"{', '.join(bounded)} ended at a bound" if bounded else GROWS
+    reason = f"{', '.join(bounded)} ended at a bound" if bounded else GAP_GROWS
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes), refused)
+
+
+def all_but(stages: Sequence[Sequence[Cause]], dropped: Sequence[Cause]) -> list[Sequence[Cause]]:
+    """The stages without one of them."""
+    return [stage for stage in stages if stage is not dropped]
 
 
 def refusal_note(stage: Sequence[Cause], reason: str) -> str:
@@ -121,7 +128,7 @@ def effects_worse(shrunk: Shrunk) -> bool:
     """Whether the augmented model is farther from held-out runs, by squares, than the better one without effects."""
     models = ("nominal_rms", "calibrated_rms", "augmented_rms")
     *without, augmented = (squares(shrunk, name, NEAR_FLOOR) for name in models)
-    return augmented > min(without)
+    return not augmented <= min(without)  # a distance that is not known is no proof
 
 
 def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
@@ -140,7 +147,7 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equa
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     if shrunk.growth.effects_worse or effects_worse(shrunk):
-        return GROWS
+        return GAP_GROWS
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
     if shrunk.growth.closed is False and not in_equations:
