@@ -29,7 +29,7 @@ DEVICES = {
     "scpi_supply": "bus: line, role: test, settings: {dialect: e36xx, model: E3634A, feeds: leads, voltage_limit_V: 20,"
     " current_limit_A: 5, serial_number: MY123}",
     "bk1688b": "bus: line, role: test, settings: {model: 1688B, feeds: leads, voltage_limit_V: 15, current_limit_A: 5}",
-    "korad_ka": "bus: line, role: test, settings: {model: KA6003P, feeds: leads, voltage_limit_V: 15, current_limit_A: 3}",
+    "korad_ka": "bus: line, role: test, settings: {model: KA6003P, feeds: bus, voltage_limit_V: 9, current_limit_A: 3}",
 }
 FILE = """
 name: one-device
