@@ -602,6 +602,17 @@ def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(stale, asking, 
     assert not bench.supply.safe_state(1.0).safe
 
 
+def test_answers_of_an_output_that_was_off_once_are_not_believed(here):
+    """As if all answers were one whole opening late, each in its form and in its turn."""
+    here.energise()
+    here.far.stuck_on()
+    late = [b"01.01", b"\x11", b"00.00", b"0.000"]
+    here.far.spoil(*[answer.hex() for answer in late] * 20)
+    assert not here.made_safe().safe
+    here.far.mend()
+    assert not here.made_safe().safe  # more of them come
+
+
 PIECES = [b"OUT", b"OUT0", b"VSET1:05.00", b"0", b"1", b"STATUS?", b"OCP1"]
 
 

@@ -20,7 +20,7 @@ RATINGS: Final = {
     "KA6003P": Rating(60.0, 3.0),
     "KA6005P": Rating(60.0, 5.0),
 }
-SOLD_AS: Final = {  # answers to *IDN? by other makers, without blanks (libsigrok, korad-kaxxxxp)
+SOLD_AS: Final = {  # answers to *IDN? by other makers, without blanks (sigrok wiki; libsigrok, korad-kaxxxxp)
     "VELLEMANPS3005D": "KA3005P",
     "VELLEMANLABPS3005D": "KA3005P",
     "TENMA72-2535": "KA3003P",
