@@ -29,7 +29,8 @@ def test_the_wheel_runs_the_demo_in_an_empty_environment(tmp_path):
         ).stdout
 
     drivers = json.loads(leactl("driver", "list", "--json"))
-    assert {"elmo_can", "ads1115", "scpi_supply", "bk1688b"} <= {item["name"] for item in drivers["drivers"]}
+    named = {item["name"] for item in drivers["drivers"]}
+    assert {"elmo_can", "ads1115", "scpi_supply", "bk1688b", "korad_ka"} <= named
     assert "torque-constant" in leactl("protocol", "list")
     assert leactl("docs", "safety") == (ROOT / "docs/explanation/safety.md").read_text(encoding="utf-8")
     answer = json.loads(leactl("demo", "--json"))

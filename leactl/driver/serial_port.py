@@ -63,10 +63,22 @@ class SerialPort:
         self.name = name
         self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
         self.longest_line = LONGEST_LINE  # and so many bytes are kept of a frame whose length is not known yet
+        self.rest_s = 0.0  # that the device needs between two writes, or it loses the second; `write` does not keep it
         self._line: SerialLine | None = None
         self._users = 0
         self._received = b""
         self._heard = -math.inf  # when bytes came last, or the line was opened
+        self._wrote = -math.inf
+
+    @property
+    def rested_at(self) -> float:
+        """Moment on the clock from which the device takes another write, `rest_s` after the last one."""
+        return self._wrote + self.rest_s
+
+    @property
+    def heard_at(self) -> float:
+        """Moment on the clock at which bytes came last, or the line was opened."""
+        return self._heard
 
     @property
     def connected(self) -> bool:
@@ -109,6 +121,7 @@ class SerialPort:
         """
         if self._line is None:
             raise DeviceError(f"bus '{self.name}': not open")
+        self._wrote = self.clock.now()
         try:
             taken = self._line.write(data)
         except OSError as error:
@@ -134,6 +147,23 @@ class SerialPort:
         DeviceError : the line is closed or gone.
         """
         return self._take(framing)
+
+    def take_until_silent(self, seconds: float) -> bytes | None:
+        """All bytes that have arrived, once none has come for so long; None before; never waits.
+
+        For answers without an end, a length or a checksum; `seconds` must be longer than an adapter holds bytes back
+        (`silent_for`), or the answer comes in pieces.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        self._receive(0.0)
+        if not self._received or self.clock.now() - self._heard < seconds:
+            return None
+        taken = self._received[-self.longest_line :]
+        self._forget()
+        return taken
 
     def wait(self, moment: float, framing: Framing | None = None) -> None:
         """Wait for a complete line, or a frame by this rule, at most until this moment on the clock.

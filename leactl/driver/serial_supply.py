@@ -3,15 +3,16 @@
 Demands are repeated until they are confirmed, rounds of measuring run in between, and the output is switched off when
 the supply is opened and closed.
 
-A driver composes a `SupplyLine` with a `Dialogue` that knows the commands of its instrument. Nothing waits within the
-control loop: each call of `take` continues the conversation as far as possible.
+A driver composes a `SupplyLine` with a `Dialogue` that knows the commands of its instrument; the methods of a
+`SupplyDriver` are those of its line. Nothing waits within the control loop: each call of `take` continues the
+conversation as far as possible.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
-from leactl.driver.contract import Confirmation, Row, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
 from leactl.driver.conversation import Pause, Script, Talk, Unreadable
 from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
@@ -19,6 +20,10 @@ from leactl.quantities import ChannelSpec
 
 MOST_LOST = 3  # rounds lost in sequence, after which an error is raised
 LEAVE_S = 2.0
+TRY_S = 0.1
+REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
+REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
+WHOLE = 1e-6  # of a step, by which a number that is written in decimals may miss it
 QUANTITIES = {"leads": ("line_voltage", "line_current"), "bus": ("bus_voltage", "bus_current")}
 
 
@@ -38,6 +43,43 @@ class SwitchOffTrouble:
     """Reason why an output is not confirmed off, filled in by a dialogue; `text` is empty at first."""
 
     text = ""
+
+
+class Regulation:
+    """Watches whether an output that is on gives what is set, for an instrument that does not tell."""
+
+    def __init__(self) -> None:
+        self._astray_since: float | None = None  # None: nothing has been put out since the last command
+
+    def begin_anew(self) -> None:
+        """Allow `REGULATION_S` for the output to follow a command."""
+        self._astray_since = None
+
+    def is_lost(self, measured: tuple[float, float], levels: tuple[float, float], limited: bool, moment: float) -> bool:
+        """Whether the output has been off its levels [V, A] for longer than `REGULATION_S`, with this measurement.
+
+        `limited` tells that the current is regulated, and else the voltage; the other one may be below its level.
+        """
+        (volts, amperes), (set_volts, set_amperes) = measured, levels
+        room_v, room_a = REGULATION_SHARE * set_volts + REGULATION_V, REGULATION_SHARE * set_amperes + REGULATION_A
+        over_v, over_a = volts - set_volts, amperes - set_amperes
+        regulated = over_a >= -room_a if limited else over_v >= -room_v
+        if (regulated and over_v <= room_v and over_a <= room_a) or self._astray_since is None:
+            self._astray_since = moment
+        return moment - self._astray_since >= REGULATION_S
+
+
+def refuse_between_steps(name: str, levels: tuple[float, float], steps: tuple[float, float]) -> None:
+    """Check that levels [V, A] are whole steps of an instrument.
+
+    Raises
+    ------
+    InputError : one is between two steps.
+    """
+    for value, step, unit in zip(levels, steps, "VA", strict=True):
+        count = value / step
+        if math.isfinite(count) and abs(count - round(count)) > WHOLE:
+            raise InputError(f"{name}: {value:g} {unit} asked of a supply with steps of {step:g} {unit}")
 
 
 class Dialogue(Protocol):
@@ -93,11 +135,22 @@ class SupplyLine:
     """The conversation with one supply; a driver's methods delegate to it."""
 
     def __init__(
-        self, name: str, role: str, feeds: str, port: SerialPort, dialogue: Dialogue, answer_s: float, period_s: float
+        self,
+        name: str,
+        role: str,
+        feeds: str,
+        port: SerialPort,
+        dialogue: Dialogue,
+        answer_s: float,
+        period_s: float,
+        try_s: float = TRY_S,
     ) -> None:
-        """`answer_s`: timeout of a reply [s]; `period_s`: time between rounds [s]; `feeds`: a key of `QUANTITIES`."""
+        """`answer_s`: timeout of a reply [s]; `period_s`: time between rounds [s]; `feeds`: a key of `QUANTITIES`.
+
+        `try_s`: least time for one try of `output_off` [s], beside others of half the time that is left each.
+        """
         self._name, self._port, self._clock, self._dialogue = name, port, port.clock, dialogue
-        self._answer_s, self._period_s = answer_s, period_s
+        self._answer_s, self._period_s, self._try_s = answer_s, period_s, try_s
         channels = [ChannelSpec(q, q, role, name, f"{name} {q.replace('_', ' ')}") for q in QUANTITIES[feeds]]
         self.stream = StreamSpec(name, tuple(channels))
         self.supplying = False
@@ -122,7 +175,9 @@ class SupplyLine:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                halfway = self._clock.now() + max(0.5 * (deadline - self._clock.now()), min(0.1, 0.5 * deadline_s))
+                halfway = self._clock.now() + max(
+                    0.5 * (deadline - self._clock.now()), min(self._try_s, 0.5 * deadline_s)
+                )
                 script = self._dialogue.output_off(off_trouble)
                 confirmed = Talk(self._port, script, self._answer_s).finish(min(halfway, deadline))
             except DeviceError as error:
@@ -309,3 +364,72 @@ class SupplyLine:
         self._notices += reading.notices
         values = (math.nan, math.nan) if fault else (reading.voltage, reading.current)
         self._rows.append(Row(self._name, reading.time, values, f"{self._name}: {fault}" if fault else ""))
+
+
+class SupplyDriver(Driver):
+    """A driver whose methods are those of its `SupplyLine`; it adds what its instrument is and can."""
+
+    _line: SupplyLine
+    open_s: ClassVar[float]  # that opening may take
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
+        return self._line.make_safe(deadline_s)
+
+    def stop_now(self) -> None:
+        """Send the command that switches the output off, without waiting; over a new connection if needed."""
+        self._line.stop_now()
+
+    def open(self) -> None:
+        """Connect to the supply: identify it, switch it off, configure it.
+
+        Raises
+        ------
+        DeviceError : it is absent, another one, refuses a setting, or cannot be switched off.
+        """
+        self._line.open(self.open_s)
+
+    def close(self) -> None:
+        """Close the line.
+
+        Raises
+        ------
+        DeviceError : a setting could not be restored; the line is closed all the same.
+        """
+        self._line.close()
+
+    @property
+    def supplying(self) -> bool:
+        """Whether the output is on, by the instrument's last report or measurement."""
+        return self._line.supplying
+
+    def switch_on(self) -> None:
+        """Begin to switch the output on."""
+        self._line.switch_on()
+
+    def switch_off(self) -> None:
+        """Send the command to switch off at once, and repeat it in `take` until it is confirmed.
+
+        Raises
+        ------
+        DeviceError : the line is gone.
+        """
+        self._line.switch_off()
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """Voltage and current at the terminals, one stamp for both."""
+        return (self._line.stream,)
+
+    def take(self) -> Sequence[Row]:
+        """Continue the conversation without waiting; returns the rows measured since the last call.
+
+        Raises
+        ------
+        DeviceError : the line is gone, the instrument did not answer three times in sequence, or refuses a command.
+        """
+        return self._line.take()
+
+    def notices(self) -> Sequence[str]:
+        """Notices: messages of the instrument, lost rounds, changes between constant voltage and constant current."""
+        return self._line.notices()

@@ -479,7 +479,7 @@ def test_a_probe_cannot_write_to_a_chip():
 
 # -- lines -----------------------------------------------------------------------------------------------------------
 
-ASKED = {b"VR;", b"SN[4];", b"GMAX\r", b"GETS\r", b"*IDN?\n"}
+ASKED = {b"VR;", b"SN[4];", b"GMAX\r", b"GETS\r", b"*IDN?\n", b"*IDN?", b"\n"}
 
 
 class LineBench:
@@ -524,6 +524,7 @@ def far_end(driver, clock):
         ("elmo_serial", 115200, "Elmo Whistle", {}),
         ("elmo_serial", 19200, "Elmo Whistle", {}),
         ("bk1688b", 9600, "BK Precision 1688B", {"model": "1688B"}),
+        ("korad_ka", 9600, "KORADKA3005P", {"model": "KA3005P"}),
         ("scpi_supply", 9600, "E3633A", {"dialect": "e36xx", "model": "E3633A"}),
         ("scpi_supply", 57600, "E3633A", {"dialect": "e36xx", "model": "E3633A"}),
     ],
@@ -551,7 +552,7 @@ def test_which_output_of_several_feeds_a_motor_is_left_open(model):
 
 
 def test_every_shipped_probe_on_a_line_is_tried_here():
-    assert set(LINES) == {"elmo_serial", "bk1688b", "scpi_supply"}
+    assert set(LINES) == {"elmo_serial", "bk1688b", "korad_ka", "scpi_supply"}
     assert set(line_probes("visa")) == {"scpi_supply"}
     assert set(CAN) == {"elmo_can", "odrive_can", "moteus_can"}
     assert set(I2C) == {"ads1115"}

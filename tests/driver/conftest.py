@@ -10,7 +10,7 @@ from leactl.bench.wiring import MachineWiring
 from .adc_bench import AdcBench
 from .elmo_bench import ElmoBench
 from .elmo_serial_bench import ElmoSerialBench
-from .supply_bench import Bk1688bBench, SupplyBench
+from .supply_bench import Bk1688bBench, KoradKaBench, SupplyBench
 from .transports import (
     CAN,
     I2C,
@@ -116,6 +116,12 @@ def make_supply(request, make_at_line):
 def make_bk1688b(request, make_at_line):
     """Make a supply of the 168xB family, with these settings."""
     return partial(make_at_line, Bk1688bBench, request.param)
+
+
+@pytest.fixture(params=SERIAL)
+def make_korad_ka(request, make_at_line):
+    """Make a Korad supply, with these settings."""
+    return partial(make_at_line, KoradKaBench, request.param)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
 from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, InterpreterError
+from leactl_plugins.korad_ka.emulator import KoradEmulator
 from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
 from leactl.driver.far_end import Frame
@@ -340,6 +341,21 @@ class FailingBk1688bEnd(FailingLine, Bk1688bEmulator):
         return [self.set_volts, self.set_amperes]
 
 
+class FailingKoradEnd(FailingLine, KoradEmulator):
+    """A Korad supply, into a resistor; identity and stray byte in hex."""
+
+    def __init__(self, model: str = "KA3010P", identity: str = "", stray: str = "", rest_s: float = 0.04) -> None:
+        super().__init__(model, Resistor(), bytes.fromhex(identity), bytes.fromhex(stray), rest_s)
+
+    def levels(self) -> list:
+        """Both settings."""
+        return [self.set_volts, self.set_amperes]
+
+    def busy_until(self, moment: float) -> None:
+        """Lose what comes before this moment."""
+        self._rested = moment
+
+
 class FailingElmoEnd(ElmoSerialEmulator):
     """A drive at the end of a serial line, on a shaft."""
 
@@ -401,4 +417,9 @@ class FailingElmoEnd(ElmoSerialEmulator):
             super()._set(name, value, now)
 
 
-SERIAL_ENDS = {"scpi_supply": FailingSupplyEnd, "bk1688b": FailingBk1688bEnd, "elmo_serial": FailingElmoEnd}
+SERIAL_ENDS = {
+    "scpi_supply": FailingSupplyEnd,
+    "bk1688b": FailingBk1688bEnd,
+    "korad_ka": FailingKoradEnd,
+    "elmo_serial": FailingElmoEnd,
+}

@@ -1,6 +1,9 @@
 """A supply's driver, its far end and the line between them, with every byte of either side kept."""
 
+import re
+
 from leactl_plugins.bk1688b.driver import Bk1688b
+from leactl_plugins.korad_ka.driver import KoradKa
 from leactl_plugins.scpi_supply.driver import ScpiSupply
 
 from leactl.driver.serial_port import SerialPort
@@ -9,6 +12,7 @@ from .transports import SerialInProcess
 
 HEATED = {"dialect": "e36xx", "model": "E3633A", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 10.0}
 BK = {"model": "1688B", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 10.0}
+KORAD = {"model": "KA3010P", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 9.5}
 
 
 class Tap:
@@ -105,3 +109,20 @@ class Bk1688bBench(SupplyBench):
 
     def far_end(self):
         return "bk1688b", self.settings.model
+
+
+class KoradKaBench(SupplyBench):
+    """A Korad supply at the host's line, which loses what comes too soon; elsewhere it is less particular."""
+
+    driver, settings_given, line_end = KoradKa, KORAD, b""
+
+    def far_end(self):
+        return "korad_ka", self.settings.model, "", "", 0.04 if self.exact else 0.0
+
+    def commands(self):
+        """What was sent since the last call, a command each."""
+        sent = bytes(self.said)
+        self.said.clear()
+        commands = re.findall(rb"\*IDN\?|STATUS\?|OUT[01]|[VI](?:SET|OUT)1\?|[VI]SET1:[0-9.]+", sent)
+        assert b"".join(commands) == sent
+        return commands

@@ -14,6 +14,7 @@ TOLD = {
     "odrive_can": Identity("ODrive 5.2.0", "", "0.6.11"),
     "moteus_can": Identity("moteus, model 0x0120", "AE4AMzA0UREgNjY2", "1.1.14"),
     "ni_daq": Identity("NI USB-6218", "1A2B3C4", ""),
+    "korad_ka": Identity("KORADKA6003P", "", "2.0"),
     "scpi_supply": Identity("HEWLETT-PACKARD E3634A", "MY123", "1.7-5.0-1.0"),
 }
 DEVICES = {
@@ -28,6 +29,7 @@ DEVICES = {
     "scpi_supply": "bus: line, role: test, settings: {dialect: e36xx, model: E3634A, feeds: leads, voltage_limit_V: 20,"
     " current_limit_A: 5, serial_number: MY123}",
     "bk1688b": "bus: line, role: test, settings: {model: 1688B, feeds: leads, voltage_limit_V: 15, current_limit_A: 5}",
+    "korad_ka": "bus: line, role: test, settings: {model: KA6003P, feeds: bus, voltage_limit_V: 9, current_limit_A: 3}",
 }
 FILE = """
 name: one-device

@@ -9,7 +9,7 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.driver.conversation import Query, Reply, Script, Unreadable
-from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
+from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
 from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts, at_the_end
@@ -22,8 +22,6 @@ LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 BEYOND = 1.2  # times its limits: what a supply does not show
-REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
-REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
 
 
 class Bk1688bDialogue:
@@ -37,7 +35,7 @@ class Bk1688bDialogue:
         self._most = HIGHEST  # V and A; until it has told its own limits, it may be another model
         self._mark = 0
         self._looked = 0.0
-        self._astray_since: float | None = None  # None: nothing has been put out since the last command
+        self._regulation = Regulation()
         self._panel = ""  # what was set there
 
     def in_step(self) -> Script[LevelCounts]:
@@ -104,7 +102,8 @@ class Bk1688bDialogue:
         yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 
     def _put(self, wanted: LevelCounts) -> Script[None]:
-        self._held, self._astray_since = wanted, None
+        self._held = wanted
+        self._regulation.begin_anew()
         yield from _ask(_command(f"CURR{wanted.amperes:03d}"))
         yield from _ask(_command(f"VOLT{wanted.volts:03d}"))
         held: LevelCounts = yield from _ask(Query("GETS", answers.levels, last=OK))
@@ -118,7 +117,7 @@ class Bk1688bDialogue:
         ------
         DeviceFault : the output is not in the demanded state.
         """
-        self._astray_since = None
+        self._regulation.begin_anew()
         yield from _ask(_command(ON if on else OFF))
         for _ in range(LOOKS):
             shown: Display = yield from _ask(DISPLAY)
@@ -156,17 +155,12 @@ class Bk1688bDialogue:
         return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
     def _astray(self, shown: Display, answer: Reply) -> str:
-        """A fault if the output is off its set level for longer than `REGULATION_S`; else empty.
+        """A fault if the output has lost its regulation; else empty.
 
         This also detects a supply of another model, whose current has other steps, if it does not report its limits.
         """
-        volts, amperes = self._held.volts * STEP_V, self._held.amperes * self._step
-        room_v, room_a = REGULATION_SHARE * volts + REGULATION_V, REGULATION_SHARE * amperes + REGULATION_A
-        regulated = shown.current - amperes >= -room_a if shown.limited else shown.voltage - volts >= -room_v
-        within = regulated and shown.voltage - volts <= room_v and shown.current - amperes <= room_a
-        if within or self._astray_since is None:
-            self._astray_since = answer.seen
-        if answer.seen - self._astray_since < REGULATION_S:
+        levels = self._held.volts * STEP_V, self._held.amperes * self._step
+        if not self._regulation.is_lost((shown.voltage, shown.current), levels, shown.limited, answer.seen):
             return ""
         return f"out of regulation, {_display_text(shown)}; {self._spelt(self._held)} are set"
 

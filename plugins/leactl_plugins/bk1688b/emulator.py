@@ -3,57 +3,23 @@
 Unknown commands and values out of range get no answer.
 """
 
-import math
 import re
-from collections import deque
 
 from leactl.driver.far_end import SupplyLoad
+from leactl.driver.supply_end import SupplyEnd
 from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, STEP_V
 
-REGULATE_S = 0.05  # the load's resistance changes within seconds
 MOST_INPUT = 64
 PRESETS = 3
 
 
-class Bk1688bEmulator:
+class Bk1688bEmulator(SupplyEnd):
     """One supply that feeds a load."""
 
     def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
         self.rating = RATINGS[model]
-        self._load, self._answer_s = load, answer_s
-        self.set_volts, self.set_amperes = LEAST_V, 0.0
         self.presets = [(LEAST_V, 0.0)] * PRESETS
-        self.on = False
-        self.volts = self.amperes = 0.0  # at the terminals
-        self._stuck, self._share = False, 1.0
-        self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
-        self._busy = 0.0
-        self._regulates = 0.0
-        self._regulate()
-
-    # -- what a bench may have go wrong ------------------------------------------------------------------------------
-
-    def stuck_on(self, admits: bool = True) -> None:
-        """Make the output stay on, as with a welded relay; the display shows it, whatever `admits` is."""
-        self._stuck = True
-
-    def lose_regulation(self, share: float) -> None:
-        """Put out only this share of the set voltage and current."""
-        self._share = share
-        self._regulate()
-
-    def mend(self) -> None:
-        """Return to normal operation."""
-        self._stuck, self._share = False, 1.0
-        self._regulate()
-
-    # -- the wire ----------------------------------------------------------------------------------------------------
-
-    @property
-    def due(self) -> float:
-        """Time of the next answer or the next regulation [s]."""
-        return min(self._output[0][0] if self._output else math.inf, self._regulates)
+        super().__init__(load, answer_s, LEAST_V)
 
     def receive(self, data: bytes, now: float) -> None:
         """Receive bytes; a carriage return ends a command."""
@@ -63,19 +29,9 @@ class Bk1688bEmulator:
                 answer = self._obey(command)
                 self._regulate()
                 if answer is not None:
-                    self._busy = max(self._busy, now) + self._answer_s
-                    self._output.append((self._busy, answer.encode("ascii")))
+                    self._answer(answer.encode("ascii"), now)
             else:
                 self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
-
-    def tick(self, now: float) -> bytes:
-        """Regulate the output if that is due; returns an answer that is ready."""
-        if now >= self._regulates:
-            self._regulates = now + REGULATE_S
-            self._regulate()
-        if self._output and now >= self._output[0][0]:
-            return self._output.popleft()[1]
-        return b""
 
     def _obey(self, command: str) -> str | None:
         """The answer to a command, with its line ends; None if there is none."""
@@ -93,7 +49,7 @@ class Bk1688bEmulator:
     def _change(self, word: str, digits: str) -> bool:
         """Carry out a command with an argument; False if it is invalid."""
         if word == "SOUT" and digits in ("0", "1"):
-            self.on = digits == "0" or (self._stuck and self.on)
+            self._switch(digits == "0")
         elif word == "VOLT" and len(digits) == 3 and LEAST_V <= (volts := int(digits) * STEP_V) <= self.rating.voltage:
             self.set_volts = volts
         elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
@@ -125,11 +81,4 @@ class Bk1688bEmulator:
         return "\r".join(self._pair(*preset) for preset in self.presets)
 
     def _display(self) -> str:
-        limited = self.on and self.volts < self.set_volts * self._share - 1e-6
-        return f"{round(100 * self.volts):04d}{round(100 * self.amperes):04d}{limited:d}"
-
-    # -- the output --------------------------------------------------------------------------------------------------
-
-    def _regulate(self) -> None:
-        asked = (self.set_volts * self._share, self.set_amperes * self._share) if self.on else (0.0, 0.0)
-        self.volts, self.amperes = self._load.feed(*asked)
+        return f"{round(100 * self.volts):04d}{round(100 * self.amperes):04d}{self._limited:d}"

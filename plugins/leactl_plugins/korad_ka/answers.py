@@ -1,0 +1,88 @@
+"""Parse a supply's answers, which have no end, no checksum and no echo; what has another form is Unreadable."""
+
+import re
+from typing import NamedTuple
+
+from leactl.driver.conversation import Unreadable
+
+ON, CONSTANT_VOLTAGE = 0x40, 0x01
+
+
+class Status(NamedTuple):
+    """The bits on which all firmwares agree."""
+
+    on: bool
+    limited: bool  # True: constant current; False: constant voltage
+
+
+class KoradIdentity(NamedTuple):
+    """Name, firmware and serial number; empty where the answer has none."""
+
+    name: str
+    firmware: str
+    serial_number: str
+
+
+def hundredths(answer: bytes) -> int:
+    """Parse a voltage, `12.34`, in steps of 0.01 V.
+
+    Raises
+    ------
+    Unreadable : another form.
+    """
+    match = re.fullmatch(rb"([0-9]{2})\.([0-9]{2})", answer)
+    if match is None:
+        raise Unreadable(f"{_shown(answer)} where a voltage such as 12.34 was expected")
+    return int(match[1] + match[2])
+
+
+def thousandths(answer: bytes) -> int:
+    """Parse a current, `0.125`, in steps of 0.001 A.
+
+    Raises
+    ------
+    Unreadable : another form.
+    """
+    match = re.fullmatch(rb"([0-9])\.([0-9]{3})", answer)
+    if match is None:
+        raise Unreadable(f"{_shown(answer)} where a current such as 0.125 was expected")
+    return int(match[1] + match[2])
+
+
+def set_thousandths(answer: bytes) -> int:
+    """Parse a current that is set; some firmwares send a sixth byte behind it, which means nothing.
+
+    Raises
+    ------
+    Unreadable : another form.
+    """
+    return thousandths(answer[:5] if len(answer) == 6 else answer)
+
+
+def status(answer: bytes) -> Status:
+    """Parse the one byte of the state.
+
+    Raises
+    ------
+    Unreadable : more than one byte.
+    """
+    if len(answer) != 1:
+        raise Unreadable(f"{_shown(answer)} where one byte was expected")
+    return Status(bool(answer[0] & ON), not answer[0] & CONSTANT_VOLTAGE)
+
+
+def identity(answer: bytes) -> KoradIdentity:
+    """Parse name, firmware and serial number; some firmwares send a byte behind them that is no text.
+
+    Raises
+    ------
+    Unreadable : no name and version.
+    """
+    match = re.fullmatch(rb"([ -~]+?) ?V([0-9]+\.[0-9]+)(?: SN:([0-9A-Za-z]+))?[^ -~]?", answer, re.DOTALL)
+    if match is None:
+        raise Unreadable(f"{_shown(answer)} where a name and a version such as KORADKA3005PV2.0 were expected")
+    return KoradIdentity(*((text or b"").decode("ascii") for text in match.groups()))
+
+
+def _shown(answer: bytes) -> str:
+    return repr(answer)[1:]

@@ -1,0 +1,241 @@
+"""Commands of a supply that confirms none of them and whose answers have no end: every setting is read back.
+
+An answer ends by silence, so that bytes too many are seen as well as bytes too few. Nothing in an answer tells which
+query it belongs to; before an output counts as off, a voltage must be read back that was not set lately.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from leactl.driver.contract import Confirmation, Identity
+from leactl.driver.conversation import Pause, Query, Script, Unreadable
+from leactl.driver.serial_port import SerialPort
+from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
+from leactl.errors import DeviceError, DeviceFault, NoAnswer
+from leactl_plugins.korad_ka import answers
+from leactl_plugins.korad_ka.answers import KoradIdentity, Status
+from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, model_of
+from leactl_plugins.korad_ka.settings import KoradKaSettings
+
+ON, OFF = "OUT1", "OUT0"
+END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
+QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
+LEAST_MARK, MARKS = 100, 100  # settings from 1.00 V to 1.99 V
+TRIES, LOOKS = 3, 10  # at settings that are not taken; at the state until a switched output has risen or fallen
+SETTINGS_S = 1.0  # between two looks at what is set
+BEYOND = 1.2  # times its rating: what a supply does not show
+
+
+def _query(text: str, means: Callable[[bytes], Any]) -> Query:
+    return Query(text, means, silence_s=END_S)
+
+
+SET_VOLTS, SET_AMPERES = _query("VSET1?", answers.hundredths), _query("ISET1?", answers.set_thousandths)
+VOLTS, AMPERES = _query("VOUT1?", answers.hundredths), _query("IOUT1?", answers.thousandths)
+STATUS, IDENTIFY = _query("STATUS?", answers.status), _query("*IDN?", answers.identity)
+
+
+class Levels(NamedTuple):
+    """What is set, in steps of 0.01 V and 0.001 A."""
+
+    volts: int
+    amperes: int
+
+    def __str__(self) -> str:
+        return f"{self.volts * STEP_V:.2f} V and {self.amperes * STEP_A:.3f} A"
+
+
+class Output(NamedTuple):
+    """State of the output and measured values."""
+
+    status: Status
+    voltage: float  # V
+    current: float  # A
+    time: float  # s, middle of the queries for voltage and current
+    seen: float  # s, of the last answer
+
+    def __str__(self) -> str:
+        return f"{self.voltage:.2f} V and {self.current:.3f} A, its state {'on' if self.status.on else 'off'}"
+
+
+class KoradDialogue:
+    """Dialogue with the supply of these settings at this port."""
+
+    off = OFF.encode("ascii")
+
+    def __init__(self, settings: KoradKaSettings, port: SerialPort) -> None:
+        self._settings, self._port = settings, port
+        self._held = Levels(0, 0)  # what was commanded
+        self._mark = 0
+        self._looked = 0.0
+        self._regulation = Regulation()
+        self._panel = ""  # what was set there
+        self.met: KoradIdentity | None = None
+
+    def in_step(self) -> Script[None]:
+        """Wait until nothing has come for `QUIET_S`."""
+        while not self._port.silent_for(QUIET_S):
+            yield Pause()
+
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
+        """Switch off repeatedly until the state is off and neither voltage nor current are measured.
+
+        Each try sets and reads back a voltage that the last 99 tries did not use. All answers after that value are
+        thereby known to be later than the command, and an output that does not switch off is at least turned down.
+        """
+        while True:
+            yield OFF
+            self._mark = (self._mark + 1) % MARKS
+            mark = LEAST_MARK + self._mark
+            yield f"VSET1:{mark * STEP_V:05.2f}"
+            try:
+                held: int = yield from _ask(SET_VOLTS)
+                if held != mark:
+                    continue
+                output = yield from self._output()
+            except Unreadable:
+                continue
+            if not self._is_on(output):
+                return Confirmation(True, f"output off, {output}")
+            off_trouble.text = f"the output is still on, {output}"
+
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
+        """Switch off, check the model by its name, and set both levels to nothing.
+
+        Raises
+        ------
+        DeviceError : another model, a firmware that is too slow, a setting that reads back differently, or an output
+            that cannot be switched off.
+        """
+        self.met = None
+        model, notices = self._settings.model, []
+        yield from self.output_off(off_trouble)
+        off_trouble.text = ""
+        try:
+            met: KoradIdentity = yield from _ask(IDENTIFY)
+        except NoAnswer:
+            notices.append(f"does not tell its model (*IDN?); it is taken for a {model}")
+        else:
+            if (met.name, met.firmware) == TOO_SLOW:
+                raise DeviceError(
+                    f"{met.name} with firmware {met.firmware} answers, which needs too long for a command"
+                )
+            if model_of(met.name) != model:
+                names = " or ".join([f"KORAD{model}", *(name for name, sold in SOLD_AS.items() if sold == model)])
+                raise DeviceError(f"{met.name} answers; a {model}, which answers {names}, was expected")
+            self.met = met
+        yield from self._put(Levels(0, 0))
+        return notices
+
+    def identity(self) -> Identity:
+        """Name, serial number and firmware that were told."""
+        return identity_of(self.met) if self.met else Identity()
+
+    def leave(self) -> Script[Sequence[str]]:
+        """Do nothing: no protection was touched."""
+        yield from ()
+        return ()
+
+    def put(self, voltage: float, current: float) -> Script[None]:
+        """Set both levels [V, A] and read them back.
+
+        Raises
+        ------
+        DeviceError : they come back as others, three times.
+        """
+        yield from self._put(Levels(round(voltage / STEP_V), round(current / STEP_A)))
+
+    def _put(self, wanted: Levels) -> Script[None]:
+        self._held = wanted
+        self._regulation.begin_anew()
+        for _ in range(TRIES):
+            yield f"ISET1:{wanted.amperes * STEP_A:.3f}"
+            yield f"VSET1:{wanted.volts * STEP_V:05.2f}"
+            held = yield from self._levels()
+            if held == wanted:
+                return
+        raise DeviceError(f"{held} are set after {wanted} were commanded")
+
+    def switched(self, on: bool) -> Script[None]:
+        """Switch the output and check its state; off is repeated, on is not, for a protection may have tripped.
+
+        Raises
+        ------
+        DeviceFault : the output is not in the demanded state.
+        """
+        self._regulation.begin_anew()
+        if on:
+            yield ON
+        for _ in range(LOOKS):
+            if not on:
+                yield OFF
+            output = yield from self._output()
+            if (output.status.on if on else self._is_on(output)) is on:
+                return
+        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {output}")
+
+    def measured(self) -> Script[SupplyReading]:
+        """Measure voltage and current and read the state; every `SETTINGS_S`, also read the settings.
+
+        A round begins after a silence, in which late answers pass and the instrument obeys `off` at once.
+
+        Raises
+        ------
+        Unreadable : far more than the supply's rating.
+        """
+        yield from self.in_step()
+        output = yield from self._output()
+        rating = self._settings.rating
+        if output.voltage > BEYOND * rating.voltage or output.current > BEYOND * rating.current:
+            raise Unreadable(f"{output}, where no more than {rating.voltage:g} V and {rating.current:g} A can be")
+        on = self._is_on(output)
+        mode = ("constant current" if output.status.limited else "constant voltage") if on else ""
+        if output.seen - self._looked >= SETTINGS_S:
+            self._looked = output.seen
+            held = yield from self._levels()
+            differs = held != self._held
+            self._panel = f"set to {held} by itself; {self._held} were commanded" if differs else ""
+        fault = self._panel or (self._astray(output) if on else "")
+        return SupplyReading(output.time, output.voltage, output.current, on, mode, fault)
+
+    def _astray(self, output: Output) -> str:
+        levels = self._held.volts * STEP_V, self._held.amperes * STEP_A
+        measured = output.voltage, output.current
+        if not self._regulation.is_lost(measured, levels, output.status.limited, output.seen):
+            return ""
+        return f"out of regulation, {output.voltage:.2f} V and {output.current:.3f} A; {self._held} are set"
+
+    def _is_on(self, output: Output) -> bool:
+        off_v, off_a = self._settings.off_voltage_V, self._settings.off_current_A
+        return output.status.on or output.voltage > off_v or output.current > off_a
+
+    def _levels(self) -> Script[Levels]:
+        volts: int = yield from _ask(SET_VOLTS)
+        amperes: int = yield from _ask(SET_AMPERES)
+        return Levels(volts, amperes)
+
+    def _output(self) -> Script[Output]:
+        state: Status = yield from _ask(STATUS)
+        volts = yield VOLTS
+        amperes = yield AMPERES
+        assert volts is not None
+        assert amperes is not None
+        middle = (volts.asked + amperes.seen) / 2
+        return Output(state, volts.value * STEP_V, amperes.value * STEP_A, middle, amperes.seen)
+
+
+def identity_of(met: KoradIdentity) -> Identity:
+    """Identity by what a supply told."""
+    return Identity(met.name, met.serial_number, met.firmware)
+
+
+def known_names() -> str:
+    """Names of the models and of their sellers, for a person."""
+    return ", ".join((*RATINGS, *SOLD_AS))
+
+
+def _ask(question: Query) -> Script[Any]:
+    """Script that sends a query and returns the value of its reply."""
+    answer = yield question
+    assert answer is not None
+    return answer.value

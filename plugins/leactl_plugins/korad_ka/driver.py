@@ -1,0 +1,70 @@
+"""Korad KA3003P to KA6005P: switched off at `open` and `close`, confirmed by its state and the measured output."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Identity
+from leactl.driver.far_end import Physics, SerialEmulator
+from leactl.driver.serial_port import SerialPort
+from leactl.driver.serial_supply import SupplyDriver, SupplyLine, refuse_between_steps
+from leactl_plugins.korad_ka.dialogue import KoradDialogue
+from leactl_plugins.korad_ka.models import STEP_A, STEP_V
+from leactl_plugins.korad_ka.probe import KoradProbe
+from leactl_plugins.korad_ka.settings import KoradKaSettings
+
+COMMANDS = 6  # of one try to switch off; the first may have to wait as well
+ANSWERED_S = 0.1  # time for the last answer of a try, with the silence that ends it
+
+
+class KoradKa(SupplyDriver):
+    """One supply; its levels come in steps of 0.01 V and 0.001 A, its protections are left alone."""
+
+    Settings = KoradKaSettings
+    transport = "serial"
+    summary = "DC supply over a serial line (Korad KA3003P to KA6005P; Velleman PS3005D, Tenma 72-2540, RND 320)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "model": "KA3005P",
+        "feeds": "leads",
+        "voltage_limit_V": 10.0,
+        "current_limit_A": 5.0,
+    }
+    probe = KoradProbe()
+    open_s = 6.0
+
+    def __init__(self, name: str, role: str, settings: KoradKaSettings, port: SerialPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        port.line_end, port.rest_s = b"", settings.pace_s
+        self._dialogue = KoradDialogue(settings, port)
+        try_s = COMMANDS * settings.pace_s + ANSWERED_S
+        self._line = SupplyLine(
+            name, role, settings.feeds, port, self._dialogue, settings.answer_s, settings.period_s, try_s
+        )
+
+    def identity(self) -> Identity:
+        """Name, serial number and firmware from `*IDN?`; older firmwares tell no number."""
+        return self._dialogue.identity()
+
+    @classmethod
+    def far_end(cls, settings: KoradKaSettings, role: str, physics: Physics) -> SerialEmulator:
+        """A supply of this model that feeds the bench."""
+        from leactl_plugins.korad_ka.emulator import KoradEmulator
+
+        return KoradEmulator(settings.model, physics.at_supply(settings.feeds, role))
+
+    # -- commands, for the supervisor --------------------------------------------------------------------------------
+
+    @property
+    def most(self) -> tuple[float, float]:
+        """Highest voltage [V] and current [A] that `supply` takes."""
+        return self.settings.voltage_limit_V, self.settings.current_limit_A
+
+    def supply(self, voltage: float, current: float) -> None:
+        """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
+
+        Raises
+        ------
+        InputError : a value is not finite, negative, above `most` or between the instrument's steps; nothing is sent.
+        """
+        refuse_between_steps(self.name, (voltage, current), (STEP_V, STEP_A))
+        self._line.supply(voltage, current, self.most)

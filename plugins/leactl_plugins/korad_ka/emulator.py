@@ -1,0 +1,105 @@
+"""Emulator of the supply: commands end when the line falls silent, and one that comes too soon is lost.
+
+Too soon is before the answer to a query, or within a rest after a setting or `STATUS?`, which take the instrument
+longer (libsigrok, pull request 210). Settings are not answered, nor is what it does not understand or is out of its
+range.
+"""
+
+import math
+import re
+
+from leactl.driver.far_end import SupplyLoad
+from leactl.driver.supply_end import SupplyEnd
+from leactl_plugins.korad_ka.models import RATINGS
+
+END_S = 0.005  # silence that ends a command; five characters at 9600 baud
+REST_S = 0.04  # after a setting or STATUS?, from the end of the command
+MOST_INPUT = 64
+OVER_RATING = 1.03  # what can still be set: libsigrok has 31 V and 5.1 A for 30 V and 5 A
+
+
+class KoradEmulator(SupplyEnd):
+    """One supply that feeds a load."""
+
+    def __init__(
+        self,
+        model: str,
+        load: SupplyLoad,
+        identity: bytes = b"",
+        stray: bytes = b"",
+        rest_s: float = REST_S,
+        answer_s: float = 0.01,
+    ) -> None:
+        """`identity`: answer to `*IDN?` in place of the usual one; `stray`: the sixth byte after `ISET1?`."""
+        self.rating = RATINGS[model]
+        self._identity, self._stray, self._rest_s = identity or f"KORAD{model}V2.0".encode("ascii"), stray, rest_s
+        self._ends = -math.inf  # when silence will have ended the command that is coming
+        self._rested = -math.inf  # when it takes a command again
+        self._lost = False  # the command that is coming
+        self.protections = {"OVP": False, "OCP": False}
+        super().__init__(load, answer_s)
+
+    @property
+    def due(self) -> float:
+        """Time of the next answer, the next regulation or the end of a command [s]."""
+        return min(super().due, self._ends if self._input else math.inf)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Receive bytes of one command; silence ends it."""
+        if now >= self._ends:
+            self._finish(now)
+            self._lost = now < self._rested
+        self._ends = now + END_S
+        if not self._lost:
+            self._input = (self._input + data)[-MOST_INPUT:]
+
+    def tick(self, now: float) -> bytes:
+        """Obey a command that has ended; returns an answer that is ready."""
+        if now >= self._ends:
+            self._finish(now)
+        return super().tick(now)
+
+    def _finish(self, now: float) -> None:
+        command, self._input = self._input.decode("ascii", "replace"), b""
+        answer = self._obey(command) if command else None
+        self._regulate()
+        if answer is not None:
+            self._answer(answer, now)
+        if command:
+            resting = answer is None or command == "STATUS?"
+            self._rested = self._ends + self._rest_s if resting else self._busy
+
+    def _obey(self, command: str) -> bytes | None:
+        """The answer to a command; None if there is none."""
+        queries = {
+            "VSET1?": lambda: f"{self.set_volts:05.2f}".encode("ascii"),
+            "ISET1?": lambda: f"{self.set_amperes:.3f}".encode("ascii") + self._stray,
+            "VOUT1?": lambda: f"{self.volts:05.2f}".encode("ascii"),
+            "IOUT1?": lambda: f"{self.amperes:.3f}".encode("ascii"),
+            "STATUS?": lambda: bytes([self._status()]),
+            "*IDN?": lambda: self._identity,
+        }
+        if command in queries:
+            return queries[command]()
+        self._change(command)
+        return None
+
+    def _change(self, command: str) -> None:
+        """Carry out a setting; what it does not understand, or is out of its range, changes nothing."""
+        if command in ("OUT0", "OUT1"):
+            self._switch(command == "OUT1")
+        elif match := re.fullmatch(r"(OVP|OCP)([01])", command):
+            self.protections[match[1]] = match[2] == "1"
+        elif match := re.fullmatch(r"VSET1:([0-9]{1,2}(?:\.[0-9]{1,2})?)", command):
+            self.set_volts = self._within(match[1], self.rating.voltage, self.set_volts)
+        elif match := re.fullmatch(r"ISET1:([0-9](?:\.[0-9]{1,3})?)", command):
+            self.set_amperes = self._within(match[1], self.rating.current, self.set_amperes)
+
+    @staticmethod
+    def _within(text: str, rating: float, held: float) -> float:
+        return float(text) if float(text) <= OVER_RATING * rating else held
+
+    def _status(self) -> int:
+        told_on = self.on and (self._admits or not self._stuck)
+        armed = any(self.protections.values())
+        return 0x40 * told_on | 0x20 * armed | 0x10 | (not self._limited)

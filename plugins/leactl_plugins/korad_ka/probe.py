@@ -1,0 +1,36 @@
+"""Recognise a supply by `*IDN?` without an end of line."""
+
+from leactl.driver.conversation import Script, Talk
+from leactl.driver.probe import ANSWER_S, LineProbe, Seen, Sighting
+from leactl.driver.serial_port import SerialPort
+from leactl.errors import NoAnswer
+from leactl_plugins.korad_ka.answers import KoradIdentity
+from leactl_plugins.korad_ka.dialogue import IDENTIFY, identity_of, known_names
+from leactl_plugins.korad_ka.models import model_of
+
+
+class KoradProbe(LineProbe):
+    """Asks for name, firmware and serial number."""
+
+    baudrates = (9600,)
+
+    def ask(self, port: SerialPort) -> Seen:
+        """Ask who it is; where nothing answers, end the line, for other instruments wait for that."""
+        port.line_end = b""
+        try:
+            met = Talk(port, _identified(), ANSWER_S).finish(port.clock.now() + 2 * ANSWER_S)
+        except NoAnswer:
+            port.write(b"\n")
+            return
+        model = model_of(met.name)
+        if model is None:
+            yield Sighting(None, identity_of(met), None, f"no supply of this driver ({known_names()})")
+        else:
+            yield Sighting(None, identity_of(met), {"model": model})
+
+
+def _identified() -> Script[KoradIdentity]:
+    reply = yield IDENTIFY._replace(patient=True)
+    assert reply is not None
+    identity: KoradIdentity = reply.value
+    return identity
