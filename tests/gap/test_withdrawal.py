@@ -76,25 +76,6 @@ def test_an_effect_that_closes_nothing_is_taken_back_and_said(model, by_effects,
     assert applied.notes == (f"not named though it fits: saturation; {reason}",)
 
 
-@pytest.mark.parametrize(("augmented", "named"), [(6.5, False), (6.0, True), (5.9, True)])
-def test_no_effect_is_named_with_which_the_squares_of_the_gap_grow(model, augmented, named):
-    """By the number of channels the gap shrinks and one channel closes; by squares it may grow for all that."""
-    large = Shrinkage("velocity", "test", "free", "rad/s", 7.0, 6.0, augmented, 1.0, None, None, None)
-    small = Shrinkage("torque", "test", "locked", "N*m", 1.5, 1.4, 1.1, 1.0, 0.75, 0.5, 0.9)
-
-    def simulate(calibrated, further):
-        lines = (
-            (large, small)
-            if further.effects
-            else tuple(replace(one, augmented_rms=one.calibrated_rms) for one in (large, small))
-        )
-        return Shrunk(lines, (), (), (), growth(-1.0, -0.1 if further.effects else 0.0, bool(further.effects)))
-
-    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate)
-    assert bool(applied.augmented.effects) is named
-    assert named or "with it the gap of held-out runs grows" in applied.notes[0]
-
-
 def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model):
     """Better than a calibration that took up the effect, and worse than the one that is fitted beside it."""
     alone = replace(SOUND, fitted=0.05)
@@ -115,24 +96,6 @@ def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model)
     assert "not named though it fits: saturation; with it the gap of held-out runs grows" in applied.notes
     assert applied.calibrated.viscous_damping == SOUND.fitted  # what beat the effect is what is applied
     assert applied.shrunk.shrinkage[0].calibrated_rms == 5.0
-
-
-def test_of_several_effects_the_one_goes_without_which_the_gap_is_smallest(model):
-    """Each lets the gap shrink beside the one before it, in the floors of its own; both together are farther off."""
-    none, first, other, both = frozenset(), frozenset({"saturation"}), frozenset({"cogging"}), None
-    distance = {none: 7.0, first: 6.0, other: 3.0, both: 10.0}
-    apart = {none: 8.0, first: 11.0}  # of models without both, in the floors of both
-
-    def simulate(calibrated, further):
-        earlier, names = (frozenset(entry.effect for entry in one.effects) for one in (calibrated, further))
-        whole = both if len(names) == 2 else names
-        before = apart[earlier] if whole is both else distance[earlier]
-        line = Shrinkage("velocity", "test", "free", "rad/s", 20.0, before, distance[whole], 1.0)
-        return Shrunk((line,), (), (), (), growth(-1.0, -1.0 if names else 0.0, bool(names)))
-
-    applied = apply(model, [SOUND], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
-    assert [cause.effect for cause in applied.fitted.causes] == ["cogging"]
-    assert [near.effect for near in applied.refused] == ["saturation"]
 
 
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])

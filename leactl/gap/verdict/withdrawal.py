@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
@@ -85,15 +86,17 @@ def apply(
             if calibration_worse(shrunk):
                 calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
             notes.append(f"calibration alone is not applied: {reason}; {applied}")
-        if effects_worse(shrunk):  # each was tried beside other models, and in the floors of its own
-            beside_them = fitted.calibration if worse else alone
-            without = [
-                (stage, apply(model, beside_them, all_but(stages, stage), refit, simulate, bounded_fit, in_equations))
-                for stage in accepted
-            ]
-            stage, best = min(without, key=lambda tried: squares(tried[1].shrunk, "augmented_rms", NEAR_FLOOR))
-            near = tuple(Near(cause.effect, GAP_GROWS) for cause in stage)
-            return replace(best, notes=(*best.notes, refusal_note(stage, GAP_GROWS)), refused=(*best.refused, *near))
+            if effects_worse(shrunk):  # the effects were tried beside another calibration
+                again = partial(
+                    apply, model, fitted.calibration, refit=refit, simulate=simulate,
+                    bounded_fit=bounded_fit, in_equations=in_equations,
+                )  # fmt: skip
+                without = [(stage, again(stages=all_but(stages, stage))) for stage in accepted]
+                stage, best = min(without, key=lambda tried: squares(tried[1].shrunk, "augmented_rms", NEAR_FLOOR))
+                near = tuple(Near(cause.effect, GAP_GROWS) for cause in stage)
+                return replace(
+                    best, notes=(*best.notes, refusal_note(stage, GAP_GROWS)), refused=(*best.refused, *near)
+                )
         return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
@@ -146,7 +149,7 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equa
     """
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
-    if shrunk.growth.effects_worse or effects_worse(shrunk):
+    if shrunk.growth.effects_worse:
         return GAP_GROWS
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
