@@ -246,7 +246,8 @@ def rest_words(rest: Rest) -> str:
     """Return what an unexplained rest depends on, and the share that a free function of the state closes."""
     if rest.closable is None:
         return "held-out runs leave no gap beyond noise there"
-    state, share = [VARIABLES[name].label for name in rest.depends_on if name != TIME], percent_text(rest.closable)
+    labels = {name: shown.label for name, shown in VARIABLES.items()} | {"angle": "angle within a turn"}  # by waves
+    state, share = [labels[name] for name in rest.depends_on if name != TIME], percent_text(rest.closable)
     repeats = None if rest.repeats_Hz is None else f"repeats in time, {rest.repeats_Hz:.4g} times a second"
     if state:
         changes = f"; what that leaves {repeats or 'changes slowly with time'}" if TIME in rest.depends_on else ""

@@ -98,6 +98,24 @@ def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model)
     assert applied.shrunk.shrinkage[0].calibrated_rms == 5.0
 
 
+def test_of_several_effects_the_one_goes_without_which_the_gap_is_smallest(model):
+    """Both shrink the gap beside a calibration that is not applied in the end, and fail beside the one that is."""
+    alone = replace(SOUND, fitted=0.05)
+    without = {alone.fitted: 8.0, SOUND.fitted: 5.0, model.viscous_damping: 7.0}
+    distance = {frozenset({"saturation"}): 4.9, frozenset({"cogging"}): 3.0, frozenset({"saturation", "cogging"}): 6.0}
+
+    def simulate(calibrated, further):
+        plain = without[calibrated.viscous_damping]
+        names = frozenset(entry.effect for entry in further.effects)
+        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, plain, distance.get(names, plain), 1.0)
+        return Shrunk((line,), (), (), (), growth(plain - 7.0, -1.0 if names else 0.0, bool(names)))
+
+    applied = apply(model, [alone], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
+    assert [cause.effect for cause in applied.fitted.causes] == ["cogging"]
+    assert [near.effect for near in applied.refused] == ["saturation"]
+    assert any(note.startswith("calibration alone is not applied") for note in applied.notes)
+
+
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])
 def test_each_effect_has_to_close_a_gap_beside_the_others(model, order):
     def simulate(calibrated, augmented):

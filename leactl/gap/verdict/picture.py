@@ -272,15 +272,15 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
         if variable not in part.values:
             continue
         values, folds = part.values[variable], None
-        if variable == "angle" and repeats(values, periods, lambda angle: binned(part, angle)[2].explained):
+        if variable == "angle" and repeats(values, periods, lambda angle: bins_over(part, angle)[2].explained):
             values, folds = turned(values, periods), periods
-        edges, place, along = binned(part, values)
+        edges, place, along = bins_over(part, values)
         if len(edges) >= LEAST_EDGES:
             views.append(View(part, variable, folds, edges, place, along))
     return first_that_follows(views, lambda view: view.along.explained)
 
 
-def binned(part: Part, values: Array) -> tuple[Array, Groups, Along]:
+def bins_over(part: Part, values: Array) -> tuple[Array, Groups, Along]:
     """Edges of a part's bins over a variable, the bin of each row, and the sign along which its effect follows them."""
     edges = bin_edges(values, part.effect, bin_count(part.independent))
     place = bin_of(values, edges)

@@ -1,5 +1,6 @@
 """Effects and calibration that held-out runs do not bear out are taken back: neither named nor applied."""
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -60,7 +61,7 @@ def apply(
     fitted, calibrated = Fitted((), tuple(alone)), with_calibration(model, alone)
     augmented, shrunk = calibrated, None
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
-    while len(refusals) < len(waiting):  # what closes nothing by itself may do so beside another
+    while len(refusals) < len(waiting):  # after each acceptance all refused ones are tried again
         index = len(refusals)
         trial = refit([*fitted.causes, *waiting[index]])
         entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in trial.causes]
@@ -86,16 +87,19 @@ def apply(
             if calibration_worse(shrunk):
                 calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
             notes.append(f"calibration alone is not applied: {reason}; {applied}")
-            if effects_worse(shrunk):  # the effects were tried beside another calibration
+            if farther_with_effects(shrunk):
+                # The effects were accepted beside the old calibration and fail beside this one: drop one stage at a
+                # time, try the others again beside this one, and keep what comes nearest to the held-out runs.
                 again = partial(
                     apply, model, fitted.calibration, refit=refit, simulate=simulate,
                     bounded_fit=bounded_fit, in_equations=in_equations,
                 )  # fmt: skip
-                without = [(stage, again(stages=all_but(stages, stage))) for stage in accepted]
-                stage, best = min(without, key=lambda tried: squares(tried[1].shrunk, "augmented_rms", NEAR_FLOOR))
-                near = tuple(Near(cause.effect, GAP_GROWS) for cause in stage)
+                tried = [(stage, again(stages=all_but(stages, stage))) for stage in accepted]
+                dropped, nearest = min(tried, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", NEAR_FLOOR))
                 return replace(
-                    best, notes=(*best.notes, refusal_note(stage, GAP_GROWS)), refused=(*best.refused, *near)
+                    nearest,
+                    notes=(*nearest.notes, notes[-1], refusal_note(dropped, GAP_GROWS)),
+                    refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped)),
                 )
         return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
@@ -127,11 +131,15 @@ def calibration_worse(shrunk: Shrunk) -> bool:
     return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
 
 
-def effects_worse(shrunk: Shrunk) -> bool:
-    """Whether the augmented model is farther from held-out runs, by squares, than the better one without effects."""
-    models = ("nominal_rms", "calibrated_rms", "augmented_rms")
-    *without, augmented = (squares(shrunk, name, NEAR_FLOOR) for name in models)
-    return not augmented <= min(without)  # a distance that is not known is no proof
+def farther_with_effects(shrunk: Shrunk) -> bool:
+    """Whether the augmented model is farther from held-out runs, by squares, than the better one without effects.
+
+    A distance that is not a number counts as farther.
+    """
+    nominal, calibrated, augmented = (
+        squares(shrunk, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms", "augmented_rms")
+    )
+    return math.isnan(augmented) or augmented > min(nominal, calibrated)
 
 
 def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
