@@ -54,6 +54,13 @@ Said = str | bytes | Query | Pause
 Script = Generator[Said, Reply | None, Result]
 
 
+def ask(query: Query) -> Script[Any]:
+    """Script that sends a query and returns the parsed value of its reply."""
+    reply = yield query
+    assert reply is not None
+    return reply.value
+
+
 class Talk(Generic[Result]):
     """Executes a script over a serial port."""
 

@@ -131,27 +131,41 @@ class Dialogue(Protocol):
         """Measure voltage and current, and read the state of the instrument."""
 
 
+class SupplySettings(Protocol):
+    """Settings that every supply's driver has."""
+
+    @property
+    def feeds(self) -> str:
+        """What the output feeds, a key of `QUANTITIES`."""
+
+    @property
+    def voltage_limit_V(self) -> float:  # noqa: N802 (a unit keeps its letter)
+        """Highest voltage that may be demanded [V]."""
+
+    @property
+    def current_limit_A(self) -> float:  # noqa: N802
+        """Highest current that may be demanded [A]."""
+
+    @property
+    def answer_s(self) -> float:
+        """Timeout of a reply [s]."""
+
+    @property
+    def period_s(self) -> float:
+        """Time between rounds of measuring [s]."""
+
+
 class SupplyLine:
     """The conversation with one supply; a driver's methods delegate to it."""
 
     def __init__(
-        self,
-        name: str,
-        role: str,
-        feeds: str,
-        port: SerialPort,
-        dialogue: Dialogue,
-        answer_s: float,
-        period_s: float,
-        try_s: float = TRY_S,
+        self, name: str, role: str, settings: SupplySettings, port: SerialPort, dialogue: Dialogue, try_s: float = TRY_S
     ) -> None:
-        """`answer_s`: timeout of a reply [s]; `period_s`: time between rounds [s]; `feeds`: a key of `QUANTITIES`.
-
-        `try_s`: least time for one try of `output_off` [s], beside others of half the time that is left each.
-        """
+        """`try_s`: least time for one try of `output_off` [s], beside others of half the time that is left each."""
         self._name, self._port, self._clock, self._dialogue = name, port, port.clock, dialogue
-        self._answer_s, self._period_s, self._try_s = answer_s, period_s, try_s
-        channels = [ChannelSpec(q, q, role, name, f"{name} {q.replace('_', ' ')}") for q in QUANTITIES[feeds]]
+        self._answer_s, self._period_s, self._try_s = settings.answer_s, settings.period_s, try_s
+        self.most = settings.voltage_limit_V, settings.current_limit_A
+        channels = [ChannelSpec(q, q, role, name, f"{name} {q.replace('_', ' ')}") for q in QUANTITIES[settings.feeds]]
         self.stream = StreamSpec(name, tuple(channels))
         self.supplying = False
         self._opened = False
@@ -263,16 +277,14 @@ class SupplyLine:
 
     # -- demands -----------------------------------------------------------------------------------------------------
 
-    def supply(
-        self, voltage: float, current: float, most: tuple[float, float], least: tuple[float, float] = (0.0, 0.0)
-    ) -> None:
+    def supply(self, voltage: float, current: float, least: tuple[float, float] = (0.0, 0.0)) -> None:
         """Demand these levels [V, A]; one of the next calls of `take` sets them.
 
         Raises
         ------
         InputError : a value is not finite, below `least` or above `most`; nothing is sent.
         """
-        for value, low, top, unit in zip((voltage, current), least, most, "VA", strict=True):
+        for value, low, top, unit in zip((voltage, current), least, self.most, "VA", strict=True):
             if not low <= value <= top:
                 raise InputError(
                     f"{self._name}: {value:g} {unit} asked of a supply that is good for {low:g} to {top:g} {unit}"
@@ -397,6 +409,11 @@ class SupplyDriver(Driver):
         DeviceError : a setting could not be restored; the line is closed all the same.
         """
         self._line.close()
+
+    @property
+    def most(self) -> tuple[float, float]:
+        """Highest voltage [V] and current [A] that `supply` accepts, by the settings."""
+        return self._line.most
 
     @property
     def supplying(self) -> bool:

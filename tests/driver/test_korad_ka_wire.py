@@ -294,23 +294,6 @@ def test_off_is_confirmed_in_time_at_any_pace(pace_s):
     assert bench.made_safe().safe
 
 
-def test_nothing_waits_in_the_loop_whatever_the_instrument_does(here):
-    here.energise()
-    for step in range(5000):
-        if step == 3000:
-            here.far.freeze()
-        before = here.clock.now()
-        try:
-            here.supply.take()
-        except NoAnswer:
-            break
-        finally:
-            assert here.clock.now() == before
-        here.clock.sleep_until(before + 0.001)
-    else:
-        raise AssertionError("a frozen supply is not missed")
-
-
 # -- readings --------------------------------------------------------------------------------------------------------
 
 
@@ -442,81 +425,12 @@ def test_every_chunking_of_an_answer_is_read(cuts):
     assert bench.supply.notices() == []
 
 
-def test_three_rounds_lost_in_a_row_end_it(here):
-    here.energise()
-    here.far.freeze()
-    with pytest.raises(NoAnswer, match=r"supply: no answer to .* within 0.2 s"):
-        here.until(lambda _: False, limit_s=5.0)
-
-
-def test_an_adapter_that_is_pulled_out_is_a_device_error(here):
-    here.energise()
-    here.wire.wire.gone = True
-    with pytest.raises(DeviceError, match="supply: bus 'supply0': the device is gone"):
-        here.until(lambda _: False)
-
-
 # -- the safe state --------------------------------------------------------------------------------------------------
-
-
-def never_opened(bench):
-    bench.far.leave_on(8.0, 9.0)
 
 
 def in_the_middle_of_a_query(bench):
     bench.energise()
     bench.until(lambda _: b"VOUT1?" in bench.said)
-
-
-def behind_a_half_sent_command(bench):
-    bench.energise()
-    bench.port.write(b"VSET1:0")
-
-
-def with_bytes_lost(bench):
-    bench.energise()
-    bench.far.miss(20)
-
-
-def with_an_answer_garbled(bench):
-    bench.energise()
-    bench.far.spoil(b"\xff\xff".hex())
-
-
-def after_stop_now(bench):
-    bench.energise()
-    bench.supply.stop_now()
-
-
-def closed(bench):
-    bench.energise()
-    bench.supply.close()
-
-
-def safe_already(bench):
-    bench.energise()
-    bench.supply.safe_state(1.0)
-
-
-STATES = [
-    never_opened,
-    KoradKaBench.energise,
-    in_the_middle_of_a_query,
-    behind_a_half_sent_command,
-    with_bytes_lost,
-    with_an_answer_garbled,
-    after_stop_now,
-    closed,
-    safe_already,
-]
-
-
-@pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
-def test_off_from_any_state(make_korad_ka, state):
-    bench = make_korad_ka()
-    state(bench)
-    assert bench.made_safe() == (True, "output off, 0.00 V and 0.000 A, its state off")
-    assert bench.far.output()[0] is False
 
 
 @pytest.mark.parametrize("lost", range(6))
@@ -546,13 +460,6 @@ def test_off_is_seen_after_a_mark_that_only_a_fresh_answer_can_carry(bench):
     assert bench.commands() == [b"VSET1:01.03" if command == b"VSET1:01.02" else command for command in expected]
 
 
-def test_stop_now_waits_for_nothing(here):
-    here.energise()
-    before = here.clock.now()
-    here.supply.stop_now()
-    assert (here.clock.now(), here.commands()) == (before, [b"OUT0"])
-
-
 @pytest.mark.parametrize("admits", [True, False])
 def test_a_supply_that_does_not_switch_off_is_not_called_safe_and_is_turned_down(here, admits):
     here.energise()
@@ -563,25 +470,6 @@ def test_a_supply_that_does_not_switch_off_is_not_called_safe_and_is_turned_down
     assert 1.0 <= here.far.output()[1] < 2.0
     here.far.mend()
     assert here.made_safe().safe
-
-
-@pytest.mark.parametrize("failure", ["cut", "gone"])
-def test_a_line_that_is_dead_is_not_called_safe(here, failure):
-    here.energise()
-    setattr(here.wire.wire, failure, True)
-    confirmed = here.made_safe()
-    assert not confirmed.safe
-    assert "not confirmed within 1 s: " in confirmed.detail
-    setattr(here.wire.wire, failure, False)
-    assert here.made_safe().safe
-
-
-def test_a_connection_that_is_dead_is_replaced(bench):
-    bench.energise()
-    bench.dead_connections = bench.connections
-    bench.supply.stop_now()
-    assert bench.made_safe().safe
-    assert bench.connections == bench.dead_connections + 1
 
 
 # what earlier queries may have brought: settings, measurements of nothing, states that are off, parts of these

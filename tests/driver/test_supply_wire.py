@@ -379,24 +379,6 @@ def test_the_stamp_is_the_middle_of_asking_for_voltage_and_current(here):
     assert row.time == pytest.approx((asked + answered) / 2, abs=0.0015)
 
 
-def test_nothing_waits_in_the_loop_whatever_the_instrument_does(here):
-    here.energise()
-    here.far.slow_down(0.2)
-    for step in range(5000):
-        if step == 3000:
-            here.far.freeze()
-        before = here.clock.now()
-        try:
-            here.supply.take()
-        except NoAnswer:
-            break
-        finally:
-            assert here.clock.now() == before
-        here.clock.sleep_until(before + 0.001)
-    else:
-        raise AssertionError("a frozen supply is not missed")
-
-
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -513,22 +495,6 @@ def test_a_late_answer_is_not_taken_for_the_next_question_s(here):
     assert here.supply.notices() == ["a round was lost: no answer to MEAS:VOLT? within 0.3 s"]
 
 
-def test_three_rounds_lost_in_a_row_end_it(here):
-    here.energise()
-    here.far.freeze()
-    began = here.clock.now()
-    with pytest.raises(NoAnswer, match=r"supply: no answer to .* within 0.3 s"):
-        here.until(lambda _: False)
-    assert here.clock.now() - began < 5.0
-
-
-def test_an_adapter_that_is_pulled_out_is_a_device_error(here):
-    here.energise()
-    here.wire.wire.gone = True
-    with pytest.raises(DeviceError, match="supply: bus 'supply0': the device is gone"):
-        here.until(lambda _: False)
-
-
 def test_an_error_queue_without_end_is_told(here):
     here.supply.open()
     here.far._next_error = lambda: '-350,"Queue overflow"'
@@ -539,73 +505,15 @@ def test_an_error_queue_without_end_is_told(here):
 # -- the safe state --------------------------------------------------------------------------------------------------
 
 
-def never_opened(bench):
-    bench.far.leave_on(8.0, 9.0)
-
-
 def in_the_middle_of_a_question(bench):
     bench.energise()
     bench.until(lambda _: b"MEAS" in bench.said)
-
-
-def behind_a_half_sent_command(bench):
-    bench.energise()
-    bench.port.write(b"VOLT 3")
-
-
-def with_bytes_lost(bench):
-    bench.energise()
-    bench.far.miss(20)
-
-
-def with_an_answer_garbled(bench):
-    bench.energise()
-    bench.far.spoil(b"\xff\xff\r\n".hex())
-
-
-def closed(bench):
-    bench.energise()
-    bench.supply.close()
-
-
-def safe_already(bench):
-    bench.energise()
-    bench.supply.safe_state(1.0)
-
-
-STATES = [
-    never_opened,
-    SupplyBench.energise,
-    in_the_middle_of_a_question,
-    behind_a_half_sent_command,
-    with_bytes_lost,
-    with_an_answer_garbled,
-    closed,
-    safe_already,
-]
-
-
-@on_a_socket_too
-@pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
-def test_off_from_any_state(make_supply, state):
-    bench = make_supply()
-    state(bench)
-    confirmed = bench.made_safe()
-    assert confirmed == (True, "output off, 0.000 A")
-    assert bench.far.output()[0] is False
 
 
 def test_off_is_asked_for_after_it_was_sent_and_the_current_measured(bench):
     bench.energise()
     bench.made_safe()
     assert bench.lines() == [b"\x03", b"SYST:REM", b"OUTP OFF", b"*IDN?", b"OUTP?", b"MEAS:CURR?"]
-
-
-def test_stop_now_waits_for_nothing(here):
-    here.energise()
-    before = here.clock.now()
-    here.supply.stop_now()
-    assert (here.clock.now(), here.lines()) == (before, [b"\x03", b"SYST:REM", b"OUTP OFF"])
 
 
 @pytest.mark.parametrize(
@@ -644,34 +552,6 @@ def test_a_name_that_was_given_to_whoever_asked_before_puts_nobody_out_of_step()
     began = bench.clock.now()
     assert bench.made_safe().safe
     assert bench.clock.now() - began < 0.4  # at the first try
-
-
-def test_a_supply_that_is_mended_is_switched_off_after_all(bench):
-    bench.energise()
-    bench.far.stuck_on()
-    assert not bench.made_safe().safe
-    bench.far.mend()
-    assert bench.made_safe().safe
-
-
-@pytest.mark.parametrize("failure", ["cut", "gone"])
-def test_a_line_that_is_dead_is_not_called_safe(here, failure):
-    here.energise()
-    setattr(here.wire.wire, failure, True)
-    confirmed = here.made_safe()
-    assert not confirmed.safe
-    assert "not confirmed within 1 s: " in confirmed.detail
-    setattr(here.wire.wire, failure, False)
-    assert here.made_safe().safe
-
-
-@on_a_socket_too
-def test_a_connection_that_is_dead_is_replaced(bench):
-    bench.energise()
-    bench.dead_connections = bench.connections
-    bench.supply.stop_now()
-    assert bench.made_safe().safe
-    assert bench.connections == bench.dead_connections + 1
 
 
 def test_another_instrument_s_word_is_not_taken(here):

@@ -5,10 +5,9 @@ terminals. Replies to earlier commands are recognised because each query expects
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Query, Reply, Script, Unreadable
+from leactl.driver.conversation import Query, Reply, Script, Unreadable, ask
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
@@ -40,7 +39,7 @@ class Bk1688bDialogue:
 
     def in_step(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
-        held: LevelCounts = yield from _ask(Query("GETS", at_the_end(2, answers.levels), patient=True, last=OK))
+        held: LevelCounts = yield from ask(Query("GETS", at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -51,12 +50,12 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from _ask(Query(OFF, at_the_end(1, answers.done), patient=True, last=OK))
+            yield from ask(Query(OFF, at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _ask(Query(f"VOLT{volts:03d}", at_the_end(1, answers.done), patient=True, last=OK))
-            yield from _ask(Query("GETS", at_the_end(2, _levels_with(volts)), patient=True, last=OK))
-            shown: Display = yield from _ask(DISPLAY)
+            yield from ask(Query(f"VOLT{volts:03d}", at_the_end(1, answers.done), patient=True, last=OK))
+            yield from ask(Query("GETS", at_the_end(2, _levels_with(volts)), patient=True, last=OK))
+            shown: Display = yield from ask(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_display_text(shown)}")
             off_trouble.text = f"the output is still on, {_display_text(shown)}"
@@ -72,7 +71,7 @@ class Bk1688bDialogue:
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
-            most: LevelCounts = yield from _ask(Query("GMAX", answers.levels, last=OK))
+            most: LevelCounts = yield from ask(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:
             notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
@@ -104,9 +103,9 @@ class Bk1688bDialogue:
     def _put(self, wanted: LevelCounts) -> Script[None]:
         self._held = wanted
         self._regulation.begin_anew()
-        yield from _ask(_command(f"CURR{wanted.amperes:03d}"))
-        yield from _ask(_command(f"VOLT{wanted.volts:03d}"))
-        held: LevelCounts = yield from _ask(Query("GETS", answers.levels, last=OK))
+        yield from ask(_command(f"CURR{wanted.amperes:03d}"))
+        yield from ask(_command(f"VOLT{wanted.volts:03d}"))
+        held: LevelCounts = yield from ask(Query("GETS", answers.levels, last=OK))
         if held != wanted:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
@@ -118,9 +117,9 @@ class Bk1688bDialogue:
         DeviceFault : the output is not in the demanded state.
         """
         self._regulation.begin_anew()
-        yield from _ask(_command(ON if on else OFF))
+        yield from ask(_command(ON if on else OFF))
         for _ in range(LOOKS):
-            shown: Display = yield from _ask(DISPLAY)
+            shown: Display = yield from ask(DISPLAY)
             if self._on(shown) is on:
                 return
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_display_text(shown)}")
@@ -189,10 +188,3 @@ def _command(text: str) -> Query:
 
 def _display_text(shown: Display) -> str:
     return f"{shown.voltage:.2f} V and {shown.current:.2f} A"
-
-
-def _ask(question: Query) -> Script[Any]:
-    """Script that sends a query and returns the value of its reply."""
-    answer = yield question
-    assert answer is not None
-    return answer.value

@@ -34,7 +34,7 @@ class Bk1688b(SupplyDriver):
         self.name, self.role, self.settings = name, role, settings
         port.line_end = b"\r"
         dialogue = Bk1688bDialogue(settings)
-        self._line = SupplyLine(name, role, settings.feeds, port, dialogue, settings.answer_s, settings.period_s)
+        self._line = SupplyLine(name, role, settings, port, dialogue)
 
     @classmethod
     def far_end(cls, settings: Bk1688bSettings, role: str, physics: Physics) -> SerialEmulator:
@@ -44,11 +44,6 @@ class Bk1688b(SupplyDriver):
         return Bk1688bEmulator(settings.model, physics.at_supply(settings.feeds, role))
 
     # -- commands, for the supervisor --------------------------------------------------------------------------------
-
-    @property
-    def most(self) -> tuple[float, float]:
-        """Highest voltage [V] and current [A] that `supply` takes."""
-        return self.settings.voltage_limit_V, self.settings.current_limit_A
 
     def supply(self, voltage: float, current: float) -> None:
         """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
@@ -61,4 +56,4 @@ class Bk1688b(SupplyDriver):
         rating = self.settings.rating
         refuse_between_steps(self.name, (voltage, current), (STEP_V, rating.step_A))
         least = max(FLOWS * self.settings.off_current_A, rating.step_A)
-        self._line.supply(voltage, current, self.most, (LEAST_V, least))
+        self._line.supply(voltage, current, (LEAST_V, least))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation, Identity
-from leactl.driver.conversation import Pause, Query, Script, Unreadable
+from leactl.driver.conversation import Pause, Query, Script, Unreadable, ask
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
@@ -89,7 +89,7 @@ class KoradDialogue:
             mark = LEAST_MARK + self._mark
             yield f"VSET1:{mark * STEP_V:05.2f}"
             try:
-                held: int = yield from _ask(SET_VOLTS)
+                held: int = yield from ask(SET_VOLTS)
                 if held != mark:
                     continue
                 output = yield from self._output()
@@ -112,7 +112,7 @@ class KoradDialogue:
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
-            met: KoradIdentity = yield from _ask(IDENTIFY)
+            met: KoradIdentity = yield from ask(IDENTIFY)
         except NoAnswer:
             notices.append(f"does not tell its model (*IDN?); it is taken for a {model}")
         else:
@@ -210,12 +210,12 @@ class KoradDialogue:
         return output.status.on or output.voltage > off_v or output.current > off_a
 
     def _levels(self) -> Script[Levels]:
-        volts: int = yield from _ask(SET_VOLTS)
-        amperes: int = yield from _ask(SET_AMPERES)
+        volts: int = yield from ask(SET_VOLTS)
+        amperes: int = yield from ask(SET_AMPERES)
         return Levels(volts, amperes)
 
     def _output(self) -> Script[Output]:
-        state: Status = yield from _ask(STATUS)
+        state: Status = yield from ask(STATUS)
         volts = yield VOLTS
         amperes = yield AMPERES
         assert volts is not None
@@ -232,10 +232,3 @@ def identity_of(met: KoradIdentity) -> Identity:
 def known_names() -> str:
     """Names of the models and of their sellers, for a person."""
     return ", ".join((*RATINGS, *SOLD_AS))
-
-
-def _ask(question: Query) -> Script[Any]:
-    """Script that sends a query and returns the value of its reply."""
-    answer = yield question
-    assert answer is not None
-    return answer.value

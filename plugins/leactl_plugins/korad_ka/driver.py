@@ -37,9 +37,7 @@ class KoradKa(SupplyDriver):
         port.line_end, port.rest_s = b"", settings.pace_s
         self._dialogue = KoradDialogue(settings, port)
         try_s = COMMANDS * settings.pace_s + ANSWERED_S
-        self._line = SupplyLine(
-            name, role, settings.feeds, port, self._dialogue, settings.answer_s, settings.period_s, try_s
-        )
+        self._line = SupplyLine(name, role, settings, port, self._dialogue, try_s)
 
     def identity(self) -> Identity:
         """Name, serial number and firmware from `*IDN?`; older firmwares tell no number."""
@@ -54,11 +52,6 @@ class KoradKa(SupplyDriver):
 
     # -- commands, for the supervisor --------------------------------------------------------------------------------
 
-    @property
-    def most(self) -> tuple[float, float]:
-        """Highest voltage [V] and current [A] that `supply` takes."""
-        return self.settings.voltage_limit_V, self.settings.current_limit_A
-
     def supply(self, voltage: float, current: float) -> None:
         """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
 
@@ -67,4 +60,4 @@ class KoradKa(SupplyDriver):
         InputError : a value is not finite, negative, above `most` or between the instrument's steps; nothing is sent.
         """
         refuse_between_steps(self.name, (voltage, current), (STEP_V, STEP_A))
-        self._line.supply(voltage, current, self.most)
+        self._line.supply(voltage, current)

@@ -5,10 +5,10 @@ Every setting is read back, so that no more than one command is ever under way a
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from leactl.driver.contract import Confirmation, TripAccuracy
-from leactl.driver.conversation import Pause, Query, Script
+from leactl.driver.conversation import Pause, Query, Script, ask
 from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import answers, models
@@ -67,7 +67,7 @@ class ScpiDialogue:
 
     def in_step(self) -> Script[InstrumentIdentity]:
         """Query the identity and drop all replies before it, which belong to earlier queries."""
-        who: InstrumentIdentity = yield from _ask(IDENTIFY)
+        who: InstrumentIdentity = yield from ask(IDENTIFY)
         return who
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -79,11 +79,11 @@ class ScpiDialogue:
             yield self._dialect.off
             self._check((yield from self.in_step()))
             # patient, as an answer to whoever asked before may be taken for the identity
-            on = yield from _ask(self._dialect.on._replace(patient=True))
+            on = yield from ask(self._dialect.on._replace(patient=True))
             if on:
                 off_trouble.text = "the output is still on"
                 continue
-            current = yield from _ask(self._current)
+            current = yield from ask(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
             off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
@@ -137,17 +137,17 @@ class ScpiDialogue:
     def _demand(self) -> Script[None]:
         """Check that the output can be used without acting on others; raise DeviceError if it cannot."""
         for demand in self._dialect.demands:
-            if (yield from _ask(demand.question)) not in demand.accepted:
+            if (yield from ask(demand.question)) not in demand.accepted:
                 raise DeviceError(demand.otherwise)
         select = self._dialect.select
-        if select is not None and (selected := (yield from _ask(Query(select.query, answers.number)))) != self._output:
+        if select is not None and (selected := (yield from ask(Query(select.query, answers.number)))) != self._output:
             raise DeviceError(f"output {selected:g} is selected after {select.command}")
 
     def _as_found(self, limits: Sequence[tuple[Protection, str, float]]) -> Script[list[ProtectionBefore]]:
         """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
         found = []
         for protection, key, limit in limits:
-            level = yield from _ask(Query(protection.level.query, answers.number))
+            level = yield from ask(Query(protection.level.query, answers.number))
             armed = yield from _armed(protection)
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
@@ -206,7 +206,7 @@ class ScpiDialogue:
         DeviceFault : the instrument says that it is not.
         """
         yield self._dialect.switch.format("ON" if on else "OFF")
-        if (yield from _ask(self._dialect.on)) is not on:
+        if (yield from ask(self._dialect.on)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
@@ -214,8 +214,8 @@ class ScpiDialogue:
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
-        on = yield from _ask(self._dialect.on)
-        condition = yield from _ask(self._dialect.condition)
+        on = yield from ask(self._dialect.on)
+        condition = yield from ask(self._dialect.condition)
         errors = yield from self._errors()
         fault = yield from self._tripped()
         mode = REGULATED.get(condition, "") if on else ""
@@ -227,7 +227,7 @@ class ScpiDialogue:
     def _tripped(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.over_voltage, self._dialect.over_current):
-            if protection is not None and (yield from _ask(Query(protection.tripped, answers.truth))):
+            if protection is not None and (yield from ask(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
         return ""
 
@@ -237,20 +237,20 @@ class ScpiDialogue:
             yield protection.switch.format("ON")
         if not (yield from _armed(protection)):
             raise DeviceError(f"{protection.name} does not stay on")
-        if (yield from _ask(Query(protection.tripped, answers.truth))):
+        if (yield from ask(Query(protection.tripped, answers.truth))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
     def _written(self, level: Level, value: float) -> Script[None]:
         """Write a level and read it back; raise if it differs by more than rounding."""
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
-        held = yield from _ask(Query(level.query, answers.number))
+        held = yield from ask(Query(level.query, answers.number))
         if not abs(held - value) <= _off_by(value):
             raise DeviceError(f"{level.command.split()[0]} holds {held:g} after {value:g} was written")
 
     def _errors(self) -> Script[tuple[ErrorEntry, ...]]:
         """Read the error queue until it is empty."""
         errors: list[ErrorEntry] = []
-        while (entry := (yield from _ask(self._dialect.error))).number:
+        while (entry := (yield from ask(self._dialect.error))).number:
             errors.append(entry)
             if len(errors) > MOST_ERRORS:
                 raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
@@ -259,16 +259,9 @@ class ScpiDialogue:
 
 def _armed(protection: Protection) -> Script[bool]:
     """Whether a protection is armed; one without a switch always is."""
-    return bool((yield from _ask(Query(protection.armed, answers.truth)))) if protection.switch else True
+    return bool((yield from ask(Query(protection.armed, answers.truth)))) if protection.switch else True
 
 
 def _off_by(value: float) -> float:
     """Tolerance of a level that is read back."""
     return ROUNDED * value + ROUNDED_BESIDE
-
-
-def _ask(question: Query) -> Script[Any]:
-    """Script that sends a query and returns the value of its reply."""
-    answer = yield question
-    assert answer is not None
-    return answer.value

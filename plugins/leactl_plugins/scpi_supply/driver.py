@@ -37,7 +37,7 @@ class ScpiSupply(SupplyDriver):
     def __init__(self, name: str, role: str, settings: ScpiSupplySettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
         self._dialogue = ScpiDialogue(settings)
-        self._line = SupplyLine(name, role, settings.feeds, port, self._dialogue, settings.answer_s, settings.period_s)
+        self._line = SupplyLine(name, role, settings, port, self._dialogue)
 
     def identity(self) -> Identity:
         """Maker with model, serial number and revision from `*IDN?`, in which 0 means that there is none."""
@@ -55,11 +55,6 @@ class ScpiSupply(SupplyDriver):
 
     # -- commands, for the supervisor --------------------------------------------------------------------------------
 
-    @property
-    def most(self) -> tuple[float, float]:
-        """Highest voltage [V] and current [A] that `supply` accepts: the levels of the protections."""
-        return self.settings.voltage_limit_V, self.settings.current_limit_A
-
     def supply(self, voltage: float, current: float) -> None:
         """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
 
@@ -67,7 +62,7 @@ class ScpiSupply(SupplyDriver):
         ------
         InputError : a value is not finite, negative, or above the protection's level; nothing is passed on.
         """
-        self._line.supply(voltage, current, self.most)
+        self._line.supply(voltage, current)
 
     @property
     def trip_accuracy(self) -> TripAccuracy:
