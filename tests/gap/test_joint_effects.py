@@ -50,6 +50,7 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     **{f"pushed {seed}": ("heavy_axis", ["push_in_time"], seed, "strong", COARSEST) for seed in PUSHED},
     "coarse": ("heavy_axis", [], 6, "plain", COARSE),
     "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
+    "between two values": ("drone_motor", ["power_foldback"], 6, "plain", {"rate": 250.0}),
 }
 NUMBERS = {  # a parameter of each effect, and how near it is to the truth
     "joint_elasticity": ("frequency", 0.15),
@@ -89,6 +90,14 @@ def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     told = {item.name: item for item in found.causes[0].parameters}
     assert told[parameter].value == pytest.approx(run.parameter(name, parameter), rel=near)
     assert told[parameter].std > 0.0
+
+
+def test_a_limit_between_two_values_of_the_grid_is_not_taken_for_one_that_is_near_its_value(drawn_case):
+    case, run = drawn_case("between two values")
+    found = diagnose(case)
+    assert named(found) == ["power_foldback"]  # a `torque_limit` is nearer as long as only the winner is refined
+    (power,) = [item.value for item in found.causes[0].parameters if item.name == "power"]
+    assert power == pytest.approx(run.parameter("power_foldback", "power"), rel=0.1)
 
 
 @pytest.mark.parametrize("seed", ONE_WAY)

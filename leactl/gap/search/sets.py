@@ -257,7 +257,7 @@ def search(evidence: Evidence) -> EffectSet:
         if added is None:
             break
         hypothesis = exchange(evidence, [*hypothesis, added])
-        hypothesis = refine(evidence, hypothesis)
+        hypothesis = replace_by_refined_rivals(evidence, refine(evidence, hypothesis))
     evidence.settle(hypothesis)  # finer forms leave less noise, under which they are told more finely
     return describe(evidence, prune(evidence, refine(evidence, hypothesis)))
 
@@ -407,19 +407,52 @@ def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True)
 
     shapes : whether also those that their strength tells.
     """
-    for index, (name, form) in enumerate(hypothesis):
-        effect = library()[name]
-        if not form or effect.periodic or not effect.continuous or (strength_tells_form(name, form) and not shapes):
-            continue
+    for index, candidate in enumerate(hypothesis):
+        if shapes or not strength_tells_form(*candidate):
+            hypothesis[index] = refined_beside(evidence, hypothesis[:index] + hypothesis[index + 1 :], candidate)
+    return hypothesis
+
+
+def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> Candidate:
+    """A candidate with the non-linear parameters that take most away beside others; keeps how surely they are told."""
+    name, form = candidate
+    effect = library()[name]
+    if not form or effect.periodic or not effect.continuous:
+        return candidate
+    grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
+    ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
+    if effect.narrow:
+        form = scanned(evidence, others, name, form, ratios[0])
+    form = refined(evidence, others, name, form, ratios)
+    if not strength_tells_form(name, form):
+        evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
+    return name, form
+
+
+def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
+    """Put a close rival in a member's place that takes more away once its form is as fine as the member's.
+
+    The grid's values are coarse for a form with a threshold: which of two such effects is nearest to its value on the
+    grid says nothing of which one acts.
+    """
+    for index, candidate in enumerate(hypothesis):
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
-        ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
-        if effect.narrow:
-            form = scanned(evidence, others, name, form, ratios[0])
-        form = refined(evidence, others, name, form, ratios)
-        hypothesis[index] = (name, form)
-        if not strength_tells_form(name, form):
-            evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
+        ranked = best_of_each(evidence, evidence.normal(), others)
+        gain = next((item.gain for item in ranked if item.effect == candidate[0]), math.inf)
+        close = [
+            item.candidate
+            for item in ranked
+            if item.height > ENTRY
+            and gain - item.gain < CLOSE * apart(gain)
+            and item.effect != candidate[0]
+            and not strength_tells_form(*item.candidate)
+        ]
+        for rival in close[:SHORTLIST]:
+            refined_beside(evidence, others, rival)
+        if close:
+            best = best_of_each(evidence, evidence.normal(), others)
+            if best[0].height > ENTRY:
+                hypothesis[index] = best[0].candidate
     return hypothesis
 
 
