@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import can
 
+from leactl.driver.clock import Clock
 from leactl.driver.far_end import Frame
 from leactl.emulation.bench.emulated_bench import EmulatedBench
-from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import EmulatedCanBus
 
 SYNC = 0x080
@@ -53,7 +53,9 @@ class RehearsedBus(ReplayBus):
     What is demanded may swing afterwards as far as the interlock on current against its demand lets it.
     """
 
-    def __init__(self, machine: EmulatedBench, host: EmulatedClock) -> None:
+    replay = ReplayBus.send
+
+    def __init__(self, machine: EmulatedBench, host: Clock) -> None:
         super().__init__([], [Frame(0x700 + node, b"\x05") for node in NODES])
         self._machine, self._host = machine, host
         self._wire = EmulatedCanBus(machine.wires["can0"])
@@ -70,7 +72,7 @@ class RehearsedBus(ReplayBus):
         if msg.arbitration_id == SYNC and sum(map(self._carries_its_demand, answers)) == len(NODES):
             self.answers = [frame for frame in answers if 0x180 <= frame.identifier < 0x500]
             self._wire.shutdown()
-            self.send = super().send  # type: ignore[method-assign]  # nothing of the rehearsal is timed
+            self.send = self.replay  # type: ignore[method-assign]  # nothing of the rehearsal is timed
 
     def _carries_its_demand(self, frame: Frame) -> bool:
         """Whether a frame is TPDO 1 (statusword, mode, torque, current) of a drive in operation at its torque."""

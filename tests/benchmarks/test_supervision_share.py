@@ -2,14 +2,14 @@
 
 from leactl import yamlfile
 from leactl.driver.contract import Row, StreamSpec
-from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
 from leactl.quantities import ChannelSpec
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.witnesses import TorqueModel
-from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
+from tests.benchmarks.test_control_cycle import CYCLES, rehearsal
+from tests.benchmarks.two_drives import machine_of, prepared, request_in
 from tests.safety.guards import LEA, guard_of
 
 LIMIT = 0.12  # of the cycle's CPU time; 0.10 before both currents were held against the torque sensor
@@ -42,12 +42,12 @@ def readings_of(second):
 
 
 def test_the_supervisor_takes_an_eighth_of_a_cycle_at_the_most(tmp_path, figure):
-    request, loops, seconds = cycle.request_in(tmp_path), [], [readings_of(k) for k in range(cycle.CYCLES // 1000)]
-    machine = EmulatedBench(request.bench, request.devices, "free", "", seed=1)
+    request, loops, seconds = request_in(tmp_path, CYCLES / 1000), [], [readings_of(k) for k in range(CYCLES // 1000)]
+    machine = machine_of(request)
     torque = StreamSpec("torque_sensor", (ChannelSpec("torque", "torque", "test", "torque_sensor"),))
 
     def prepare_next():
-        loop, bench, writer, _wiring = cycle.prepared(request, machine, len(loops))
+        loop, bench, writer, _progress = prepared(request, rehearsal(machine), len(loops))
         axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
         models = dict.fromkeys(axes, TorqueModel.of(LEA))
         interlocks = yamlfile.parse(INTERLOCKS).validate(Interlocks)
@@ -81,6 +81,6 @@ def test_the_supervisor_takes_an_eighth_of_a_cycle_at_the_most(tmp_path, figure)
         bench.close()
         writer.close("complete")
 
-    found = compare(judged, cycles, each=cycle.CYCLES, rounds=7, before=prepare_next, after=finish)
+    found = compare(judged, cycles, each=CYCLES, rounds=7, before=prepare_next, after=finish)
     figure(f"supervisor's check and receive, all interlocks: {found:us} of a cycle of two drives; limit {LIMIT}")
     assert found.ratio <= LIMIT

@@ -58,7 +58,9 @@ def test_what_no_row_shows_and_no_prior_bounds_may_be_anything():
     unseen = rows(1)
     unseen.columns["calibration", "a"] = np.zeros(200)
     silent = stack([unseen], {"b": 0.5})
-    fit = Normal(silent, [400.0]).fit()
+    normal = Normal(silent, [400.0])
+    fit = normal.fit()
+    assert [disagreement(normal, fit, index) for index in range(len(fit.columns))] == [1.0, 1.0]
     variance = dict(zip((silent.names[place] for place in fit.columns), np.diag(fit.covariance), strict=True))
     assert variance["calibration", "a"] == np.inf
     assert variance["calibration", "b"] < 0.1

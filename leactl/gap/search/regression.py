@@ -275,8 +275,11 @@ def disagreement(normal: Normal, fit: Fit, index: int) -> float:
     Each has an optimum of its own along the direction in which the others follow that coefficient. The root of their
     chi-square over its degrees of freedom widens the standard error (Birge, 1932).
     """
+    variance = fit.covariance[index, index]
+    if not np.isfinite(variance):  # no run shows it
+        return 1.0
     direction = np.zeros(len(normal.stack.names))
-    direction[fit.columns] = fit.covariance[:, index] / fit.covariance[index, index]
+    direction[fit.columns] = fit.covariance[:, index] / variance
     full = np.zeros(len(normal.stack.names))
     full[fit.columns] = fit.values
     scores, informations = [], []
