@@ -5,6 +5,7 @@ swings while the motor stands, z its damping ratio (Spong, 1987, of joints with 
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
@@ -84,8 +85,15 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
 
 def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
     """The load's acceleration behind a motor's; at first it moves along."""
+    above, below = behind_motor(frequency, damping_ratio, interval)
+    first = acceleration[0]
+    return np.asarray(first + lfilter(above, below, acceleration - first), np.float64)
+
+
+@lru_cache(maxsize=1024)  # every run of a machine, and of each sound one in its place, asks for the same
+def behind_motor(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
+    """Numerator and denominator of the filter over samples that leads from a motor's acceleration to its load's."""
     rate = 2.0 * np.pi * frequency
     over = [2.0 * damping_ratio * rate, rate**2]
     above, below, _ = cont2discrete((over, [1.0, *over]), interval, "foh")
-    first = acceleration[0]
-    return np.asarray(first + lfilter(above.ravel(), below.ravel(), acceleration - first), np.float64)
+    return above.ravel(), below.ravel()

@@ -1,6 +1,7 @@
 """Loads behind teeth with play, moved by a motor whose motion is known."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -31,18 +32,19 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
     starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
     states = np.zeros((2, CHUNK, loads, pieces))
     fastest = float(np.max(np.abs(speed)))
+    shares = np.arange(PARTS + 1)[:, None] / PARTS  # of a sample's interval
     load, piece = (index.ravel() for index in np.indices((loads, pieces)))  # of each lane; at first every piece of all
     for _ in range(PASSES):
         teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
-        state = starts[:, load, piece]
+        state = starts[0, load, piece], starts[1, load, piece]
         for index in range(CHUNK):
             before, after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
-            states[:, index, load, piece] = state
+            states[0, index, load, piece], states[1, index, load, piece] = state
+            moments = before + (after - before) * shares
             for part in range(PARTS):
-                shares = part / PARTS, (part + 1) / PARTS
-                state = teeth.step(*state, *(before + (after - before) * share for share in shares))
+                state = teeth.step(state[0], state[1], moments[part], moments[part + 1])
         followed_by = piece + 1 < pieces
-        load, piece, ends = load[followed_by], piece[followed_by] + 1, state[:, followed_by]
+        load, piece, ends = load[followed_by], piece[followed_by] + 1, np.stack(state)[:, followed_by]
         slower, behind = np.abs(starts[:, load, piece] - ends)
         starts[:, load, piece] = ends
         began_elsewhere = (slower > NEARLY * fastest) | (behind > LOOSELY * half_plays[load])
@@ -63,13 +65,23 @@ class Teeth:
     friction: Array  # rad/s^2
     interval: float  # s, of a step
 
-    def step(self, load: Array, twist: Array, before: Array, after: Array) -> Array:
+    @cached_property
+    def _kept(self) -> Array:
+        """Of the speed of a free load, that a step leaves."""
+        return np.exp(-self.damping * self.interval)
+
+    @cached_property
+    def _slowed(self) -> Array:
+        """What friction takes at most in a step [rad/s]."""
+        return self.friction * self.interval
+
+    def step(self, load: Array, twist: Array, before: Array, after: Array) -> tuple[Array, Array]:
         """Speed of the loads and angle of the motors beyond them after a step in which motors go on evenly."""
-        free = load * np.exp(-self.damping * self.interval)
-        most = self.friction * self.interval
-        free = free - np.minimum(np.maximum(free, -most), most)
+        # by minimum and maximum: `np.clip` takes several times as long for so few lanes
+        free = load * self._kept
+        free = free - np.minimum(np.maximum(free, -self._slowed), self._slowed)
         ahead = twist + 0.5 * (before + after - load - free) * self.interval
         side = np.sign(ahead)
         pushed = side * np.maximum(side * free, side * after)
         moved = np.where(np.abs(ahead) >= self.half_play, pushed, free)
-        return np.stack([moved, np.clip(ahead, -self.half_play, self.half_play)])
+        return moved, np.minimum(np.maximum(ahead, -self.half_play), self.half_play)
