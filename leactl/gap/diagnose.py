@@ -237,7 +237,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
             replayed, case.nominal or case.model, tuned, augmented, unexplained=case.unexplained
         ),
         bounded_fit=not by_runs,
-        in_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
+        borne_out_by_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
     )
     shrunk = applied.shrunk
     causes = borne_out(causes, applied)
@@ -247,7 +247,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    calibrates = not applied.alone_withdrawn and gained(evidence, searched)
+    calibrates = not applied.first_calibration_withdrawn and gained(evidence, searched)
     names = {cause.effect for cause in applied.fitted.causes}
     standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again

@@ -155,7 +155,7 @@ def test_what_equations_show_beyond_chance_needs_a_replay_s_gap_that_does_not_gr
         by = (by_effects, -1.0) if augmented.effects else (0.0, 0.0)
         return Shrunk((), (), (), (), Growth((-1.0, -1.0), by, False, False))
 
-    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate, in_equations={"saturation"})
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate, borne_out_by_equations={"saturation"})
     assert bool(applied.fitted.causes) is named
     assert not apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate).fitted.causes
 
@@ -163,7 +163,7 @@ def test_what_equations_show_beyond_chance_needs_a_replay_s_gap_that_does_not_gr
 def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     applied = apply(model, [SOUND], [], beside(SOUND), simulated(0.2, 0.0))
     assert applied.calibrated == applied.augmented == model
-    assert applied.alone_withdrawn
+    assert applied.first_calibration_withdrawn
     assert "calibration is not applied: with it the gap of held-out runs grows" in applied.notes[0]
 
 

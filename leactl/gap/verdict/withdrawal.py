@@ -35,52 +35,53 @@ class Applied:
     augmented: Model
     fitted: Fitted  # what the augmented model has
     shrunk: Shrunk
-    alone_withdrawn: bool  # whether the calibration that was fitted without effects is not applied
+    first_calibration_withdrawn: bool  # whether the calibration that was fitted without effects is not applied
     notes: tuple[str, ...]
     refused: tuple[Near, ...]  # effects that were named before, and why they are not
 
 
 def apply(
     model: Model,
-    alone: Sequence[CalibratedParameter],
+    without_effects: Sequence[CalibratedParameter],
     stages: Sequence[Sequence[Cause]],
     refit: Refit,
     simulate: Simulate,
     bounded_fit: bool = True,
-    in_equations: Collection[str] = (),
+    borne_out_by_equations: Collection[str] = (),
 ) -> Applied:
     """Apply calibration and named effects to the model as far as held-out runs bear them out.
 
     Parameters
     ----------
-    alone : parameters as they are fitted without any effect.
+    without_effects : parameters as they are fitted without any effect.
     stages : effects that were named, surest first: each stage has to close a gap beside those before it.
-    in_equations : effects that shrink, beyond chance, what the equations leave over in held-out runs.
-    bounded_fit : whether the fit ends at `SMALLEST`; free runs of a servo tell some parameters by their ratio alone.
+    borne_out_by_equations : effects, by name, that shrink beyond chance what the equations leave over in held-out runs.
+    bounded_fit : whether a parameter that ends at its bound counts against a trial; not so in the free runs of a servo,
+        which tell some parameters by their ratio only.
     """
-    fitted, calibrated = Fitted((), tuple(alone)), with_calibration(model, alone)
+    fitted, calibrated = Fitted((), tuple(without_effects)), with_calibration(model, without_effects)
     augmented, shrunk = calibrated, None
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(waiting):  # after each acceptance all refused ones are tried again
         index = len(refusals)
         trial = refit([*fitted.causes, *waiting[index]])
         entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in trial.causes]
-        further = with_effects(with_calibration(model, trial.calibration), entries)
-        beside = simulate(augmented, further)
-        told = all(cause.effect in in_equations for cause in waiting[index])
+        with_trial = with_effects(with_calibration(model, trial.calibration), entries)
+        comparison = simulate(augmented, with_trial)
+        by_equations = all(cause.effect in borne_out_by_equations for cause in waiting[index])
         bounds = at_bounds(trial.calibration) if bounded_fit else []
-        if reason := refusal(beside, bounds, bool(fitted.causes), told):
+        if reason := refusal(comparison, bounds, bool(fitted.causes), by_equations):
             refusals.append(reason)
             continue
-        shrunk = beside if shrunk is None else simulate(calibrated, further)
-        fitted, augmented = trial, further
+        shrunk = comparison if shrunk is None else simulate(calibrated, with_trial)
+        fitted, augmented = trial, with_trial
         accepted.append(waiting.pop(index))
         refusals.clear()
     notes = [refusal_note(stage, why) for stage, why in zip(waiting, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
-        worse = calibration_worse(shrunk)
-        if worse:  # what is fitted beside the effects is free of them
+        withdrawn = calibration_worse(shrunk)
+        if withdrawn:  # what is fitted beside the effects is free of them
             reason = "it takes up what the effects do, and the gap grows with it"
             calibrated = with_calibration(model, fitted.calibration)
             shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
@@ -92,7 +93,7 @@ def apply(
                 # time, try the others again beside this one, and keep what comes nearest to the held-out runs.
                 again = partial(
                     apply, model, fitted.calibration, refit=refit, simulate=simulate,
-                    bounded_fit=bounded_fit, in_equations=in_equations,
+                    bounded_fit=bounded_fit, borne_out_by_equations=borne_out_by_equations,
                 )  # fmt: skip
                 tried = [(stage, again(stages=all_but(stages, stage))) for stage in accepted]
                 dropped, nearest = min(tried, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", NEAR_FLOOR))
@@ -101,8 +102,8 @@ def apply(
                     notes=(*nearest.notes, notes[-1], refusal_note(dropped, GAP_GROWS)),
                     refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped)),
                 )
-        return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
-    bounded = at_bounds(alone) if bounded_fit else []
+        return Applied(calibrated, augmented, fitted, shrunk, withdrawn, tuple(notes), refused)
+    bounded = at_bounds(without_effects) if bounded_fit else []
     if not bounded:
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
@@ -148,7 +149,7 @@ def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
     return sum(max(float(getattr(line, model)) / line.floor_rms, least) ** 2 for line in lines)
 
 
-def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equations: bool) -> str:
+def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equations: bool) -> str:
     """Why held-out runs do not bear effects out; empty where they do. Beside others an effect has to show in more.
 
     A replay sums up every small error of its motion, which may hide a small effect, and stands at its floor before one
@@ -160,10 +161,10 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equa
     if shrunk.growth.effects_worse:
         return GAP_GROWS
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
-    in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
-    if shrunk.growth.closed is False and not in_equations:
+    by_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
+    if shrunk.growth.closed is False and not by_equations:
         return "with it no gap of held-out runs shrinks beyond chance"
-    if beside_others and shrunk.growth.closed_alike is False and not in_equations:
+    if beside_others and shrunk.growth.closed_alike is False and not by_equations:
         return "beside the others it shrinks the gap of few stretches of held-out runs, or of many by next to nothing"
     # runs too short to tell chance have to show at least that it shrinks
     undecided = shrunk.growth.closed is None and shrunk.growth.by_effects[0] >= 0.0
