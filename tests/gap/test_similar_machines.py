@@ -114,16 +114,9 @@ def test_a_drawn_machine_of_another_size_gets_the_same_answer(cases, before, cha
     assert compared(cases, before, change, size=SIZES[change]) >= SAME
 
 
-AT_A_QUARTER = 44 / 45  # of the answers, measured: less is a step back
-QUARTER = "44 of 45 stay: so few samples take a limit of power for one of torque"
-
-
 @pytest.mark.long
-@pytest.mark.parametrize(("divide", "least"), [(2, SAME), (4, AT_A_QUARTER)])
-def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide, least):
+@pytest.mark.parametrize("divide", [2, 4])
+def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide):
     slow = [not {*told["effects"], *told["unlisted"]} & BEYOND_HALF_THE_RATE for _, told in cases]
     kept, answers = ([one for one, keep in zip(row, slow, strict=True) if keep] for row in (cases, before))
-    share = compared(kept, answers, f"every {divide} samples", divide=divide)
-    assert share >= least
-    if share < SAME:
-        pytest.xfail(QUARTER)
+    assert compared(kept, answers, f"every {divide} samples", divide=divide) >= SAME
