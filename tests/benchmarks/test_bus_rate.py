@@ -64,19 +64,14 @@ class Run:
         machine = machine_of(request)
         machine.clock.sleep_until(0.05)  # its first step takes longer than a cycle
         clock = ClockSinceNow(machine.clock.now())
-        self._connected = []
-
-        def connect():
-            self._connected.append(TimedBus(machine, clock))
-            return self._connected[-1]
-
+        wiring = Rehearsal(clock, lambda: TimedBus(machine, clock))
         flushes = []
 
         def flush(writer):
             flushes.append(ThreadedFlush(writer))
             return flushes[-1]
 
-        loop, bench, writer, progress = prepared(request, Rehearsal(clock, connect), number, flush)
+        loop, bench, writer, progress = prepared(request, wiring, number, flush)
         if page is not None:
             page.show(progress)
         clock.late.clear()
@@ -84,8 +79,7 @@ class Run:
         loop.run()
         self.cycles_per_s = loop.cycles / (clock.now() - began)
         self.overruns, self.late = loop.overruns, clock.late[:]
-        bus = self._connected[-1]
-        self.bits = bus.cyclic_bits / bus.syncs
+        self.bits = wiring.bus.cyclic_bits / wiring.bus.syncs
         flushes[-1].stop()
         bench.close()
         writer.close("complete")

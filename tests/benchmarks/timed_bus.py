@@ -3,10 +3,10 @@
 Bits by ISO 11898-1: 11-bit identifier, CRC of 15 bits, a stuff bit after five alike, end and pause of 13 bits.
 """
 
+import itertools
 import os
 import time
 from collections import deque
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -55,7 +55,7 @@ class TimedBus(RehearsedBus):
         super().__init__(*arguments)
         self._pending: list[Pending] = []
         self._free = 0.0  # when the bus is [s]
-        self._numbers: Iterator[int] = iter(range(1 << 62))
+        self._numbers = itertools.count()  # frames of one identifier go in order
         self._carried: deque[tuple[float, Frame]] = deque()
         self.syncs = 0
         self.cyclic_bits = 0  # of SYNC, what is demanded with it, and the answers to it
