@@ -52,10 +52,10 @@ def held_by(processes):
 def test_hours_of_a_run_take_no_more_memory_and_files_than_its_first(tmp_path):
     (tmp_path / "soak.yaml").write_text(PROTOCOL)
     command = [sys.executable, "-m", "leactl", "run", "soak.yaml", "--events", "-", "--cold"]
-    run = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    # once a second of wall time, while the run goes on
-    looks = [held_by(family(run.pid)) for line in run.stdout if json.loads(line)["event"] == "values"]
-    assert run.wait() == 0
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as run:
+        # once a second of wall time, while the run goes on
+        looks = [held_by(family(run.pid)) for line in run.stdout if json.loads(line)["event"] == "values"]
+    assert run.returncode == 0
     memory, files = zip(*looks[1:], strict=True)  # the first may come before all is begun
     quarter = len(looks) // 4
     second, last = max(memory[quarter : 2 * quarter]), max(memory[3 * quarter :])

@@ -34,8 +34,8 @@ __all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 
 LIVE_CHUNK_ROWS = 1 << 12
 LIVE_TABLE_ROWS = 16
-# of each dataset, for its last chunk and a few before; HDF5's own 8 MiB (2.0) come to 160 MB for 20 channels in a night
-LIVE_CACHE_BYTES = 1 << 18
+# of each dataset, for its last chunk and one before; HDF5's own 8 MiB (2.0) come to 160 MB for 20 channels in a night
+LIVE_CACHE_BYTES = 1 << 16
 COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
 
 
