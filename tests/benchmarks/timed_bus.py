@@ -1,6 +1,6 @@
 """A CAN bus of 1 Mbit/s in this process: each frame takes the time of its bits, and the lowest identifier goes first.
 
-Bits by ISO 11898-1: 11-bit identifier, CRC of 15 bits, a stuff bit after five alike, end and pause of 13 bits.
+Bits by ISO 11898-1: 11-bit identifier, CRC of 15 bits, a stuff bit after five alike up to there, 13 more without.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from tests.benchmarks.replay import HEARTBEAT_EVERY, SYNC, VOLTAGE_ANSWER, VOLTA
 BIT_S = 1e-6
 CRC = 0x4599
 END_BITS = 13  # CRC delimiter, acknowledgement and its delimiter, end of frame (7), pause (3)
-SLEEP_S = 2e-4  # left to wait, above which the thread sleeps: waking up takes some 0.1 ms
+SLEEP_S = 2e-4  # the thread sleeps only if more than this is left to wait: waking up takes some 0.1 ms
 
 
 @lru_cache(maxsize=1 << 16)
@@ -54,11 +54,11 @@ class TimedBus(RehearsedBus):
     def __init__(self, *arguments) -> None:
         super().__init__(*arguments)
         self._pending: list[Pending] = []
-        self._free = 0.0  # when the bus is [s]
+        self._free = 0.0  # time at which the bus is free next [s]
         self._numbers = itertools.count()  # frames of one identifier go in order
         self._carried: deque[tuple[float, Frame]] = deque()
         self.syncs = 0
-        self.cyclic_bits = 0  # of SYNC, what is demanded with it, and the answers to it
+        self.cyclic_bits = 0  # of SYNC and PDOs, without heartbeats and SDOs
 
     def replay(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue a frame of the host."""
@@ -68,7 +68,7 @@ class TimedBus(RehearsedBus):
         self._pending.append(Pending(identifier, next(self._numbers), ready, data, by_host))
 
     def _carry(self, now: float) -> None:
-        """Carry the frames that have begun by now."""
+        """Send every frame whose start lies at or before now, in the order of priority."""
         while self._pending:
             begins = max(self._free, min(frame.ready for frame in self._pending))
             if begins > now:

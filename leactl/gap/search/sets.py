@@ -414,7 +414,7 @@ def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True)
 
 
 def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> Candidate:
-    """A candidate with the non-linear parameters that take most away beside others; keeps how surely they are told."""
+    """The candidate in its best form beside others; stores the covariance of that form in `evidence.form_spread`."""
     name, form = candidate
     effect = library()[name]
     if not form or effect.periodic or not effect.continuous:
@@ -430,10 +430,10 @@ def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candi
 
 
 def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Put a close rival in a member's place that takes more away once its form is as fine as the member's.
+    """Refine the close rivals of each member; then put whichever effect takes most away in its place.
 
-    The grid's values are coarse for a form with a threshold: which of two such effects is nearest to its value on the
-    grid says nothing of which one acts.
+    The grid's values are coarse for a form with a threshold: the effect whose value lies nearer to the grid gains more,
+    whether or not it is the one that acts.
     """
     for index, candidate in enumerate(hypothesis):
         others = hypothesis[:index] + hypothesis[index + 1 :]
@@ -448,7 +448,7 @@ def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -
             and not strength_tells_form(*item.candidate)
         ]
         for rival in close[:SHORTLIST]:
-            refined_beside(evidence, others, rival)
+            refined_beside(evidence, others, rival)  # its finer forms are among the candidates from here on
         if close:
             best = best_of_each(evidence, evidence.normal(), others)
             if best[0].height > ENTRY:
