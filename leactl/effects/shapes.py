@@ -1,5 +1,7 @@
 """Curves that several effects are made of: hysteresis operators, lags and delays of sampled signals."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
@@ -28,26 +30,58 @@ def play(values: Array, half_width: float) -> Array:
 
 def stuck_between(low: Array, high: Array) -> Array:
     """What stays as it is until a bound takes it along; zero at first."""
-    kept, bounds = 0.0, zip(low.tolist(), high.tolist(), strict=True)
-    return np.array([kept := least if kept < least else most if kept > most else kept for least, most in bounds])
+    lows, highs = side_by_side(low), side_by_side(high)
+    least, most = np.empty_like(lows), np.empty_like(highs)  # bounds of a block's steps so far, seen from its start
+    bounds = np.array([np.full(lows.shape[1], -np.inf), np.full(lows.shape[1], np.inf)])
+    for k in range(len(lows)):
+        bounds = np.fmin(np.fmax(bounds, lows[k]), highs[k])
+        least[k], most[k] = bounds
+    kept, ends = 0.0, zip(least[-1].tolist(), most[-1].tolist(), strict=True)
+    starts = [kept, *(kept := min(max(kept, lowest), highest) for lowest, highest in ends)][:-1]
+    return one_after_another(np.fmin(np.fmax(starts, least), most), len(low))
 
 
 def bristle(angle: Array, displacement: float) -> Array:
     """Friction over its Coulomb level that builds up exponentially over an angle (Dahl, 1968), in -1 .. 1."""
     steps = np.diff(angle, prepend=angle[0])
     decay = np.exp(-np.abs(steps) / displacement)
-    gain = np.sign(steps) * (1.0 - decay)
-    state = 0.0
-    return np.array([state := state * d + g for d, g in zip(decay.tolist(), gain.tolist(), strict=True)], np.float64)
+    decays, gains = side_by_side(decay), side_by_side(np.sign(steps) * (1.0 - decay))
+    for k in range(1, len(decays)):  # of a block's steps so far, seen from its start
+        gains[k] += gains[k - 1] * decays[k]
+        decays[k] *= decays[k - 1]
+    state, ends = 0.0, zip(decays[-1].tolist(), gains[-1].tolist(), strict=True)
+    starts = [state, *(state := state * d + g for d, g in ends)][:-1]
+    return one_after_another(starts * decays + gains, len(angle))
+
+
+def side_by_side(values: Array) -> Array:
+    """A signal cut into as many blocks as each has steps, a column for each, the last value repeated to its end.
+
+    What remembers its past then goes through all blocks at once, and through their ends.
+    """
+    steps = math.isqrt(len(values)) + 1
+    blocks = -(-len(values) // steps)
+    return np.pad(values, (0, steps * blocks - len(values)), mode="edge").reshape(blocks, steps).T.copy()
+
+
+def one_after_another(blocks: Array, samples: int) -> Array:
+    """The signal whose blocks are these."""
+    return blocks.T.reshape(-1)[:samples].copy()
 
 
 def rate_limited(values: Array, step: float, begin: float | None = None) -> Array:
     """What follows values by no more than a step at a time, from a beginning; by default from the first value."""
-    kept, out = float(values[0]) if begin is None else begin, list[float]()
-    if max(abs(float(values[0]) - kept), float(np.max(np.abs(np.diff(values)), initial=0.0))) <= step:
+    kept = float(values[0]) if begin is None else begin
+    late = np.flatnonzero(np.abs(np.diff(values, prepend=kept)) > step).tolist()
+    if not late:
         return values
-    for value in values.tolist():
-        change = value - kept
-        kept += step if change > step else -step if change < -step else change
-        out.append(kept)
+    out, reached = values.tolist(), 0
+    for k in late:
+        if k < reached:
+            continue
+        kept, reached = out[k - 1] if k else kept, k
+        while reached < len(out) and abs(change := out[reached] - kept) > step:
+            kept += math.copysign(step, change)
+            out[reached] = kept
+            reached += 1
     return np.array(out, np.float64)

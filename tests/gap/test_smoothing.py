@@ -86,6 +86,17 @@ def test_a_rate_limit_holds(values, step):
     assert np.all(np.abs(np.diff(out)) <= step + 1e-9)
 
 
+@given(SIGNALS, st.floats(0.01, 5))
+def test_every_step_of_a_curve_with_a_memory_follows_from_the_one_before(values, width):
+    played, bent, limited = play(values, width), bristle(values, width), rate_limited(values, width, 1.5)
+    np.testing.assert_array_equal(played, np.clip(np.append(0.0, played[:-1]), values - width, values + width))
+    moved = np.diff(values, prepend=values[0])
+    decay = np.exp(-np.abs(moved) / width)
+    np.testing.assert_allclose(bent, np.append(0.0, bent[:-1]) * decay + np.sign(moved) * (1.0 - decay), atol=1e-12)
+    behind = np.append(1.5, limited[:-1])
+    np.testing.assert_allclose(limited, behind + np.clip(values - behind, -width, width), atol=1e-12)
+
+
 @given(st.floats(0.1, 5.0), st.floats(5.0, 15.0))
 def test_which_way_is_a_mean_over_the_interval_in_which_a_speed_turns_back(rate, turns_at):
     at = np.arange(20.0)
