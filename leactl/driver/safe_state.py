@@ -3,9 +3,42 @@
 A device that does not answer uses up its deadline; all others have received their command before.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from typing import Protocol
 
 from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, PowerSupply
+from leactl.errors import DeviceError
+
+
+class Port(Protocol):
+    """What a connection lost can be made again by."""
+
+    def reopen(self) -> None:
+        """Connect afresh.
+
+        Raises
+        ------
+        DeviceError : it cannot be connected to.
+        """
+
+
+def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], bool]) -> None:
+    """Send a command that removes power, without waiting for its answer; once more over a new connection if that fails.
+
+    send : connects where nothing is connected, and sends.
+    is_open : whether a connection had been made; without one there is no second try, which `safe_state` tells.
+    """
+    for _ in range(2):
+        try:
+            send()
+        except DeviceError:
+            if not is_open():
+                return
+            with suppress(DeviceError):
+                port.reopen()
+        else:
+            return
 
 
 def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:

@@ -15,6 +15,7 @@ from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
+from leactl.driver.safe_state import send_at_once
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
@@ -181,18 +182,13 @@ class ElmoCan(Driver):
         It is sent by PDO, for a drive that is mapped and operational, and by SDO, for one set up by another program.
         """
         self._turn_to(Mode.OFF)
-        for _ in range(2):
-            try:
-                self._connect()
-                self._send_demand(cia402.DISABLE_VOLTAGE)
-                self._port.sync()
-                self._port.send(0x600 + self._node, DISABLE_VOLTAGE_BY_SDO)
-            except DeviceError:
-                if not self._opened:
-                    return  # no bus to reach it by, which `safe_state` will tell
-                self._port.reopen()
-            else:
-                return
+        send_at_once(self._disable_by_pdo_and_sdo, self._port, lambda: self._opened)
+
+    def _disable_by_pdo_and_sdo(self) -> None:
+        self._connect()
+        self._send_demand(cia402.DISABLE_VOLTAGE)
+        self._port.sync()
+        self._port.send(0x600 + self._node, DISABLE_VOLTAGE_BY_SDO)
 
     def open(self) -> None:
         """Identify the drive, disable it, read its scales, arm its monitoring of the host, map its PDOs, start it.

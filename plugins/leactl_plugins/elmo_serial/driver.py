@@ -23,6 +23,7 @@ from leactl.driver.contract import (
 from leactl.driver.conversation import Unreadable
 from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import Physics, SerialEmulator
+from leactl.driver.safe_state import send_at_once
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -154,18 +155,12 @@ class ElmoSerial(EngagingDrive):
     def stop_now(self) -> None:
         """Send the command that switches the motor off, without waiting; over a new connection if needed."""
         self._follow(Mode.OFF)
-        for _ in range(2):
-            try:
-                if not self._port.connected:
-                    self._port.reopen()
-                self._port.write(MOTOR_OFF)
-            except DeviceError:
-                if not self._opened:
-                    return  # no line to reach it by, which `safe_state` will tell
-                with suppress(DeviceError):
-                    self._port.reopen()
-            else:
-                return
+        send_at_once(self._send_off, self._port, lambda: self._opened)
+
+    def _send_off(self) -> None:
+        if not self._port.connected:
+            self._port.reopen()
+        self._port.write(MOTOR_OFF)
 
     def open(self) -> None:
         """Connect to the drive, switch it off, check its program, read its limits, set its timeout of the host.

@@ -13,6 +13,7 @@ from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
+from leactl.driver.safe_state import send_at_once
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.moteus_can import configuration as conf
@@ -154,17 +155,12 @@ class MoteusCan(Driver):
         in_fault = self.reported_mode == OperatingMode.FAULT
         self._follow(Mode.OFF)
         self.reported_mode = int(OperatingMode.FAULT) if in_fault else None
-        for _ in range(2):
-            try:
-                self._connect()
-                self._exchange.ask(b"" if in_fault else STOP, STATUS)
-            except DeviceError:
-                if not self._connected:
-                    return  # no bus to reach it by, which `safe_state` will tell
-                with suppress(DeviceError):
-                    self._port.reopen()
-            else:
-                return
+
+        def send() -> None:
+            self._connect()
+            self._exchange.ask(b"" if in_fault else STOP, STATUS)
+
+        send_at_once(send, self._port, lambda: self._connected)
 
     def open(self) -> None:
         """Meet the controller, look at its faults, stop it, read its scales, and set what it does on a time-out.

@@ -15,6 +15,7 @@ from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import CanEmulator, Physics
+from leactl.driver.safe_state import send_at_once
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.odrive_can import endpoints
@@ -123,17 +124,11 @@ class OdriveCan(EngagingDrive):
     def stop_now(self) -> None:
         """Send the command that sets the axis idle, without waiting; over a new connection if needed."""
         self._follow(Mode.OFF)
-        for _ in range(2):
-            try:
-                self._connect()
-                self._set_state(AxisState.IDLE)
-            except DeviceError:
-                if not self._connected:
-                    return  # no bus to reach it by, which `safe_state` will tell
-                with suppress(DeviceError):
-                    self._port.reopen()
-            else:
-                return
+        send_at_once(self._set_idle, self._port, lambda: self._connected)
+
+    def _set_idle(self) -> None:
+        self._connect()
+        self._set_state(AxisState.IDLE)
 
     def open(self) -> None:
         """Connect to the drive, set it idle, check its firmware, read its scales, and set its watchdog's timeout.
