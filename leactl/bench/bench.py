@@ -38,8 +38,6 @@ class Bench:
             driver = registry.load(entry.driver)(device.name, entry.role, device.settings, port, self.clock)
             self.drivers[device.name] = driver
             if isinstance(driver, MotionDevice):
-                if entry.role in self.drives:
-                    raise InputError(f"bench '{file.name}': two drives in the role '{entry.role}'")
                 self.drives[entry.role] = driver
                 self._motion.append(driver)
             if driver.synchronised and isinstance(port, CanPort) and entry.bus:

@@ -179,7 +179,7 @@ class BenchFile(Block):
     emulated: Emulated | None = None
 
     @model_validator(mode="after")
-    def _one_drive_a_role(self) -> "BenchFile":
+    def _needs_the_test_motor(self) -> "BenchFile":
         if "test" not in self.motors:
             raise ValueError("motors.test is required: it tells the supervisor what the winding endures")
         return self
@@ -221,6 +221,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     faults += _shared_identifiers(document, usable)
     faults += _false_signs_of_life(document, usable)
     faults += _shared_folders(document, usable)
+    faults += _shared_roles(document, usable)
     faults += [document.fault(("interlocks", *keys), text) for keys, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
@@ -364,6 +365,19 @@ def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice
             if holder != device.name:
                 message = f"{settings.exports_folder} is that of {holder}; a folder of its own was expected"
                 faults.append(document.fault(("devices", device.name, "settings", "exports_folder"), message))
+    return faults
+
+
+def _shared_roles(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """One line for each drive in the role of another: a protocol names a drive by its role."""
+    first: dict[str, str] = {}
+    faults = []
+    for device in devices:
+        if hasattr(registry.load(device.entry.driver), "engage"):
+            holder = first.setdefault(device.entry.role, device.name)
+            if holder != device.name:
+                message = f"{device.entry.role} is the role of {holder}; another one was expected"
+                faults.append(document.fault(("devices", device.name, "role"), message))
     return faults
 
 

@@ -356,8 +356,9 @@ def test_two_channels_that_no_run_file_tells_apart_are_refused_with_the_file(che
         checked(second_sensor(**settings))
 
 
-def test_two_drives_in_one_role_are_refused_with_the_file(checked):
-    with pytest.raises(InputError, match="two drives in the role 'test'"):
+def test_two_drives_in_one_role_are_refused_with_the_line(checked):
+    words = r"mine.yaml:\d+:\d+  devices.drive_load.role: test is the role of drive_test; another one was expected"
+    with pytest.raises(InputError, match=words):
         checked(device("drive_load", role="test"))
 
 
