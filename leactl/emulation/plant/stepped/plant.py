@@ -1,8 +1,9 @@
 """The stepped plant: many benches at once, in fixed sub-steps of 0.1 ms, with every effect of the vocabulary.
 
-Currents follow the first-order loop exactly within a sub-step. The mechanics leap-frog: angles live half a sub-step
-ahead of velocities, which keeps the shaft's resonance (360 Hz, 0.22 rad a sub-step) at its frequency to 0.2 % and its
-energy for ever. Friction is taken off the free velocity and never turns it around: that is sticking.
+Currents follow the first-order loop exactly within a sub-step. Where nothing else acts on them, current loops and
+sensors' filters are worked out for all sub-steps of a millisecond at once. The mechanics leap-frog: angles live half a
+sub-step ahead of velocities, which keeps the shaft's resonance (360 Hz, 0.22 rad a sub-step) at its frequency to 0.2 %
+and its energy for ever. Friction is taken off the free velocity and never turns it around: that is sticking.
 """
 
 import math
@@ -42,6 +43,7 @@ class SteppedPlant:
         self._free, self._loss, self._net = np.zeros(both), np.zeros(both), np.zeros(both)
         self._target, self._change, self._middle = np.zeros(both), np.zeros(both), np.zeros(both)
         self._reference, self._twist, self._shaft = np.zeros(both), np.zeros(count), np.zeros(count)
+        self._means, self._shafts = np.zeros((SUBSTEPS, *both)), np.zeros((SUBSTEPS, count))  # of a millisecond
         self._constants = np.ones(both)  # magnets' share
         self._scratch, self._line = np.zeros(both), np.zeros(count)
         self._slow: list[Now] = []
@@ -75,8 +77,9 @@ class SteppedPlant:
             own.of(self.current_gain)[:] *= own.effect.sense_current(1.0) - zero
         self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self.current_gain
         self._approach = -np.expm1(-self._loop * STEP)
-        self._velocity_gain = _gain(column(lanes, lambda lane: lane.bench.velocity_filter_bandwidth))
-        self._torque_gain = _gain(column(lanes, lambda lane: lane.bench.torque_filter_bandwidth))
+        self._to_go = np.exp(-self._loop * STEP * np.arange(SUBSTEPS + 1).reshape(-1, 1, 1))
+        self._velocity_filter = _Filter(column(lanes, lambda lane: lane.bench.velocity_filter_bandwidth))
+        self._torque_filter = _Filter(column(lanes, lambda lane: lane.bench.torque_filter_bandwidth))
 
     def _make_views(self) -> None:
         """Views of the state for each effect, and the memories of those that have one."""
@@ -90,6 +93,7 @@ class SteppedPlant:
                 self.thermal.housing[at],
             )
             self._slow.append(now)
+        self._net_of_test, self._net_of_load = self._net
         made = [(own, own.effect.reference_path(own.width, STEP)) for own in bound["reference_path"]]
         self._reference_paths = [(own, path) for own, path in made if path]
         made = [(own, own.effect.velocity_path(own.width, STEP)) for own in bound["velocity_path"]]
@@ -117,11 +121,20 @@ class SteppedPlant:
         np.divide(self._reference - self.current_offset, self.current_gain, out=self._target)
         self._refresh()
         start, before = self.current.copy(), self.angle.copy()
-        self.current_mean[:] = 0.0
-        guarded = self._near_ceiling()
-        for _ in range(SUBSTEPS):
-            self._step(guarded)
-        self.current_mean /= SUBSTEPS
+        if self._near_ceiling():
+            self.current_mean[:] = 0.0
+            for k in range(SUBSTEPS):
+                self._follow()
+                self._step(k)
+            self.current_mean /= SUBSTEPS
+        else:
+            for k, middle in enumerate(self._followed()):
+                np.copyto(self._middle, middle)
+                self._step(k)
+        if not self._velocity_paths:
+            self._velocity_filter.pass_all(self._means, self._filtered)
+        if not self._torque_paths:
+            self._torque_filter.pass_all(self._shafts, self._sensed)
         np.subtract(self._ahead, 0.5 * STEP * self.velocity, out=self.angle)
         self._measure(start, before)
         self._warm((self.angle[0] - before[0]) / TICK)
@@ -166,27 +179,38 @@ class SteppedPlant:
         delayed = 0.0 if not self._reference_paths else math.inf
         return bool((needed + 2.0 + delayed > self.bus_voltage / math.sqrt(2.0)).any())
 
-    def _step(self, guarded: bool) -> None:
-        current, change, middle, net, free = self.current, self._change, self._middle, self._net, self._free
-        velocity, ahead, scratch = self.velocity, self._ahead, self._scratch
+    def _followed(self) -> Array:
+        """Currents in the middle of each sub-step of this millisecond, of loops that no ceiling holds."""
+        off = self.current - self._target
+        at = self._target + off * self._to_go
+        np.copyto(self.current, at[-1])
+        middles: Array = 0.5 * (at[:-1] + at[1:])
+        np.mean(middles, axis=0, out=self.current_mean)
+        return middles
+
+    def _follow(self) -> None:
+        """Take the currents on by a sub-step, under the ceiling of the voltage."""
+        current, change, middle = self.current, self._change, self._middle
         for own, path in self._reference_paths:
             followed = path(own.of(self._reference))
             own.of(self._target)[:] = (followed - own.of(self.current_offset)) / own.of(self.current_gain)
         np.subtract(self._target, current, out=change)
         change *= self._approach
-        if guarded:
-            self._limit_voltage()
+        self._limit_voltage()
         np.multiply(change, 0.5, out=middle)
         middle += current
         current += change
         self.current_mean += middle
 
-        np.multiply(self._drive, middle, out=net)
+    def _step(self, index: int) -> None:
+        """Take the mechanics on by a sub-step, of this index in its millisecond."""
+        net, free, velocity, ahead, scratch = self._net, self._free, self.velocity, self._ahead, self._scratch
+        np.multiply(self._drive, self._middle, out=net)
         for own in self._bound["torque_share"]:
             own.of(net)[:] *= own.effect.torque_share(own.now)
-        self._strain()
-        net[0] -= self._shaft
-        net[1] += self._shaft
+        self._strain(index)
+        self._net_of_test -= self._shaft
+        self._net_of_load += self._shaft
         for own in self._bound["torque"]:
             own.of(net)[:] += own.effect.torque(own.now.angle, own.of(velocity))
         for own, torque in self._rotor_paths:
@@ -202,9 +226,11 @@ class SteppedPlant:
         scratch -= self._loss
         np.maximum(scratch, 0.0, out=scratch)
         np.copysign(scratch, free, out=free)
-        np.add(velocity, free, out=scratch)
+        mean = self._means[index]
+        np.add(velocity, free, out=mean)
         np.copyto(velocity, free)
-        self._sense_velocity(scratch)
+        mean *= 0.5
+        self._sense_velocity(mean)
         np.multiply(velocity, STEP, out=scratch)
         ahead += scratch
 
@@ -216,8 +242,8 @@ class SteppedPlant:
         needed = self._resistance * self.current + self._emf * velocity + per_step * self._change
         self._change -= (needed - np.clip(needed, -ceiling, ceiling)) / per_step
 
-    def _strain(self) -> None:
-        """Torque of the shaft, and the sensor behind its filter."""
+    def _strain(self, index: int) -> None:
+        """Torque of the shaft, and of the sensor behind its filter where something else follows it."""
         twist, shaft, line = self._twist, self._shaft, self._line
         np.subtract(self._ahead[0], self._ahead[1], out=twist)
         np.subtract(self.velocity[0], self.velocity[1], out=line)
@@ -227,9 +253,9 @@ class SteppedPlant:
         np.multiply(self._stiffness, twist, out=shaft)
         line *= self._shaft_damping
         shaft += line
-        np.subtract(shaft, self._sensed, out=line)
-        line *= self._torque_gain
-        self._sensed += line
+        np.copyto(self._shafts[index], shaft)
+        if self._torque_paths:
+            self._torque_filter.pass_one(shaft, self._sensed)
         for own, path in self._torque_paths:
             self.torque_read[own.lanes] = path(self._sensed[own.lanes])
 
@@ -243,16 +269,14 @@ class SteppedPlant:
             own.of(self._level_now)[:] = level
             own.of(self._loss)[:] = level * own.of(self._brake)
 
-    def _sense_velocity(self, twice_mean: Array) -> None:
-        """The encoder's difference over a sub-step behind the drive's first-order filter."""
-        twice_mean *= 0.5
+    def _sense_velocity(self, mean: Array) -> None:
+        """The encoder's difference over a sub-step, behind the drive's first-order filter where something follows."""
         for own, before in self._encoder_errors:
             error = own.effect.encoder_error(own.of(self._ahead))
-            own.of(twice_mean)[:] += (error - before) / STEP
+            own.of(mean)[:] += (error - before) / STEP
             before[:] = error
-        twice_mean -= self._filtered
-        twice_mean *= self._velocity_gain
-        self._filtered += twice_mean
+        if self._velocity_paths:
+            self._velocity_filter.pass_one(mean, self._filtered)
         for own, path in self._velocity_paths:
             own.of(self.velocity_read)[:] = path(own.of(self._filtered))
 
@@ -314,6 +338,22 @@ class SteppedPlant:
         return total
 
 
-def _gain(bandwidth: Array) -> Array:
-    gain: Array = -np.expm1(-2.0 * math.pi * bandwidth * STEP)
-    return gain
+class _Filter:
+    """A first-order filter of a sensor in each lane, whose input is constant over a sub-step."""
+
+    def __init__(self, bandwidth: Array) -> None:
+        rate = 2.0 * math.pi * bandwidth * STEP
+        self._gain, self._left = -np.expm1(-rate), np.exp(-rate * SUBSTEPS)
+        self._weights = self._gain * np.exp(-rate * np.arange(SUBSTEPS - 1, -1, -1).reshape(-1, 1))
+
+    def pass_one(self, value: Array, output: Array) -> None:
+        """Take the output on by a sub-step."""
+        output += self._gain * (value - output)
+
+    def pass_all(self, values: Array, output: Array) -> None:
+        """Take the output on by a millisecond.
+
+        values : (sub-steps, ..., lanes).
+        """
+        output *= self._left
+        output += np.einsum("kl,k...l->...l", self._weights, values)
