@@ -188,9 +188,8 @@ def demo(
     from leactl.emulation.blind.make import make
     from leactl.gap.blind.demonstration import demonstrate
     from leactl.report.gap_demo import demonstration_json as document
-    from leactl.report.gap_demo import demonstration_lines, demonstration_section, files_of
+    from leactl.report.gap_demo import demonstration_lines, files_of, page
     from leactl.report.gap_files import publish
-    from leactl.report.gap_page import page
     from leactl.report.steps import Steps
 
     number = randbelow(FRESH) if seed is None else seed
@@ -199,7 +198,7 @@ def demo(
         step("planting an effect and running the emulated bench")
         make(1, files.bench, files.key, number, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
         shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
-        publish(files.page, page(shown.answer, demonstration_section(shown, number)))
+        publish(files.page, page(shown, number))
     typer.echo(
         json.dumps(document(shown, number, files)) if as_json else "\n".join(demonstration_lines(shown, number, files))
     )

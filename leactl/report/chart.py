@@ -1,20 +1,30 @@
-"""Charts for pages: curves are SVG stretched to any width, labels are HTML beside it and keep their size."""
+"""Charts for pages: curves are SVG stretched to any width, labels are HTML beside it and keep their size.
+
+All coordinates are worked out here; `parts.html` of the templates writes the elements.
+"""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.report.html import Html, joined, tag
 from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
 TICKS = (5, 5)  # about the most along x and y: at 360 px, x labels have 47 px each
-DRAWING_SIZE = 1000.0  # units of the drawing, across and down
+DRAWING_SIZE = 1000.0  # units of the drawing, across and down; the templates' `viewBox` says it too
 GAP_STEPS = 10.0  # median steps of a curve; points further apart are not connected
 LONGEST_TICK_TEXT = 7  # characters
+
+
+class SvgPath(NamedTuple):
+    """One path of a drawing: its commands as SVG has them, and its classes."""
+
+    d: str
+    style: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +42,7 @@ class LineMarks:
         """Return all x and y values, which the axes have to contain."""
         return self.x, self.y
 
-    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+    def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return the path, interrupted where a value is not finite and where points are missing."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
@@ -43,7 +53,7 @@ class LineMarks:
                 continue
             path.append(f"{'M' if starts_anew else pen}{across(x, x_value)} {down(y, y_value)}")
             pen = "L"
-        return tag("path", d="".join(path), class_=f"curve {self.style}")
+        return [SvgPath("".join(path), f"curve {self.style}")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +70,7 @@ class PointMarks:
         finite = np.isfinite(self.x) & np.isfinite(self.y)
         return self.x[finite], self.y[finite]
 
-    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+    def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return strokes of almost no length: their ends are the marks, whose shape a stretched drawing keeps.
 
         A PDF paints a stroke of zero length only if its ends are round (ISO 32000, 8.5.3.2), so that one with square
@@ -69,8 +79,8 @@ class PointMarks:
         stroke = "h0.1" if "square" in self.style.split() else "h0"
         pairs = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
         d = "".join(f"M{across(x, a)} {down(y, b)}{stroke}" for a, b in pairs)
-        marks = tag("path", d=d, class_=f"marks {self.style}")
-        return joined([marks, tag("path", d=d, class_="marks hole")]) if "ring" in self.style.split() else marks
+        hole = [SvgPath(d, "marks hole")] if "ring" in self.style.split() else []
+        return [SvgPath(d, f"marks {self.style}"), *hole]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +98,14 @@ class Bins:
         """Return the edges of the bins and the ends of their bars, which the axes have to contain."""
         return np.concatenate([self.low, self.high]), np.concatenate([self.mean - self.std, self.mean + self.std])
 
-    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+    def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return two paths: the bars, and the strokes over them."""
         bars, strokes = [], []
         for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
             start, end = across(x, a), across(x, b)
             bars.append(f"M{start} {down(y, mean - std)}H{end}V{down(y, mean + std)}H{start}Z")
             strokes.append(f"M{start} {down(y, mean)}H{end}")
-        return joined(
-            [
-                tag("path", d="".join(bars), class_=f"area {self.style}"),
-                tag("path", d="".join(strokes), class_=f"curve {self.style}"),
-            ]
-        )
+        return [SvgPath("".join(bars), f"area {self.style}"), SvgPath("".join(strokes), f"curve {self.style}")]
 
 
 @dataclass(frozen=True)
@@ -117,13 +122,13 @@ class AxisRange:
         """Return both ends of a part of y, which the axis has to contain; a part of x is cut at the axes instead."""
         return np.empty(0), np.empty(0) if self.upright else np.asarray([self.low, self.high])
 
-    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+    def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return one rectangle that reaches across the other axis."""
         if self.upright:
             path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{DRAWING_SIZE:g}H{across(x, self.low)}Z"
         else:
             path = f"M0 {down(y, self.low)}H{DRAWING_SIZE:g}V{down(y, self.high)}H0Z"
-        return tag("path", d=path, class_=f"area {self.style}")
+        return [SvgPath(path, f"area {self.style}")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +144,48 @@ class Area:
         corners = np.array([corner for polygon in self.polygons for corner in polygon]).reshape(-1, 2)
         return corners[:, 0], corners[:, 1]
 
-    def markup(self, x: PlotAxis, y: PlotAxis) -> Html:
+    def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return one path of all polygons."""
         rings = ["L".join(f"{across(x, a)} {down(y, b)}" for a, b in polygon) for polygon in self.polygons]
-        return tag("path", d="".join(f"M{ring}Z" for ring in rings), class_=f"band {self.style}")
+        return [SvgPath("".join(f"M{ring}Z" for ring in rings), f"band {self.style}")]
 
 
 Layer = LineMarks | PointMarks | Bins | AxisRange | Area
-Key = tuple[str, str]
+Key = tuple[str, str]  # of a legend: style and name
+Tick = tuple[str, str]  # where on the axis its text stands, and the text
 NO_CURVE = LineMarks("", "", np.empty(0), np.empty(0))
+
+
+class LineLabel(NamedTuple):
+    """The name of a line and the place on the line where it stands."""
+
+    text: str
+    left: str
+    top: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart with its coordinates worked out, as its template takes it."""
+
+    keys: Sequence[Key]
+    x_ticks: Sequence[Tick]
+    x_label: str
+    y_ticks: Sequence[Tick]
+    y_label: str
+    x_ends: str  # in the quantity's units
+    y_ends: str
+    description: str
+    paths: Sequence[SvgPath]  # in the order in which they are drawn over each other
+    labels: Sequence[LineLabel]
+
+
+@dataclass(frozen=True)
+class CaptionedChart:
+    """A chart and the text over it."""
+
+    caption: str
+    chart: Chart
 
 
 def chart(
@@ -157,8 +195,8 @@ def chart(
     beside: Sequence[Layer] = (),
     keys: Sequence[Key] = (),
     x_log: bool = False,
-) -> Html:
-    """Return the layers drawn over each other, with ticks at round numbers and a legend.
+) -> Chart:
+    """Return a chart of the layers drawn over each other, with ticks at round numbers and a legend.
 
     Parameters
     ----------
@@ -174,30 +212,21 @@ def chart(
     x_ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): tick_text(value, text) for value, text in y.ticks.items()}
     grid = "".join([*(f"M{at} 0V{DRAWING_SIZE:g}" for at in x_ticks), *(f"M0 {at}H{DRAWING_SIZE:g}" for at in y_ticks)])
-    drawing = tag(
-        "svg",
-        tag("path", d=grid, class_="grid"),
-        *(layer.markup(x, y) for layer in layers),
-        viewBox=f"0 0 {DRAWING_SIZE:g} {DRAWING_SIZE:g}",
-        preserveAspectRatio="none",
-        data_x=f"{x.low:.12g} {x.high:.12g}",
-        data_y=f"{y.low:.12g} {y.high:.12g}",
-        role="img",
-        aria_label=f"{y_label} over {x_label}: {', '.join(name for _, name in keys)}",
-    )
-    return tag(
-        "div",
-        legend(keys),
-        tag("div", y_label, class_="y-label"),
-        tag("div", *(tag("span", tick, style=f"top:{at / 10:.4g}%") for at, tick in y_ticks.items()), class_="y"),
-        tag("div", drawing, *names_on_lines(layers, x, y), class_="drawing"),
-        tag("div", *(tag("span", tick, style=f"left:{at / 10:.4g}%") for at, tick in x_ticks.items()), class_="x"),
-        tag("div", x_label, class_="x-label"),
-        class_="chart",
+    return Chart(
+        keys=keys,
+        x_ticks=[(percent(at), text) for at, text in x_ticks.items()],
+        x_label=x_label,
+        y_ticks=[(percent(at), text) for at, text in y_ticks.items()],
+        y_label=y_label,
+        x_ends=f"{x.low:.12g} {x.high:.12g}",
+        y_ends=f"{y.low:.12g} {y.high:.12g}",
+        description=f"{y_label} over {x_label}: {', '.join(name for _, name in keys)}",
+        paths=[SvgPath(grid, "grid"), *(path for layer in layers for path in layer.paths(x, y))],
+        labels=labels_on_lines(layers, x, y),
     )
 
 
-def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Html]:
+def labels_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[LineLabel]:
     """Return the labels of the lines that carry their name, each at the middle of the longest line of that name."""
     longest: dict[str, LineMarks] = {}
     for layer in layers:
@@ -206,15 +235,9 @@ def names_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[Ht
     labels = []
     for name, line in longest.items():
         middle = len(line.x) // 2
-        x_percent, y_percent = across(x, float(line.x[middle])) / 10, down(y, float(line.y[middle])) / 10
-        labels.append(tag("span", name, class_="on-line", style=f"left:{x_percent:.4g}%;top:{y_percent:.4g}%"))
+        left, top = across(x, float(line.x[middle])), down(y, float(line.y[middle]))
+        labels.append(LineLabel(name, percent(left), percent(top)))
     return labels
-
-
-def legend(entries: Iterable[Key]) -> Html:
-    """Return a swatch and a name for each entry."""
-    items = [tag("span", tag("i", class_=f"swatch {style}"), name, class_="key") for style, name in entries]
-    return tag("div", *items, class_="legend")
 
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
@@ -232,6 +255,11 @@ def across(x: PlotAxis, value: float) -> float:
 def down(y: PlotAxis, value: float) -> float:
     """Return the y coordinate of a value in the drawing, from 0 at the top to `DRAWING_SIZE`, cut at both ends."""
     return round(DRAWING_SIZE * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
+
+
+def percent(coordinate: float) -> str:
+    """Return a coordinate of the drawing as a part of its width or height."""
+    return f"{100.0 * coordinate / DRAWING_SIZE:.4g}%"
 
 
 def tick_text(value: float, text: str) -> str:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from leactl.gap.blind.demonstration import Demonstration
+from leactl.report.gap_page import content
 from leactl.report.gap_words import (
     bare_units,
     effect_meaning,
@@ -13,7 +14,7 @@ from leactl.report.gap_words import (
     probability_text,
     variable_words,
 )
-from leactl.report.html import Html, joined, table, tag
+from leactl.report.html import render
 from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition
 
@@ -103,16 +104,14 @@ def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -
     ]
 
 
-def demonstration_section(demonstration: Demonstration, seed: int) -> Html:
-    """Return the section of the page that says what was planted and how the bench differs from the diagnosis."""
-    about = (
-        "An effect, its size and the bench's parameters were drawn, ten runs were made on an emulated bench whose plant"
-        " shares no equation with the diagnosis, and the key was opened after the answer was written."
-        f" The same again: leactl gap demo --seed {seed}"
-    )
-    parts = [tag("p", tag("strong", verdict(demonstration))), tag("p", effect_meaning(demonstration.planted))]
-    return tag(
-        "section",
-        tag("h2", "Planted and named"),
-        joined([*parts, table(HEADINGS, parameter_rows(demonstration), "figures"), tag("p", about, class_="about")]),
+def page(demonstration: Demonstration, seed: int) -> str:
+    """Return the page of the diagnosis with a section that says what was planted and what was named."""
+    return render(
+        "gap_demo.html",
+        outcome=verdict(demonstration),
+        meaning=effect_meaning(demonstration.planted),
+        headings=HEADINGS,
+        planted=parameter_rows(demonstration),
+        seed=seed,
+        **content(demonstration.answer),
     )

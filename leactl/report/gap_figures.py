@@ -1,13 +1,14 @@
 """Figures of a diagnosis: measured beside simulated over time, and residuals over the variable of their region."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from leactl.gap.diagnosis import Diagnosis, Picture, Rest, Where
 from leactl.gap.verdict.shrinkage import Trace
 from leactl.gap.verdict.where import Profile
-from leactl.report.chart import AxisRange, Bins, Layer, LineMarks, chart
+from leactl.report.chart import AxisRange, Bins, CaptionedChart, Layer, LineMarks, chart
 from leactl.report.gap_words import (
     NEAR_FLOOR,
     bare_units,
@@ -19,7 +20,6 @@ from leactl.report.gap_words import (
     residual_words,
     variable_words,
 )
-from leactl.report.html import Html, tag
 
 MOST_CARDS = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
@@ -29,7 +29,15 @@ LOGGED_AND_MENDED = ("before: as logged", "after: mended")
 LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
 
-def channel_cards(answer: Diagnosis) -> list[Html]:
+class Card(NamedTuple):
+    """Charts of one subject under its title."""
+
+    title: str
+    remark: str
+    figures: list[CaptionedChart]
+
+
+def channel_cards(answer: Diagnosis) -> list[Card]:
     """Return a card for each channel with a large gap, open gaps first, then gaps that calibration closed."""
     traces = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("traces", ())}
     profiles = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("profiles", ())}
@@ -42,19 +50,15 @@ def channel_cards(answer: Diagnosis) -> list[Html]:
         key = (channel.quantity, channel.role, channel.mechanical)
         if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < NEAR_FLOOR * channel.floor_rms:
             continue
-        charts = [trace_figure(traces[key])]
+        figures = [trace_figure(traces[key])]
         if key in profiles and len(profiles[key].low):
-            charts.append(profile_figure(profiles[key], channel))
-        heading = tag(
-            "h3",
-            channel_label(channel, answer.where),
-            tag("small", f"{multiple_of_floor(channel)} its practical floor after calibration"),
-        )
-        cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
+            figures.append(profile_figure(profiles[key], channel))
+        remark = f"{multiple_of_floor(channel)} its practical floor after calibration"
+        cards.append(Card(channel_label(channel, answer.where), remark, figures))
     return cards[:MOST_CARDS]
 
 
-def effect_cards(answer: Diagnosis) -> list[Html]:
+def effect_cards(answer: Diagnosis) -> list[Card]:
     """Return a card for each cause: the residual before and after it is added, over the variable that it acts on."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
@@ -65,18 +69,12 @@ def effect_cards(answer: Diagnosis) -> list[Html]:
     ]
 
 
-def rest_cards(rest: Rest) -> list[Html]:
+def rest_cards(rest: Rest) -> list[Card]:
     """Return a card for each variable that an unexplained rest depends on."""
     return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in rest.shapes]
 
 
-def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Html:
-    """Return a picture with its title, its numbers and a caption."""
-    heading = tag("h3", title, tag("small", picture_words(picture)))
-    return tag("div", heading, tag("figure", tag("figcaption", caption), picture_chart(picture, names)), class_="card")
-
-
-def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
+def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Card:
     """Return the mean residual in each bin with its 95 % interval, before and after; `names` are their legend."""
     drawn_bins = [each_bin for each_bin in picture.bins if math.isfinite(each_bin.before)]
     low, high = (np.asarray([getattr(each_bin, name) for each_bin in drawn_bins]) for name in ("low", "high"))
@@ -89,7 +87,8 @@ def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
     layers.append(LineMarks("", "zero", ends, np.zeros(len(ends)), whole=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
     over = with_units(variable_words(picture), picture.variable_units)
-    return chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
+    drawn = chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
+    return Card(title, picture_words(picture), [CaptionedChart(caption, drawn)])
 
 
 def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -98,19 +97,16 @@ def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
     return (before, f"before ({before})"), (after, f"after ({after})")
 
 
-def trace_figure(trace: Trace) -> Html:
+def trace_figure(trace: Trace) -> CaptionedChart:
     """Return a chart of the measured and the simulated channel over a part of one run."""
     layers: list[Layer] = [LineMarks("measured", "measured", trace.time, trace.measured)]
     both = compared_models(not np.array_equal(trace.calibrated, trace.augmented))
     layers += [LineMarks(words, name, trace.time, getattr(trace, name)) for name, words in both]
-    return tag(
-        "figure",
-        tag("figcaption", f"Measured and simulated where the calibrated model is farthest off, {trace.run}"),
-        chart(layers, "time [s]", with_units(trace.quantity, trace.units)),
-    )
+    caption = f"Measured and simulated where the calibrated model is farthest off, {trace.run}"
+    return CaptionedChart(caption, chart(layers, "time [s]", with_units(trace.quantity, trace.units)))
 
 
-def profile_figure(profile: Profile, channel: Where) -> Html:
+def profile_figure(profile: Profile, channel: Where) -> CaptionedChart:
     """Return a chart of the residuals: mean and standard deviation in bins of the region's variable."""
     layers: list[Layer] = []
     if channel.region is not None:
@@ -120,11 +116,9 @@ def profile_figure(profile: Profile, channel: Where) -> Html:
         layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
     layers.append(AxisRange("± floor", "floor", -channel.floor_rms, channel.floor_rms, upright=False))
     where = region_text(channel.region, channel.share)
-    return tag(
-        "figure",
-        tag("figcaption", f"Measured minus simulated: mean ± standard deviation in each bin; {where}"),
-        chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]"),
-    )
+    caption = f"Measured minus simulated: mean ± standard deviation in each bin; {where}"
+    drawn = chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]")
+    return CaptionedChart(caption, drawn)
 
 
 def with_units(quantity: str, units: str) -> str:

@@ -3,10 +3,9 @@
 from html import escape
 
 from leactl.analysis.estimate import Result
-from leactl.report.chart import chart
+from leactl.report.chart import CaptionedChart, chart
 from leactl.report.datasheet.figures import plain, plot_layers, pretty, subject
-from leactl.report.datasheet.style import STYLE
-from leactl.report.html import Html, document, joined, table, tag
+from leactl.report.html import render
 from leactl.report.terminal import interval_text, value_text
 
 HEIGHT_PX = 560  # of the frame; what is longer scrolls inside
@@ -19,9 +18,8 @@ def framed(page: str) -> str:
 
 def analysis_page(result: Result) -> str:
     """Return a page with results, plots and notes of one experiment."""
-    parts = [tag("h1", f"{result.experiment}, {len(result.runs)} run{'s' if len(result.runs) != 1 else ''}")]
+    groups = []
     for actuator, condition in result.groups:
-        title = ", ".join(filter(None, (actuator, condition)))
         rows = [
             [
                 plain(estimate.name),
@@ -32,16 +30,19 @@ def analysis_page(result: Result) -> str:
             for estimate in result.results
             if (estimate.actuator, estimate.condition) == (actuator, condition)
         ]
-        heading = [tag("h2", title)] if title else []
-        parts += [*heading, table(["result", "value ± std", "95 % interval", "units"], rows)]
+        groups.append((", ".join(filter(None, (actuator, condition))), rows))
     figures = [
-        tag(
-            "figure",
-            tag("figcaption", ", ".join(filter(None, (subject(plot), plot.actuator, plot.condition)))),
+        CaptionedChart(
+            ", ".join(filter(None, (subject(plot), plot.actuator, plot.condition))),
             chart(plot_layers(plot), pretty(plot.x_label), pretty(plot.y_label), x_log=plot.x_log),
         )
         for plot in result.plots
     ]
-    drawn = tag("div", *figures, class_="pair") if figures else Html("")
-    notes = tag("ul", *(tag("li", note) for note in result.notes)) if result.notes else Html("")
-    return document(result.experiment, STYLE, tag("main", joined([*parts, drawn, notes])))
+    return render(
+        "notebook.html",
+        title=result.experiment,
+        runs=f"{len(result.runs)} run{'s' if len(result.runs) != 1 else ''}",
+        groups=groups,
+        figures=figures,
+        notes=result.notes,
+    )

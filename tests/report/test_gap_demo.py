@@ -8,8 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from leactl.gap.blind.demonstration import Demonstration
-from leactl.report.gap_demo import demonstration_json, demonstration_lines, demonstration_section, files_of, verdict
-from leactl.report.gap_page import page
+from leactl.report.gap_demo import demonstration_json, demonstration_lines, files_of, page, verdict
 from tests.report.answers import answer
 
 FILES = files_of(Path("out"))
@@ -53,7 +52,7 @@ def test_parameters_stand_as_planted_and_as_fitted():
 
 def test_the_page_says_what_was_planted_and_the_document_is_json():
     shown = demonstrated("saturation")
-    root = ElementTree.fromstring(page(shown.answer, demonstration_section(shown, 7)))
+    root = ElementTree.fromstring(page(shown, 7))
     headings = ["".join(h.itertext()) for h in root.iter("h2")]
     assert headings[:3] == ["Planted and named", "Causes", "What each effect explains"]
     said = json.loads(json.dumps(demonstration_json(shown, 7, FILES), allow_nan=False))

@@ -86,12 +86,12 @@ def test_the_verdict_names_a_class_as_one_cause():
 
 def test_causes_stand_with_probability_parameters_class_and_experiment():
     first, second, third = by_class(tree(answer()), "causes")[0]
-    assert words(first).startswith("saturation0.98The torque constant falls at high current.")
+    assert words(first).startswith("saturation0.98 The torque constant falls at high current.")
     bar = first.find("div[2]/i")
     assert bar.get("style") == "width:98.1%"
     said = words(first)
-    assert "knee21.37 ± 0.24 A" in said
-    assert "order82" in said
+    assert "knee 21.37 ± 0.24 A" in said
+    assert "order 82" in said
     assert "Cannot be told from torque_sensor_gain with these runs." in said
     assert first.find(".//code").text == "leactl run separate-by-grid"
     assert "Cannot be told from saturation" in words(second)
@@ -256,7 +256,8 @@ def test_a_curve_has_a_gap_where_points_were_left_out():
     time = np.concatenate([np.arange(20.0), 300.0 + np.arange(20.0)])
     for part, strokes in ((time, 2), (time[:20], 1)):
         axes = PlotAxis(part.tolist(), 5), PlotAxis([-1.0, 1.0], 5)
-        assert str(LineMarks("measured", "measured", part, np.sin(part)).markup(*axes)).count("M") == strokes
+        [path] = LineMarks("measured", "measured", part, np.sin(part)).paths(*axes)
+        assert path.d.count("M") == strokes
 
 
 @pytest.mark.parametrize("low, named", [(-16.9, True), (-0.01, True), (None, True), (0.02, False)])

@@ -92,7 +92,7 @@ def test_the_address_that_is_printed_opens_the_page(client):
     assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
     assert headers["Cache-Control"] == "no-store"
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
-    assert "default-src &#x27;none&#x27;" in text
+    assert "default-src 'none'" in text
     assert SCRIPT not in text
     assert client.token not in text
 

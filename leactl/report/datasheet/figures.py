@@ -1,19 +1,19 @@
 """The figures of a datasheet: every plot of an analysis, conditions over each other, sets of runs side by side."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from leactl.analysis.estimate import Plot, Series
-from leactl.report.chart import Area, Key, Layer, LineMarks, PointMarks, chart
+from leactl.report.chart import Area, Chart, Key, Layer, LineMarks, PointMarks, chart
 from leactl.report.datasheet.rows import DatasheetRow, ordered_conditions
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
-from leactl.report.html import Html, joined, tag
-from leactl.report.intervals import Interval, intervals
+from leactl.report.intervals import Interval, IntervalChart, intervals
 
-COLOURS = 6  # that the colour-blind can tell apart; see style.py
+COLOURS = 6  # that the colour-blind can tell apart; see datasheet.css
 MARKS = ("dot", "ring", "square")
 MOST_KINDS = 2  # of points in a plot, up to which several conditions share it
 MOST_GREY = 2  # names of lines without points; more of them, as of contours, stand on their lines
@@ -21,8 +21,6 @@ DENSE = 40  # points of a kind; more are drawn small, or as a line where no line
 AS_WRITTEN = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
 PRINTED = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
 UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED)})(?![\w])")
-
-Link = Callable[[Sequence[RunEntry]], Html]
 
 
 @dataclass(frozen=True)
@@ -36,8 +34,16 @@ class Figure:
     entries: tuple[RunEntry, ...]
 
 
-def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link: Link) -> Html:
-    """Return the cards of every plot of one experiment; plots of two sets of runs share their axes."""
+class LinkedChart(NamedTuple):
+    """A chart with its caption, and the runs that the caption links to."""
+
+    caption: str
+    entries: tuple[RunEntry, ...]
+    chart: Chart
+
+
+def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[LinkedChart]:
+    """Return the charts of every plot of one experiment; plots of two sets of runs share their axes."""
     answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     all_answers = [answer for answers in answers_by_set for answer in answers]
     measured = {answer.condition for answer in all_answers}
@@ -45,22 +51,22 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link
     colours = {condition: f"s{k % COLOURS}" for k, condition in enumerate(order)}
     answers_by_set = [sorted(answers, key=lambda answer: order.index(answer.condition)) for answers in answers_by_set]
     count = max((len(answer.result.plots) for answer in all_answers), default=0)
-    cards = []
+    charts = []
     for index in range(count):
         drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
         for k, drawings in enumerate(drawings_by_set):
             other_drawings = [drawing for other in drawings_by_set[:k] + drawings_by_set[k + 1 :] for drawing in other]
             other_layers = [layer for drawing in other_drawings for layer in drawing.layers]
             whose = f"{sets[k].name}: " if len(sets) > 1 else ""
-            cards += [figure(drawing, other_layers, whose, link) for drawing in drawings]
-    return tag("div", *cards, class_="pair") if cards else Html("")
+            charts += [linked_chart(drawing, other_layers, whose) for drawing in drawings]
+    return charts
 
 
-def figure(drawing: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html:
-    """Return a chart with its caption and the links to its runs; the axes contain the layers `beside` too."""
-    caption = tag("figcaption", f"{whose}{drawing.caption}; ", link(drawing.entries))
+def linked_chart(drawing: Figure, beside: Sequence[Layer], whose: str) -> LinkedChart:
+    """Return a chart with its caption and its runs; the axes contain the layers `beside` too."""
     labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
-    return tag("figure", caption, chart(drawing.layers, *labels, beside, drawing.keys, drawing.plot.x_log))
+    drawn = chart(drawing.layers, *labels, beside, drawing.keys, drawing.plot.x_log)
+    return LinkedChart(f"{whose}{drawing.caption}", drawing.entries, drawn)
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
@@ -165,8 +171,8 @@ def arrays(series: Series) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(series.x, np.float64), np.asarray(series.y, np.float64)
 
 
-def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Html:
-    """Return a chart of intervals below each other for each result that has several rows or sets."""
+def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> list[tuple[str, IntervalChart]]:
+    """Return a name and a chart of intervals below each other for each result that has several rows or sets."""
     charts = []
     for name in dict.fromkeys(row.name for row in rows):
         same_result = [row for row in rows if row.name == name]
@@ -188,8 +194,8 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> Htm
         ]
         if len(strips) > 1:
             label = pretty(f"{plain(name)} [{same_result[0].units}]")
-            charts.append(tag("figure", tag("figcaption", plain(name)), intervals(strips, label)))
-    return tag("div", *charts, class_="pair") if charts else joined([])
+            charts.append((plain(name), intervals(strips, label)))
+    return charts
 
 
 def plain(name: str) -> str:

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -19,12 +20,11 @@ from leactl.errors import InputError
 from leactl.model.motor_schema import MotorSheet
 from leactl.report.conditions import by_reason
 from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
-from leactl.report.datasheet.instruments import instruments_of
+from leactl.report.datasheet.instruments import InstrumentUse, instruments_of
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.datasheet.sheet import Datasheet, Section
-from leactl.report.datasheet.style import STYLE
-from leactl.report.datasheet.table import in_lines, links, rows_table
-from leactl.report.html import Html, document, escaped, joined, table, tag
+from leactl.report.datasheet.table import columns, groups
+from leactl.report.html import render
 from leactl.report.motors import ComparedMotor, OperatingConditions, cell, figure_rows
 from leactl.report.terminal import interval_text, value_text
 from leactl.report.terminal import paper_figures as paper
@@ -49,20 +49,26 @@ def page(sheet: Datasheet, out: Path) -> str:
     compared = " and ".join(run_set.name for run_set in sheet.sets) if len(sheet.sets) > 1 else ""
     motors = ", ".join(section.title for section in sheet.sections)
     title = f"Datasheet: {motors}" + (f", {compared}" if compared else "")
-    measured_by = [instruments_table(run_set, len(sheet.sets) > 1) for run_set in sheet.sets]
-    body = tag(
-        "main",
-        tag("h1", title),
-        *(run_set_facts(run_set, len(sheet.sets) > 1) for run_set in sheet.sets),
-        tag("ul", *(tag("li", note) for note in sheet.notes)) if sheet.notes else Html(""),
-        *(motor_section(sheet.sets, section, f"m{k}") for k, section in enumerate(sheet.sections)),
-        tag("section", tag("h2", "Instruments"), *measured_by) if any(measured_by) else Html(""),
-        tag("section", tag("h2", "Runs"), *(runs_table(run_set, out, len(sheet.sets) > 1) for run_set in sheet.sets)),
+    return render(
+        "datasheet.html",
+        title=title,
+        several=len(sheet.sets) > 1,
+        sets=[
+            {"name": run_set.name, "facts": facts(run_set), "runs": [run_row(entry, out) for entry in run_set.entries]}
+            for run_set in sheet.sets
+        ],
+        notes=sheet.notes,
+        columns=columns(sheet.sets),
+        sections=[section_content(sheet.sets, section, f"m{k}") for k, section in enumerate(sheet.sections)],
+        instruments=[
+            (run_set.name, [instrument_row(use) for use in uses])
+            for run_set in sheet.sets
+            if (uses := instruments_of(run_set))
+        ],
     )
-    return document(title, STYLE, body)
 
 
-def run_set_facts(run_set: RunSet, named: bool) -> Html:
+def facts(run_set: RunSet) -> list[tuple[str, str]]:
     """Return the number of runs, their actuators, conditions and benches, and the days of recording."""
     days = sorted(entry.about["created"][:10] for entry in run_set.entries if entry.about.get("created"))
     rows = [
@@ -71,8 +77,7 @@ def run_set_facts(run_set: RunSet, named: bool) -> Html:
         ("benches", ", ".join(distinct_values(run_set, "bench"))),
         ("recorded", " to ".join(dict.fromkeys([days[0], days[-1]])) if days else ""),
     ]
-    parts = (part for key, value in rows if value for part in (tag("dt", key), tag("dd", value)))
-    return joined(([tag("p", tag("strong", run_set.name))] if named else []) + [tag("dl", *parts, class_="facts")])
+    return [(key, value) for key, value in rows if value]
 
 
 def distinct_values(run_set: RunSet, key: str) -> list[str]:
@@ -80,18 +85,9 @@ def distinct_values(run_set: RunSet, key: str) -> list[str]:
     return list(dict.fromkeys(value for entry in run_set.entries if (value := entry.about.get(key, ""))))
 
 
-def motor_section(sets: Sequence[RunSet], section: Section, anchor: str) -> Html:
+def section_content(sets: Sequence[RunSet], section: Section, anchor: str) -> dict[str, Any]:
     """Return the table and the experiments of one motor; `anchor` opens the targets of its links."""
-    about = (
-        "Value ± standard uncertainty, and the 95 % interval. What these hold, and what they leave out, is in the notes"
-        " of each experiment. The LEA in the paper as it is printed there."
-    )
-    if len(sets) > 1:
-        about += " A difference is strong where its interval does not hold zero."
-    parts = [tag("h2", section.title), tag("p", about, class_="about"), rows_table(sets, section, anchor)]
-    parts.append(motor_file_table(sets, section.motors))
-    if section.unlisted:
-        parts.append(tag("p", f"Not measured besides: {', '.join(map(plain, section.unlisted))}.", class_="about"))
+    experiments = []
     for experiment in section.rows:
         answers = [
             answer
@@ -99,39 +95,49 @@ def motor_section(sets: Sequence[RunSet], section: Section, anchor: str) -> Html
             for answer in run_set.answers_of(motor, experiment)
         ]
         if answers:
-            parts.append(experiment_section(sets, section, experiment, answers, f"{anchor}-{experiment}"))
-    return tag("section", *parts)
+            experiments.append(experiment_content(sets, section, experiment, answers, f"{anchor}-{experiment}"))
+    return {
+        "title": section.title,
+        "groups": groups(sets, section, anchor),
+        "motor_files": motor_file_table(sets, section.motors),
+        "unlisted": ", ".join(map(plain, section.unlisted)),
+        "experiments": experiments,
+    }
 
 
-def experiment_section(
+def experiment_content(
     sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[GroupResult], anchor: str
-) -> Html:
+) -> dict[str, Any]:
     """Return method, comparison of conditions, figures, notes and all results of one experiment."""
-    parts = [tag("h3", heading(experiment)), tag("p", method_of(experiment), class_="method about")]
+    comparisons = []
     notes: list[str] = []
     for run_set, motor in zip(sets, section.motors, strict=True):
         if (verdict := run_set.verdicts.get((motor, experiment))) is not None:
             whose = f"{run_set.name}: " if len(sets) > 1 else ""
             tabled = {row.name for row in section.rows[experiment]}
-            parts += comparison_paragraphs(
-                [comparison for comparison in verdict.comparisons if comparison.name in tabled], whose, run_set.entries
-            )
+            of_rows = [comparison for comparison in verdict.comparisons if comparison.name in tabled]
+            comparisons.append(comparison_content(of_rows, whose, run_set.entries))
             notes += [f"{whose}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
-    parts.append(figures(sets, section.motors, experiment, links))
-    parts.append(over_conditions(section.rows[experiment], sets))
     entries = [entry for answer in answers for entry in answer.entries]
     for answer in answers:
         notes += [note for note in answer.result.notes if note not in notes]
-    note_items = [tag("li", with_labels(note, entries)) for note in notes]
-    if note_items:
-        parts.append(tag("details", tag("summary", "Notes"), tag("ul", *note_items)))
-    parts.append(tag("details", tag("summary", "All results"), *map(results_table, answers)))
-    parts += [map_table(grid, answer) for answer in answers for grid in answer.result.grids]
-    return tag("section", *parts, id=anchor)
+    return {
+        "anchor": anchor,
+        "title": heading(experiment),
+        "method": method_of(experiment),
+        "comparisons": comparisons,
+        "figures": figures(sets, section.motors, experiment),
+        "over_conditions": over_conditions(section.rows[experiment], sets),
+        "notes": [with_labels(note, entries) for note in notes],
+        "results": [results_table(answer) for answer in answers],
+        "maps": [map_table(grid, answer) for answer in answers for grid in answer.result.grids],
+    }
 
 
-def comparison_paragraphs(comparisons: Sequence[Comparison], whose: str, entries: Sequence[RunEntry]) -> list[Html]:
-    """Return a sentence for each compared result, then the remarks; a remark on all results is written once."""
+def comparison_content(
+    comparisons: Sequence[Comparison], whose: str, entries: Sequence[RunEntry]
+) -> dict[str, list[str]]:
+    """Return a sentence for each compared result, and the remarks; a remark on all results is written once."""
     results_of_note: dict[str, list[str]] = {}
     for comparison in comparisons:
         for note in comparison.notes:
@@ -140,13 +146,11 @@ def comparison_paragraphs(comparisons: Sequence[Comparison], whose: str, entries
         note if len(named) == len(comparisons) else f"{', '.join(named)}: {note}"
         for note, named in results_of_note.items()
     ]
-    paragraphs = [
-        tag("p", f"{whose}{pretty(comparison.sentence.replace(comparison.name, plain(comparison.name)))}")
-        for comparison in comparisons
-    ]
-    if not remarks:
-        return paragraphs
-    return [*paragraphs, tag("ul", *(tag("li", f"{whose}{pretty(remark)}") for remark in remarks), class_="about")]
+    sentences = [comparison.sentence.replace(comparison.name, plain(comparison.name)) for comparison in comparisons]
+    return {
+        "sentences": [f"{whose}{pretty(sentence)}" for sentence in sentences],
+        "remarks": [f"{whose}{pretty(remark)}" for remark in remarks],
+    }
 
 
 def with_labels(note: str, entries: Sequence[RunEntry]) -> str:
@@ -156,10 +160,10 @@ def with_labels(note: str, entries: Sequence[RunEntry]) -> str:
     return note
 
 
-def results_table(answer: GroupResult) -> Html:
+def results_table(answer: GroupResult) -> dict[str, Any]:
     """Return every result of one actuator under one condition, with the paper's values."""
     paper_values = paper(answer.experiment, answer.condition)
-    cells = [
+    rows = [
         [
             plain(estimate.name),
             value_text(estimate),
@@ -170,47 +174,34 @@ def results_table(answer: GroupResult) -> Html:
         for estimate in answer.result.results
     ]
     group = ", ".join(filter(None, (answer.actuator, answer.condition))) or "unnamed"
-    head = tag("p", tag("strong", group), ", from ", links(answer.entries))
-    headings = ["result", "value ± std", "95 % interval", "units", "LEA in the paper"]
-    return joined([head, table(headings, cells)])
+    return {"group": group, "entries": answer.entries, "rows": rows}
 
 
-def runs_table(run_set: RunSet, out: Path, named: bool) -> Html:
-    """Return a row for each file with a link to it and whether it was analysed."""
-    cells = []
-    for entry in run_set.entries:
-        about = entry.about
-        name = about.get("run_id") or entry.path.name
-        by = ", ".join(filter(None, ("emulated" if entry.simulated else "", about.get("software", ""))))
-        cells.append(
-            [
-                tag("span", entry.label, id=entry.label),
-                in_lines(tag("a", name, href=link_target(entry.path, out)), plain(entry.experiment)),
-                *(about.get(key, "") for key in ("actuator", "condition", "mechanical")),
-                in_lines(about.get("bench", ""), by),
-                in_lines(about.get("created", "").replace("T", " ")[:16], about.get("status", "")),
-                tag("span", f"not analysed: {entry.fault}" if entry.fault else "analysed", class_="fault"),
-            ]
-        )
-    headings = ["", "file", "actuator", "condition", "shaft", "bench", "recorded", "result"]
-    return joined(([tag("h3", run_set.name)] if named else []) + [table(headings, cells, "runs")])
+def run_row(entry: RunEntry, out: Path) -> dict[str, Any]:
+    """Return the row of a file with a link to it and whether it was analysed; a list is of lines below each other."""
+    about = entry.about
+    by = ", ".join(filter(None, ("emulated" if entry.simulated else "", about.get("software", ""))))
+    return {
+        "label": entry.label,
+        "name": about.get("run_id") or entry.path.name,
+        "target": link_target(entry.path, out),
+        "experiment": plain(entry.experiment),
+        "facts": [about.get(key, "") for key in ("actuator", "condition", "mechanical")],
+        "bench": [about.get("bench", ""), by],
+        "recorded": [about.get("created", "").replace("T", " ")[:16], about.get("status", "")],
+        "fault": entry.fault,
+    }
 
 
-def instruments_table(run_set: RunSet, named: bool) -> Html:
-    """Return a row for each instrument with its runs; empty where no run names an instrument."""
-    cells = []
-    for use in instruments_of(run_set):
-        known = use.known
-        due = known.get("calibration_due", "")
-        late = (
-            in_lines(tag("strong", due), joined([escaped("overdue in "), links(use.overdue)])) if use.overdue else due
-        )
-        identity = [known.get(name, "") for name in ("model", "serial", "firmware", "calibrated")]
-        cells.append([use.device, *identity, late, links(use.entries)])
-    headings = ["device", "model", "serial number", "firmware", "calibrated", "due", "runs"]
-    if not cells:
-        return Html("")
-    return joined(([tag("h3", run_set.name)] if named else []) + [table(headings, cells, "instruments")])
+def instrument_row(use: InstrumentUse) -> dict[str, Any]:
+    """Return the row of an instrument with its runs, and those that came after its calibration was due."""
+    return {
+        "device": use.device,
+        "facts": [use.known.get(name, "") for name in ("model", "serial", "firmware", "calibrated")],
+        "due": use.known.get("calibration_due", ""),
+        "overdue": use.overdue,
+        "entries": use.entries,
+    }
 
 
 def link_target(path: Path, out: Path) -> str:
@@ -218,18 +209,17 @@ def link_target(path: Path, out: Path) -> str:
     return quote(os.fsencode(os.path.relpath(path.resolve(), out.resolve().parent)))
 
 
-def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> Html:
-    """Return a column for each motor whose motor file the runs carry; empty where they carry none."""
+def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> dict[str, Any] | None:
+    """Return a column for each motor whose motor file the runs carry; None where they carry none."""
     sheets = [sheet for motor in dict.fromkeys(motors) if (sheet := fullest_motor_file(sets, motor)) is not None]
     if not sheets:
-        return Html("")
-    cells = [
+        return None
+    rows = [
         [plain(row.name), *map(cell, row.values), pretty(row.units)]
         for row in figure_rows([ComparedMotor(sheet, None, (), OperatingConditions()) for sheet in sheets])
         if row.name in MOTOR_FILE_FIGURES and any(value is not None for value in row.values)
     ]
-    head = tag("p", "By the motor file that the runs carry, not measured:", class_="about")
-    return joined([head, table(["figure", *(sheet.name for sheet in sheets), "units"], cells)])
+    return {"motors": [sheet.name for sheet in sheets], "rows": rows}
 
 
 def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
@@ -243,7 +233,7 @@ def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
     return max(sheets, key=lambda sheet: len(sheet.model_fields_set), default=None)
 
 
-def map_table(grid: Grid, answer: GroupResult) -> Html:
+def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
     """Return the table of a map's first quantity; the axis with more setpoints goes down."""
     (quantity, values_by_row), axes = next(iter(grid.values.items())), list(grid.axes.items())
     cells = np.array(values_by_row)
@@ -251,13 +241,18 @@ def map_table(grid: Grid, answer: GroupResult) -> Html:
         cells, axes = cells.T, axes[::-1]
     (down, down_setpoints), (across, across_setpoints) = axes
     headings = [f"{with_unit(down)} \\ {with_unit(across)}", *(f"{setpoint:.4g}" for setpoint in across_setpoints)]
-    body = [
+    rows = [
         [f"{setpoint:.4g}", *map(map_cell, row)] for setpoint, row in zip(down_setpoints, cells.tolist(), strict=True)
     ]
     whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
-    title = tag("summary", f"Values at every setpoint: {whose}")
-    intro = tag("p", f"{with_unit(quantity).capitalize()} at {cells.size} setpoints, from ", links(answer.entries))
-    return tag("details", title, intro, table(headings, body, "map"))
+    return {
+        "whose": whose,
+        "quantity": with_unit(quantity).capitalize(),
+        "setpoints": cells.size,
+        "entries": answer.entries,
+        "headings": headings,
+        "rows": rows,
+    }
 
 
 def with_unit(name: str) -> str:

@@ -27,8 +27,8 @@ from typing import Any, Final, Self
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.report.html import render
 from leactl.report.web import FREE_PORT_HERE, LAST_LOOK_S, STOP
-from leactl.report.web.page import page
 from leactl.runner.progress import Progress
 
 CAUSE: Final = "stopped by the operator: STOP in the run's page"
@@ -78,6 +78,7 @@ class RunPage:
         ------
         InputError : the address is not this machine's, or its port is taken.
         """
+        page = render("live.html", ("axes.js", "web/page.js"), bench=self._bench)
         family = socket.AF_INET if self._host.version == 4 else socket.AF_INET6
         try:
             listener = socket.create_server((str(self._host), self._port), family=family, backlog=WAITING)
@@ -104,7 +105,7 @@ class RunPage:
         assert self._server.stdout is not None
         self._to, self._from = self._server.stdin.fileno(), self._server.stdout.fileno()
         os.set_blocking(self._to, False)
-        self._unsent = _line({"page": page(self._bench), "token": self._token, "hosts": hosts})
+        self._unsent = _line({"page": page, "token": self._token, "hosts": hosts})
         self._thread.start()
         return self
 
