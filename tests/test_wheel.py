@@ -1,4 +1,4 @@
-"""The wheel alone, in an empty environment and another folder, carries plug-ins, protocols and the demo."""
+"""The wheel alone, in an empty environment and another folder, carries plug-ins, protocols, pages and the demo."""
 
 import json
 import os
@@ -36,3 +36,5 @@ def test_the_wheel_runs_the_demo_in_an_empty_environment(tmp_path):
     answer = json.loads(leactl("demo", "--json"))
     assert len(answer["files"]) == 6
     assert all((elsewhere / name).is_file() for name in answer["files"])
+    leactl("runs", "plot", answer["files"][0], "--html", "plot.html")
+    assert "<svg" in (elsewhere / "plot.html").read_text(encoding="utf-8")
