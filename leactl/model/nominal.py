@@ -18,6 +18,7 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.yamlblock import Block
 
 Angle = Annotated[float, Field(strict=True, ge=-10.0, le=10.0)]  # rad
+MOST_OFFSET = 20.0  # K, of the logged ambient: beyond that it is of another place
 
 
 class BenchModel(Block):
@@ -146,7 +147,8 @@ class Model(MotorSheet):
     resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)] = 0.0  # 1/K
     reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] = 25.0  # degC
     thermal: Thermal | None = None
-    ambient_offset: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # K, true ambient minus the logged one
+    # K, true ambient minus the logged one
+    ambient_offset: Annotated[float, Field(strict=True, ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None

@@ -12,7 +12,7 @@ from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
 from leactl.gap.search.evidence import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
 from leactl.gap.search.stamp_fit import LATE_STD
-from leactl.model.nominal import EffectEntry, Model, as_mapping
+from leactl.model.nominal import MOST_OFFSET, EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
@@ -80,10 +80,11 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if evidence.null is not None:  # acceleration that is smoothed against noise makes every inertia smaller
             bias, std = evidence.null.bias(parameter), math.hypot(std, evidence.null.doubt(parameter))
         nominal = nominal_value(evidence.model, parameter)
-        if parameter == "ambient_offset":
-            parameters.append(CalibratedParameter(parameter, 0.0, change - bias, std, UNITS[parameter]))
-            continue
         if nominal is None:
+            continue
+        if parameter == "ambient_offset":
+            offset = float(np.clip(nominal + change - bias, -MOST_OFFSET, MOST_OFFSET))
+            parameters.append(CalibratedParameter(parameter, nominal, offset, std, UNITS[parameter]))
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
         fitted, off = factor_of(parameter, change), factor_of(parameter, bias)
@@ -118,7 +119,9 @@ def at_bound(item: CalibratedParameter) -> bool:
 
     A feedforward is a fit itself, whose kS and kA may hold all that it left out: no share of these is a bound.
     """
-    if item.parameter in ("ambient_offset", "feedforward.kS", "feedforward.kA") or not item.nominal:
+    if item.parameter == "ambient_offset":
+        return abs(item.fitted) >= MOST_OFFSET
+    if item.parameter in ("feedforward.kS", "feedforward.kA") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
     return not SMALLEST * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / SMALLEST
@@ -137,11 +140,9 @@ def nominal_value(model: Model, parameter: str) -> float | None:
 
 
 def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) -> Model:
-    """The model with fitted parameters; the ambient's offset has no place in a model file."""
+    """The model with fitted parameters."""
     document = as_mapping(model)
     for item in parameters:
-        if item.parameter == "ambient_offset":
-            continue
         at = document
         *path, last = item.parameter.split(".")
         for part in path:

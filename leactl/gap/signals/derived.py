@@ -232,7 +232,7 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
     width = max(SMOOTHED * warms, FEWEST_SMOOTHED)
     s.line_current = clock.get("line_current")
     winding, housing, ambient = raw["winding"], raw["housing"], raw["ambient"]
-    s.ambient = smooth(ambient, width) if ambient is not None else None
+    s.ambient = smooth(ambient, width) + model.ambient_offset if ambient is not None else None
     s.housing = smooth(housing, width) if housing is not None else None
     if winding is not None and clock.aside:
         s.winding = smooth(winding, width)
