@@ -42,7 +42,7 @@ from leactl.vocabulary.effect import effect_definition
 NAMED = 0.01  # probability above which an effect stands among the causes
 EFFECT = 0.5  # probability above which the verdict is an effect
 UNKNOWN = 0.5  # probability that something unexplained acts, above which the verdict is that where no effect is named
-OUTWEIGHED = 0.1  # of what a set explains, that it may leave beyond noise where something unexplained acts
+OUTWEIGHED = 0.2  # of what a set explains, that it may leave beyond noise where something unexplained acts
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
 COURSE, ALIKE = 64, 0.95  # points of a course, and the cosine from which two are one; a ramp and a step have 0.87
 STEPS = 2  # of Gauss and Newton after the first: most effects multiply parameters that are calibrated
@@ -218,7 +218,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         left_out = [record for record in case.fitted if record not in free]
         told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
     elif outweighed(evidence, beside_sound, restless, lines):
-        told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
+        told = tuple(f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")

@@ -18,7 +18,7 @@ def test_a_small_effect_beside_a_large_rest_is_not_named():
     found = diagnose(given)
     assert found.verdict == "unknown"
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == []
-    assert any("far more is left than it explains" in note for note in found.notes)
+    assert any("too much is left beside what it explains" in note for note in found.notes)
 
 
 def test_a_dead_channel_is_the_answer_and_divides_nothing_by_zero():

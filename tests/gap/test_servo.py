@@ -93,7 +93,12 @@ def test_a_light_servo_without_any_effect_has_no_cause(tmp_path):
     assert found.unexplained_probability < 0.5
 
 
-PROPOSED = (("quadratic_drag", {"drag": 0.02}), ("dead_time", {"dead": 0.4}))
+PROPOSED = (
+    ("quadratic_drag", {"drag": 0.02}),
+    pytest.param(
+        "dead_time", {"dead": 0.4}, marks=pytest.mark.xfail(strict=True, reason="left unexplained, with no name")
+    ),
+)
 
 
 @pytest.mark.long
