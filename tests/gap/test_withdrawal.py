@@ -160,48 +160,6 @@ def test_what_equations_show_beyond_chance_needs_a_replay_s_gap_that_does_not_gr
     assert not apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate).fitted.causes
 
 
-THERMAL = CalibratedParameter("thermal.winding_capacitance", 22.9, 30.0, 0.1, "J/K")
-
-
-def parts_simulated(model, heated, driven):
-    """Runs on which temperature and velocity are so many floors off with either part of a calibration, 9 without."""
-
-    def simulate(calibrated, augmented):
-        cold = calibrated.thermal.winding_capacitance == model.thermal.winding_capacitance
-        still = calibrated.viscous_damping == model.viscous_damping
-        lines = tuple(
-            Shrinkage(quantity, "test", "free", "", 9.0, own, 2.0 if augmented.effects else own, 1.0)
-            for quantity, own in (
-                ("winding_temperature", 9.0 if cold else heated),
-                ("velocity", 9.0 if still else driven),
-            )
-        )
-        return Shrunk(lines, (), (), (), growth(-1.0, -1.0, True))
-
-    return simulate
-
-
-@pytest.mark.parametrize(
-    ("heated", "driven", "kept", "part"),
-    [(10.0, 3.0, {"viscous_damping"}, "the thermal network"), (3.0, 10.0, {THERMAL.parameter}, "motion and current")],
-)
-def test_a_part_of_the_calibration_with_which_its_own_gap_grows_is_not_applied(model, heated, driven, kept, part):
-    """Though the whole calibration makes the sum of both gaps smaller."""
-    applied = apply(model, [SOUND, THERMAL], [], beside(), parts_simulated(model, heated, driven))
-    assert {item.parameter for item in applied.fitted.calibration if item.fitted != item.nominal} == kept
-    assert [item.not_told_by_these_runs for item in applied.fitted.calibration].count(True) == 1
-    assert applied.notes == (f"calibration is applied without {part}: with that the gap of held-out runs grows there",)
-    assert {line.calibrated_rms for line in applied.shrunk.shrinkage} == {9.0, 3.0}
-
-
-def test_an_effect_is_held_against_no_part_of_a_calibration_that_makes_its_own_gap_grow(model):
-    fit = beside(SOUND, THERMAL)
-    applied = apply(model, [SOUND, THERMAL], [[SATURATION]], fit, parts_simulated(model, 10.0, 3.0))
-    assert [line.calibrated_rms for line in applied.shrunk.shrinkage] == [9.0, 3.0]
-    assert [cause.effect for cause in applied.fitted.causes] == ["saturation"]
-    assert applied.notes[-1].endswith("the one beside the effects stands for it, without the thermal network")
-
-
 def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     applied = apply(model, [SOUND], [], beside(SOUND), simulated(0.2, 0.0))
     assert applied.calibrated == applied.augmented == model

@@ -11,9 +11,6 @@ from leactl.gap.search.parameters import at_bound, with_calibration, with_effect
 from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
-TEMPERATURE = "_temperature"  # ends the quantity of every channel that the thermal network acts on
-THERMAL, ELECTROMECHANICAL = "the thermal network", "motion and current"
-PARTS = (THERMAL, ELECTROMECHANICAL)  # of a calibration, whose channels hardly depend on each other's parameters
 GAP_GROWS = "with it the gap of held-out runs grows"
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
@@ -83,14 +80,11 @@ def apply(
     notes = [refusal_note(stage, why) for stage, why in zip(waiting, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
-        withdrawn = calibration_worse(shrunk) or worse_part(shrunk) is not None
+        withdrawn = calibration_worse(shrunk)
         if withdrawn:  # what is fitted beside the effects is free of them
             reason = "it takes up what the effects do, and the gap grows with it"
             calibrated = with_calibration(model, fitted.calibration)
             shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
-            if (part := worse_part(shrunk)) is not None:
-                calibrated = with_calibration(model, without_part(fitted.calibration, part))
-                shrunk, applied = simulate(calibrated, augmented), f"{applied}, without {part}"
             if calibration_worse(shrunk):
                 calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
             notes.append(f"calibration alone is not applied: {reason}; {applied}")
@@ -112,11 +106,6 @@ def apply(
     bounded = at_bounds(without_effects) if bounded_fit else []
     if not bounded:
         shrunk = simulate(calibrated, calibrated)
-        if (part := worse_part(shrunk)) is not None:
-            fitted = Fitted((), without_part(without_effects, part))
-            calibrated = with_calibration(model, fitted.calibration)
-            shrunk = simulate(calibrated, calibrated)
-            notes.append(f"calibration is applied without {part}: with that the gap of held-out runs grows there")
         if not calibration_worse(shrunk):
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else GAP_GROWS
@@ -141,35 +130,6 @@ def calibration_worse(shrunk: Shrunk) -> bool:
     """
     nominal, calibrated = (squares(shrunk, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms"))
     return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
-
-
-def worse_part(shrunk: Shrunk) -> str | None:
-    """Which part of the calibration takes its own channels farther from held-out runs, by squares.
-
-    None where neither part does, where both do, and where the runs have channels of one part alone.
-    """
-    worse = []
-    for part in PARTS:
-        own = tuple(line for line in shrunk.shrinkage if line.quantity.endswith(TEMPERATURE) == (part == THERMAL))
-        if not own:
-            return None
-        of_part = replace(shrunk, shrinkage=own)
-        nominal, calibrated = (squares(of_part, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms"))
-        worse += [part] if calibrated > nominal else []
-    return worse[0] if len(worse) == 1 else None
-
-
-def without_part(parameters: Sequence[CalibratedParameter], part: str) -> tuple[CalibratedParameter, ...]:
-    """A calibration whose parameters of one part stay at their nominal values."""
-    return tuple(
-        replace(item, fitted=item.nominal, not_told_by_these_runs=True) if part_of(item.parameter) == part else item
-        for item in parameters
-    )
-
-
-def part_of(parameter: str) -> str:
-    """The part of the calibration that a parameter belongs to."""
-    return THERMAL if parameter.startswith("thermal.") or parameter == "ambient_offset" else ELECTROMECHANICAL
 
 
 def farther_with_effects(shrunk: Shrunk) -> bool:
