@@ -12,7 +12,7 @@ from leactl.errors import DeviceError
 
 
 class Port(Protocol):
-    """What a connection lost can be made again by."""
+    """A connection that can be made again."""
 
     def reopen(self) -> None:
         """Connect afresh.
@@ -27,18 +27,15 @@ def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], b
     """Send a command that removes power, without waiting for its answer; once more over a new connection if that fails.
 
     send : connects where nothing is connected, and sends.
-    is_open : whether a connection had been made; without one there is no second try, which `safe_state` tells.
+    is_open : whether a connection had been made; without one there is no second try. `safe_state` reports what failed.
     """
-    for _ in range(2):
-        try:
-            send()
-        except DeviceError:
-            if not is_open():
-                return
+    try:
+        send()
+    except DeviceError:
+        if is_open():
             with suppress(DeviceError):
                 port.reopen()
-        else:
-            return
+                send()
 
 
 def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
