@@ -366,7 +366,9 @@ def fitted_to_the_end(
     nominal = {item.parameter: item.nominal for item in parameters}
     for _ in range(STEPS):
         hypothesis = [about(evidence, fit, candidate) for candidate in hypothesis]
-        evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, parameters))
+        # the ambient's offset stays as the model has it: its prior is in kelvin about that
+        ratios = [item for item in parameters if item.parameter != "ambient_offset"]
+        evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, ratios))
         evidence.settle(hypothesis)  # forms are compared under the noise that these leave
         hypothesis = sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)

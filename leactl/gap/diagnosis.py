@@ -46,6 +46,11 @@ class CalibratedParameter:
     units: str
     not_told_by_these_runs: bool = False  # it stays at its nominal value
 
+    @property
+    def has_ratio(self) -> bool:
+        """Whether fitted over nominal value says anything; an offset may be nominally next to nothing."""
+        return self.nominal != 0.0 and self.parameter != "ambient_offset"
+
 
 @dataclass(frozen=True)
 class EffectParameter:

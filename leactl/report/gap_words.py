@@ -154,10 +154,10 @@ def parameter_text(parameter: EffectParameter) -> str:
 
 
 def change_text(parameter: CalibratedParameter) -> str:
-    """Return how far calibration moved a parameter, in percent; empty for one whose nominal value is zero."""
+    """Return how far calibration moved a parameter, in percent; empty for one of which no ratio says that."""
     if parameter.not_told_by_these_runs:
         return "not told by these runs"
-    if parameter.nominal == 0.0 or not math.isfinite(parameter.fitted):
+    if not (parameter.has_ratio and math.isfinite(parameter.fitted)):
         return ""
     return f"{100.0 * (parameter.fitted / parameter.nominal - 1.0):+.2f} %"
 

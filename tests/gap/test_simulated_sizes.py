@@ -13,6 +13,7 @@ from leactl.gap.equations.contract import Equation
 from leactl.gap.signals.derived import fast_signals
 from leactl.gap.simulated.comparing import SideBySide, SizeInReal, by_free_runs, of_another_machine, settled
 from leactl.gap.simulated.known import KnownEffect, Subtraction
+from leactl.report.gap_words import change_text
 from tests.gap.synthetic import model, record
 
 
@@ -102,6 +103,12 @@ def test_a_parameter_far_off_asks_whether_it_is_the_same_machine():
     near = CalibratedParameter("rotor_inertia", 0.01, 0.013, 1e-5, "kg*m^2")
     assert of_another_machine([far]) == ("is this the same machine? rotor_inertia is 2 times the simulator's",)
     assert of_another_machine([near]) == ()
+
+
+def test_an_ambient_that_is_warmer_than_the_simulator_s_is_no_sign_of_another_machine():
+    offset = CalibratedParameter("ambient_offset", 0.02, -0.4, 0.1, "K")
+    assert of_another_machine([offset]) == ()
+    assert change_text(offset) == ""
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def of_another_machine(calibration: Sequence[CalibratedParameter]) -> tuple[str,
         f"{item.parameter} is {item.fitted / item.nominal:.3g} times the simulator's"
         for item in calibration
         if item.parameter in PRIORS
-        and item.nominal
+        and item.has_ratio
         and abs(item.fitted / item.nominal - 1.0) > ANOTHER * PRIORS[item.parameter]
     ]
     return (f"is this the same machine? {', '.join(far)}",) if far else ()

@@ -140,4 +140,4 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
 def is_far(item: CalibratedParameter) -> bool:
     """Whether a fit moved a parameter by more than its prior."""
     prior = PRIORS.get(item.parameter)
-    return prior is not None and item.nominal != 0.0 and abs(item.fitted / item.nominal - 1.0) > prior
+    return prior is not None and item.has_ratio and abs(item.fitted / item.nominal - 1.0) > prior
