@@ -29,8 +29,8 @@ def play(values: Array, half_width: float) -> Array:
 
 
 def stuck_between(low: Array, high: Array) -> Array:
-    """What stays as it is until a bound takes it along; zero at first."""
-    lows, highs = side_by_side(low), side_by_side(high)
+    """What stays as it is until a bound takes it along; zero at first. No low may exceed its high."""
+    lows, highs = in_blocks(low), in_blocks(high)
     least, most = np.empty_like(lows), np.empty_like(highs)  # bounds of a block's steps so far, seen from its start
     bounds = np.array([np.full(lows.shape[1], -np.inf), np.full(lows.shape[1], np.inf)])
     for k in range(len(lows)):
@@ -45,7 +45,7 @@ def bristle(angle: Array, displacement: float) -> Array:
     """Friction over its Coulomb level that builds up exponentially over an angle (Dahl, 1968), in -1 .. 1."""
     steps = np.diff(angle, prepend=angle[0])
     decay = np.exp(-np.abs(steps) / displacement)
-    decays, gains = side_by_side(decay), side_by_side(np.sign(steps) * (1.0 - decay))
+    decays, gains = in_blocks(decay), in_blocks(np.sign(steps) * (1.0 - decay))
     for k in range(1, len(decays)):  # of a block's steps so far, seen from its start
         gains[k] += gains[k - 1] * decays[k]
         decays[k] *= decays[k - 1]
@@ -54,10 +54,11 @@ def bristle(angle: Array, displacement: float) -> Array:
     return one_after_another(starts * decays + gains, len(angle))
 
 
-def side_by_side(values: Array) -> Array:
-    """A signal cut into as many blocks as each has steps, a column for each, the last value repeated to its end.
+def in_blocks(values: Array) -> Array:
+    """A signal cut into about as many blocks as each has steps, a column for each, its last value repeated to the end.
 
-    What remembers its past then goes through all blocks at once, and through their ends.
+    A step of a curve with a memory is then worked out for all blocks at once; then each block takes up the end of the
+    one before.
     """
     steps = math.isqrt(len(values)) + 1
     blocks = -(-len(values) // steps)

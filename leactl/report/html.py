@@ -36,14 +36,14 @@ def environment() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
-    def fit(value: object) -> str:
+    def printable(value: object) -> str:
         return value if isinstance(value, Markup) else without_control_characters(str(value))
 
     return Environment(
         loader=PackageLoader("leactl.report"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=fit,
+        finalize=printable,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
