@@ -11,7 +11,7 @@ from leactl.emulation.blind import make as making
 from leactl.emulation.blind.draws import usual_effects
 
 EVERY = (*usual_effects(), "power_foldback", "torque_limit")
-OFTEN = ("presliding", "torque_ripple")  # what an ordinary run tries; all of them are a long one
+OFTEN = ("torque_ripple",)  # what an ordinary run tries; all of them are a long one
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
 SETS = {
     "sound": {"count": 1, "seed": 11, "kinds": ("none",), "strengths": ("plain",), "prefix": "none"},

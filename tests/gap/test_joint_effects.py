@@ -52,6 +52,18 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
     "between two values": ("drone_motor", ["power_foldback"], 6, "plain", {"rate": 250.0}),
 }
+SELDOM = {  # cases of long tests
+    "gear_backlash of heavy_axis",
+    "one way 3",
+    "share of position_dependent_friction",
+    "share of friction_run_in",
+    "share of joint_elasticity",
+    "share of gear_backlash",
+    "coarser with gear_backlash",
+    "coarse with presliding",
+    "pushed 32",
+    "pushed 42",
+}
 NUMBERS = {  # a parameter of each effect, and how near it is to the truth
     "joint_elasticity": ("frequency", 0.15),
     "gear_backlash": ("play", 0.2),
@@ -68,20 +80,32 @@ def drawn(kind, effects, seed, strength, changes):
     return machine, draw_runs(np.random.default_rng([seed, 1]), machine, effects, strength)
 
 
+def often(by_name):
+    """Parameters of a test by the case that it asks for; those of a case for long tests are long."""
+    return [pytest.param(*words, marks=[pytest.mark.long] if name in SELDOM else []) for name, words in by_name.items()]
+
+
 @pytest.fixture(scope="module")
 def drawn_case(tmp_path_factory):
     """Gives the case of a name, and a run that has what is true of it."""
-    folder = tmp_path_factory.mktemp("drawn")
-    cases = {name: drawn(*words) for name, words in DRAWN.items()}
-    write_cases(folder, cases)
-    return lambda name: (case_of(folder / name), cases[name][1][0])
+    made = {}
+
+    def case(name):
+        if name not in made:  # all that are asked for as often are simulated side by side
+            folder = tmp_path_factory.mktemp("drawn")
+            cases = {other: drawn(*words) for other, words in DRAWN.items() if (other in SELDOM) == (name in SELDOM)}
+            write_cases(folder, cases)
+            made.update({other: (case_of(folder / other), own[1][0]) for other, own in cases.items()})
+        return made[name]
+
+    return case
 
 
 def named(found):
     return [cause.effect for cause in found.causes if cause.probability >= 0.5]
 
 
-@pytest.mark.parametrize(("name", "kind"), JOINTS)
+@pytest.mark.parametrize(("name", "kind"), often({f"{name} of {kind}": (name, kind) for name, kind in JOINTS}))
 def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     case, run = drawn_case(f"{name} of {kind}")
     found = diagnose(case)
@@ -100,7 +124,7 @@ def test_a_limit_between_two_values_of_the_grid_is_not_taken_for_one_that_is_nea
     assert power == pytest.approx(run.parameter("power_foldback", "power"), rel=0.1)
 
 
-@pytest.mark.parametrize("seed", ONE_WAY)
+@pytest.mark.parametrize("seed", often({f"one way {seed}": (seed,) for seed in ONE_WAY}))
 def test_a_torque_that_pulls_one_way_is_no_spring_whose_rest_no_run_comes_by(drawn_case, seed):
     case, _ = drawn_case(f"one way {seed}")
     classes = [{cause.effect, *cause.indistinguishable_from} for cause in diagnose(case).causes]
@@ -150,7 +174,9 @@ def test_a_spring_is_told_about_where_it_rests(drawn_case):
     assert told["stiffness"] == pytest.approx(run.parameter("position_spring", "stiffness"), rel=0.03)
 
 
-@pytest.mark.parametrize(("name", "parameter", "base", "kind", "seed", "near"), SHARES)
+@pytest.mark.parametrize(
+    ("name", "parameter", "base", "kind", "seed", "near"), often({f"share of {words[0]}": words for words in SHARES})
+)
 def test_what_goes_with_a_parameter_is_told_of_what_was_fitted(drawn_case, name, parameter, base, kind, seed, near):
     case, run = drawn_case(f"share of {name}")
     fitted_over_nominal = getattr(run.specimen, base) / getattr(case.model, base)
@@ -179,13 +205,16 @@ def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(draw
     assert told["rotor_inertia"] / told["torque_constant"] == pytest.approx(ratio, rel=0.01)
 
 
-@pytest.mark.parametrize("how", ["coarse with presliding", "coarser with presliding", "coarser with gear_backlash"])
+@pytest.mark.parametrize(
+    "how",
+    often({how: (how,) for how in ("coarse with presliding", "coarser with presliding", "coarser with gear_backlash")}),
+)
 def test_an_effect_is_named_beside_such_an_encoder(drawn_case, how):
     case, _ = drawn_case(how)
     assert named(diagnose(case)) == [how.rpartition(" ")[2]]
 
 
-@pytest.mark.parametrize("seed", PUSHED)
+@pytest.mark.parametrize("seed", often({f"pushed {seed}": (seed,) for seed in PUSHED}))
 def test_a_push_in_time_beside_such_an_encoder_is_unknown(drawn_case, seed):
     case, _ = drawn_case(f"pushed {seed}")
     diagnosis = diagnose(case)

@@ -47,6 +47,7 @@ def is_named(found, named, acting, alike):
     return acting <= named | reported and not named - acting - alike - reported
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not (CASES / "machines").is_dir(), reason="the cases of other machines are not beside this checkout"
 )

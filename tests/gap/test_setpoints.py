@@ -113,7 +113,7 @@ def test_a_wave_that_its_rows_show_does_not_leap():
     assert np.flatnonzero(leaps((rows > 99).astype(float))).tolist() == [99, 100]
 
 
-@pytest.mark.parametrize(("third", "seed"), [("steps", 11), ("multisine", 2)])
+@pytest.mark.parametrize(("third", "seed"), [("steps", 11), pytest.param("multisine", 2, marks=pytest.mark.long)])
 def test_a_sound_servo_is_not_late_in_a_log_of_every_fourth_sample(tmp_path, third, seed):
     spindle = draw_machines(np.random.default_rng([77, 0]), 10)[1]
     assert "velocity_reference" in spindle.channels
