@@ -27,7 +27,7 @@ def answered(seed, folder):
     return found.verdict
 
 
-@pytest.mark.parametrize("seed", [1001, 1006, 1038, 1039])
+@pytest.mark.parametrize("seed", [1001, 1006, 1038, 1039, 2195])
 def test_a_drawn_rig_is_answered_or_refused(seed, tmp_path):
     assert answered(seed, tmp_path) in (*VERDICTS, "refused")
 

@@ -217,7 +217,10 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     variances = propagated(here, lambda change: with_form(form, values + change), spread)
     refined = evidence.form_spread.get(candidate)
     if refined is not None:
-        of_form = propagated(here, at, apart * refined)
+        free = apart * refined
+        far = np.diag(free) > math.log(SMALLEST) ** 2  # no run shows a number that may be off by that
+        free[far, far] = math.inf
+        of_form = propagated(here, at, free)
         variances = {key: variances[key] + of_form[key] for key in here}
     late = stamps_late(evidence, candidate)
     return tuple(
