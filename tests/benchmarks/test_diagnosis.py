@@ -14,7 +14,7 @@ from leactl.gap.diagnose import Case, diagnose, split
 from leactl.gap.signals.record import read_record
 from leactl.model.nominal import read_model
 
-SECONDS, GIGABYTES = 15.0, 1.5
+SECONDS, GIGABYTES = 10.0, 1.5
 LINEAR = 1.15  # times as long as in proportion to its samples, that a larger case may take
 
 
