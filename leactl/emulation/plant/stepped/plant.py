@@ -77,7 +77,8 @@ class SteppedPlant:
             own.of(self.current_gain)[:] *= own.effect.sense_current(1.0) - zero
         self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self.current_gain
         self._approach = -np.expm1(-self._loop * STEP)
-        self._to_go = np.exp(-self._loop * STEP * np.arange(SUBSTEPS + 1).reshape(-1, 1, 1))
+        # of a current's deviation from its target, at the start of a millisecond and after each sub-step
+        self._share_left = np.exp(-self._loop * STEP * np.arange(SUBSTEPS + 1).reshape(-1, 1, 1))
         self._velocity_filter = _Filter(column(lanes, lambda lane: lane.bench.velocity_filter_bandwidth))
         self._torque_filter = _Filter(column(lanes, lambda lane: lane.bench.torque_filter_bandwidth))
 
@@ -181,10 +182,9 @@ class SteppedPlant:
 
     def _followed(self) -> Array:
         """Currents in the middle of each sub-step of this millisecond, of loops that no ceiling holds."""
-        off = self.current - self._target
-        at = self._target + off * self._to_go
-        np.copyto(self.current, at[-1])
-        middles: Array = 0.5 * (at[:-1] + at[1:])
+        currents = self._target + (self.current - self._target) * self._share_left
+        np.copyto(self.current, currents[-1])
+        middles: Array = 0.5 * (currents[:-1] + currents[1:])
         np.mean(middles, axis=0, out=self.current_mean)
         return middles
 
