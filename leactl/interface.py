@@ -13,7 +13,7 @@ from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Result
 from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
-from leactl.gap.diagnosis import Diagnosis as DiagnosisAnswer
+from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.replay.written import Simulated as Simulated
 from leactl.runfile.read.reader import Channel as Channel
 from leactl.runfile.read.reader import Run as Run
@@ -35,7 +35,7 @@ class Analysis(Result):
         return framed(analysis_page(self))
 
 
-class Diagnosis(DiagnosisAnswer):
+class Diagnosis(DiagnosisResult):
     """Where a model and runs disagree, and why: what `leactl gap diagnose --json` prints."""
 
     def __str__(self) -> str:

@@ -9,7 +9,7 @@ from leactl.bench.provenance import Provenance
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
-from leactl.driver.contract import Block, Driver, MotionDevice, PacedDevice, Row
+from leactl.driver.contract import Driver, MotionDevice, PacedDevice, Row, SampleBlock
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.driver.serial_port import SerialPort
@@ -159,14 +159,14 @@ class Bench:
             if isinstance(drive, PacedDevice):
                 drive.pace(period)
 
-    def take(self) -> list[Row | Block]:
+    def take(self) -> list[Row | SampleBlock]:
         """New rows of all streams that devices sample by their own clocks.
 
         Raises
         ------
         DeviceError : a device or its bus failed, or a driver broke.
         """
-        rows: list[Row | Block] = []
+        rows: list[Row | SampleBlock] = []
         driver: Driver | None = None
         try:
             for driver in self._asynchronous:

@@ -14,7 +14,7 @@ from leactl.cli.completion import benches
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from leactl.runner.runs_underway import Underway
+    from leactl.runner.runs_underway import RunUnderway
     from leactl.runner.session import Outcome
 
 LONGEST_REMARK = 1000  # characters
@@ -92,7 +92,7 @@ def remark(
     _ask_each(bench, as_json, lambda run: run.remark(text), "records it")
 
 
-def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answer: str) -> None:
+def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", answer: str) -> None:
     """Call `ask` with every run on a bench, and print the runs that were asked.
 
     Raises
@@ -123,7 +123,7 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
         raise DeviceError("; ".join(faults))
 
 
-def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Underway]":
+def _runs_on(bench: str, runs: "list[RunUnderway]", faults: list[str]) -> "list[RunUnderway]":
     """Runs on a bench, by the bench name or path that each was started with, else by the name in the bench file.
 
     Adds to `faults` a bench that a process locks although no run's file describes that process.
@@ -147,7 +147,7 @@ def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Und
     return named
 
 
-def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
+def _end(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
     """Describe for JSON how a run ended, and what could not be confirmed about its safe state."""
     last_words = run.told()
     safe = last_words.get("safe", {})

@@ -16,7 +16,7 @@ from leactl.errors import AcceptanceFailed, Stopped
 
 if TYPE_CHECKING:
     from leactl.runner.campaign.campaignfile import Campaign
-    from leactl.runner.campaign.entries import Entry
+    from leactl.runner.campaign.entries import CampaignEntry
 
 
 class RunByDefault(WholeSentences):
@@ -135,7 +135,7 @@ def run(
     from leactl.errors import AcceptanceFailed
     from leactl.report.campaign import demands, plan_text
     from leactl.report.outputs import check_folder
-    from leactl.runner.campaign.conduct import Manner, conduct
+    from leactl.runner.campaign.conduct import CampaignOptions, conduct
     from leactl.runner.campaign.entries import previews
     from leactl.runner.campaign.folder import to_go_on
     from leactl.runner.signals import to_the_end
@@ -155,7 +155,7 @@ def run(
         typer.echo(json.dumps(body | {"runs": rows}) if as_json else plan_text(campaign.title, body | {"runs": rows}))
         return
     attended = sys.stdin is not None and sys.stdin.isatty()
-    manner = Manner(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
+    manner = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
     with to_the_end():
         ended = conduct(campaign, entries, folder, manner)
     done = len(ended.journal.finished)
@@ -185,7 +185,7 @@ def _read(
     realtime: bool = False,
     served: bool = False,
     buses: Sequence[str] = (),
-) -> "tuple[Campaign, Path, list[Entry]]":
+) -> "tuple[Campaign, Path, list[CampaignEntry]]":
     from leactl.runner.campaign.campaignfile import load
     from leactl.runner.campaign.entries import Conditions, entries_of
 
@@ -194,7 +194,7 @@ def _read(
     return campaign, folder, entries_of(campaign, Conditions(folder, operator, realtime, served, buses))
 
 
-def _about(entry: "Entry") -> dict[str, Any]:
+def _about(entry: "CampaignEntry") -> dict[str, Any]:
     cell, request = entry.cell, entry.request
     return {
         "run": cell.key,

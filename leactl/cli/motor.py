@@ -127,11 +127,11 @@ def energy(
 ) -> None:
     """Work out where the energy of a cycle goes, at the ratio of least electrical energy or at a given one."""
     from leactl.model.cycle import read_cycle
-    from leactl.model.energy import Supply, best_ratio, remarks, stride
+    from leactl.model.energy import DriveSupply, best_ratio, remarks, stride
     from leactl.model.motor import load_sheet, motor_names
     from leactl.report.motor_design import energy_text, stride_json
 
-    supply = Supply(bus_voltage, line_current, ambient, winding_temperature)
+    supply = DriveSupply(bus_voltage, line_current, ambient, winding_temperature)
     sheets = [load_sheet(name)[0] for name in motors or motor_names()]
     body, texts = [], []
     for path in cycles:

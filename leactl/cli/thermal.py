@@ -204,7 +204,7 @@ def commission(
     from leactl.cli.run import perform
     from leactl.report.outputs import check_files, check_folder
     from leactl.report.thermal import commissioned_body, commissioned_text
-    from leactl.runner.commission import Manner
+    from leactl.runner.commission import CommissionOptions
     from leactl.runner.commission import commission as commissioned
     from leactl.runner.request import prepare
     from leactl.runner.signals import to_the_end
@@ -220,7 +220,7 @@ def commission(
         return replace(made, plan=replace(made.plan, attended=attended or made.plan.attended))
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
-    manner = Manner(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
+    manner = CommissionOptions(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
     with to_the_end():
         commissioning = commissioned(manner, target)
     body = commissioned_body(commissioning, protocol, actuator)

@@ -26,7 +26,7 @@ SAFE_STATE_S = 1.0  # time for a device to confirm its safe state; no answer tim
 class DriverSettings(yamlblock.Block):
     """Settings of one device in the bench file; every field's name carries its unit."""
 
-    def shown(self) -> "list[Shown]":
+    def shown(self) -> "list[MeasurableRange]":
         """Measurable range of each quantity, from the settings; a limit outside it could never trip."""
         return []
 
@@ -66,7 +66,7 @@ class Identity(NamedTuple):
     firmware: str = ""
 
 
-class Shown(NamedTuple):
+class MeasurableRange(NamedTuple):
     """Measurable range of a quantity, and the path of the setting that defines it."""
 
     place: tuple[str | int, ...]
@@ -93,7 +93,7 @@ class Row(NamedTuple):
     fault: str = ""  # reason why a value is NaN, if the device knows it
 
 
-class Block(NamedTuple):
+class SampleBlock(NamedTuple):
     """Many samples of a device's own stream at once; single rows of a fast converter would take too much of a cycle.
 
     A value is NaN if a channel has none at its time; the driver explains it in a notice.
@@ -199,7 +199,7 @@ class Driver(ABC):
         """Streams that the device samples by its own clocks."""
         return ()
 
-    def take(self) -> Sequence[Row | Block]:
+    def take(self) -> Sequence[Row | SampleBlock]:
         """Rows of `streams` since the last call, or blocks of many rows; never waits."""
         return ()
 

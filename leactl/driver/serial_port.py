@@ -15,14 +15,14 @@ from leactl.errors import DeviceError
 LONGEST_LINE = 256  # bytes, unless a driver expects more; of a longer line only the end is kept
 
 
-class Cut(NamedTuple):
+class FrameCut(NamedTuple):
     """What a `Framing` finds at the beginning of the bytes that have arrived."""
 
     noise: int  # bytes that cannot begin a frame, whatever follows; they are dropped, and the rest is looked at anew
     length: int  # of the frame behind them, which need not have arrived in full; 0: more bytes are needed to tell
 
 
-Framing = Callable[[bytes], Cut]
+Framing = Callable[[bytes], FrameCut]
 """Finds the first frame of a binary protocol in one byte or more, by its header, length and checksum.
 
 The result depends on the bytes alone, never on how they were delivered: a USB adapter splits a frame and closes the
@@ -219,9 +219,9 @@ class SerialPort:
             self._received = self._received[-self.longest_line :]
         return length if length <= len(self._received) else 0
 
-    def _by_line_end(self, received: bytes) -> Cut:
+    def _by_line_end(self, received: bytes) -> FrameCut:
         end = received.find(self.line_end)
-        return Cut(0, end + len(self.line_end) if end >= 0 else 0)
+        return FrameCut(0, end + len(self.line_end) if end >= 0 else 0)
 
     def _receive(self, timeout: float) -> None:
         if self._line is None:

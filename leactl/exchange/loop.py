@@ -17,7 +17,7 @@ from leactl.exchange.playing import play, playable, rms_of_error
 from leactl.exchange.reading import import_joint
 from leactl.exchange.writing import Patch, patch, write_patch
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.diagnosis import DiagnosisResult
 from leactl.model.nominal import as_mapping
 
 FORMAT, VERSION = "leactl-gap-loop", 1
@@ -39,7 +39,7 @@ class ClosedLoop:
     """The diagnosis of a joint, the patched file, and how far it closes the gap in MuJoCo."""
 
     joint: str
-    answer: Diagnosis
+    answer: DiagnosisResult
     patched: Patch
     runs: tuple[PlayedRun, ...]
     written: tuple[Path, ...]

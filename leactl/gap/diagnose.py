@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.effects import library
 from leactl.errors import InputError
-from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
+from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter, Verdict
 from leactl.gap.null import beside, compare, confirmed_beside_others, measure
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
@@ -35,7 +35,7 @@ from leactl.gap.verdict.picture import pictured, pictured_by_replays
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
-from leactl.gap.verdict.withdrawal import Applied, Fitted, Refit, apply
+from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
@@ -131,7 +131,7 @@ def alike(record: Record, courses: list[Array]) -> int:
     return near[0] if near else len(courses) - 1
 
 
-def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
+def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult:
     """Answer where, why and how far: faults of the set-up first, then what is left once they are mended.
 
     Causes come from the fitted runs alone, how far the gap shrinks from the held-out ones. Faults of the set-up are
@@ -152,7 +152,7 @@ def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:
     return faults, case.of_records(records) if faults else case
 
 
-def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress) -> Diagnosis:
+def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress) -> DiagnosisResult:
     """Answer for a case whose runs are mended: the faults that they had are the first causes.
 
     Raises
@@ -165,13 +165,13 @@ def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress
         of_effects = diagnose_effects(case, progress)
     except InputError as error:  # without the channel at fault nothing can be checked: the fault is the answer
         same = {"calibrated": case.model, "augmented": case.model, "traces": (), "profiles": ()}
-        of_effects = Diagnosis("none", 0.0, notes=tuple(error.faults), extra=same)
+        of_effects = DiagnosisResult("none", 0.0, notes=tuple(error.faults), extra=same)
     causes = tuple(fault.as_cause() for fault in faults) + of_effects.causes
     notes = tuple(fault.note() for fault in faults)
     return replace(of_effects, verdict="effect", causes=causes, notes=(*notes, *of_effects.notes))
 
 
-def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
+def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     """Answer for runs whose channels are what their descriptions say.
 
     Raises
@@ -263,7 +263,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         near = nearest_effects(searched, judged, applied.refused)
         left = (surprise.note,)
         rest = describe(evidence, standing, surprise.channel, case.held_out, near)
-    return Diagnosis(
+    return DiagnosisResult(
         verdict(causes, surprise.probability, calibrates),
         surprise.probability,
         located,
@@ -345,12 +345,12 @@ def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
     return any(name[0] == "effect" and (name[1], name[2]) in own for name in rows.columns)
 
 
-def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> Fitted:
+def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
     """Some members of the set fitted without the others."""
     wanted = {cause.effect: cause for cause in causes}
     hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in wanted]
     parameters, calibration = fitted_to_the_end(evidence, hypothesis)
-    return Fitted(tuple(replace(wanted[name], parameters=own) for name, own in parameters.items()), calibration)
+    return FittedEffects(tuple(replace(wanted[name], parameters=own) for name, own in parameters.items()), calibration)
 
 
 def fitted_to_the_end(
@@ -376,9 +376,9 @@ def fitted_to_the_end(
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 
-def fitted_by_ladder(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> Fitted:
+def fitted_by_ladder(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
     """What free runs of a servo say, which are fitted with all effects at once."""
-    return Fitted(tuple(causes), calibration)
+    return FittedEffects(tuple(causes), calibration)
 
 
 def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:

@@ -63,7 +63,7 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
-class Bin:
+class ResidualBin:
     """Mean residual of a stretch of a variable, with its 95 % interval, before and after an effect is added."""
 
     low: float
@@ -94,7 +94,7 @@ class Picture:
     after_rms: float
     off_zero_before: int  # bins whose interval does not hold zero
     off_zero_after: int
-    bins: tuple[Bin, ...]
+    bins: tuple[ResidualBin, ...]
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class SimulatorAnswer:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class DiagnosisResult:
     """The whole answer."""
 
     verdict: Verdict

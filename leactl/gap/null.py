@@ -38,7 +38,7 @@ from leactl.gap.search.ringing import ringing
 from leactl.gap.search.sets import (
     ENTRY,
     EffectSet,
-    Finding,
+    FurtherEffect,
     by_themselves,
     describe,
     exchange,
@@ -92,7 +92,7 @@ def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
     none. The size of each effect there is combined with its floor in quadrature, but for waves over the angle: their
     one floor stands for all orders, and a simulator's own wave of one order says nothing of another.
     """
-    shown = Shown()
+    shown = NullValues()
     shown.look(Evidence(records, model, kept=null.kept))
     own = shown.null(null.moved, null.kept)
     left = {key: max(value, own.left.get(key, 0.0)) for key, value in null.left.items()}
@@ -133,16 +133,16 @@ def looked_at(
     machines: int,
     only: Sequence[Candidate] | None,
     random: np.random.Generator,
-) -> "Shown":
+) -> "NullValues":
     """What sound machines show whose fits keep some parameters at the model's values."""
-    shown = Shown()
+    shown = NullValues()
     for own in sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random):
         shown.look(Evidence(own, model, only, kept))
     return shown
 
 
 @dataclass
-class Shown:
+class NullValues:
     """What sound machines show, one value for each of them."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
@@ -227,7 +227,9 @@ def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0
     return describe(evidence, refine(evidence, exchange(evidence, hypothesis)))
 
 
-def size_beside(evidence: Evidence, others: Sequence[Candidate], item: Finding, random: np.random.Generator) -> float:
+def size_beside(
+    evidence: Evidence, others: Sequence[Candidate], item: FurtherEffect, random: np.random.Generator
+) -> float:
     """Size of an effect, beyond noise, in a machine that has only the others; zero where it cannot be simulated."""
     # beside the whole set: without the effect its likeness in the model, as a stiffness of a shaft's, takes its place
     own = calibrated(evidence, evidence.settle([*others, item.candidate]))

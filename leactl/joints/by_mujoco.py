@@ -12,7 +12,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
-from leactl.joints.run import PARTS, Run, Signals
+from leactl.joints.run import PARTS, JointRun, JointSignals
 
 # dry friction as hard as MuJoCo's solver takes it: its default creeps where a bearing sticks
 HARD_FRICTION = 'solreffriction="{stiff:.9g} 1" solimpfriction="0.999 0.9999 0.001"'
@@ -33,7 +33,7 @@ MESH = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
 MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
 
 
-def simulate(runs: Sequence[Run]) -> list[Signals]:
+def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
     """Run one after the other.
 
     Raises
@@ -47,7 +47,7 @@ def simulate(runs: Sequence[Run]) -> list[Signals]:
     return [_simulate(mujoco, run) for run in runs]
 
 
-def model_text(run: Run) -> str:
+def model_text(run: JointRun) -> str:
     """The joint as an MJCF model."""
     specimen, load, geared, play = run.specimen, "", "", ""
     share, rotor = run.parameter("joint_elasticity", "share"), specimen.rotor_inertia
@@ -74,7 +74,7 @@ def model_text(run: Run) -> str:
     )
 
 
-def _simulate(mujoco: Any, run: Run) -> Signals:
+def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
     model = mujoco.MjModel.from_xml_string(model_text(run))
     state, drive, effects = mujoco.MjData(model), _Drive(run), _Effects(run)
     state.qpos[0] = run.angle
@@ -101,13 +101,13 @@ def _simulate(mujoco: Any, run: Run) -> Signals:
             drive.read(state.qvel[0] * effects.encoder_slope(state.qpos[0]), part)
         drive.before = reference
         rows[:, index] = reference, drive.mean, drive.logged, effects.encoder(state.qpos[0])
-    return Signals(*rows)
+    return JointSignals(*rows)
 
 
 class _Drive:
     """Velocity servo, current loop, velocity filter of one drive."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: JointRun) -> None:
         machine, step = run.specimen.machine, 1.0 / run.specimen.machine.rate / PARTS
         self._log, self._servo = run.log, run.program.velocity is not None
         self._proportional = 2.0 * math.pi * SERVO_HZ * machine.rotor_inertia / machine.torque_constant
@@ -163,7 +163,7 @@ class _Drive:
 class _Effects:
     """Torques and frictions beside MuJoCo's own."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: JointRun) -> None:
         self._run = run
         self._names = {drawn.name: drawn.parameters for drawn in run.effects}
         self.geared = "gear_backlash" in self._names

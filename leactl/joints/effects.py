@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.joints.machine import Generator, Machine, declared
+from leactl.joints.machine import Generator, JointMachine, declared
 
 STRENGTHS = ("faint", "plain", "strong")
 SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
@@ -17,7 +17,7 @@ SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnEffect:
     """One effect with its parameters; those that the vocabulary has are under its names."""
 
     name: str
@@ -36,7 +36,7 @@ def unlisted() -> Mapping[str, Mapping[str, Any]]:
     return rules
 
 
-def shown_by(machine: Machine) -> list[str]:
+def shown_by(machine: JointMachine) -> list[str]:
     """Effects of the vocabulary that a machine of this kind may have and its channels can show."""
     return [
         name
@@ -55,17 +55,17 @@ def never_beside(name: str) -> list[str]:
     return [*alike(name), *listed()[name].get("not_beside", [])]
 
 
-def draw_effect(draw: Generator, machine: Machine, name: str, strength: str) -> Drawn:
+def draw_effect(draw: Generator, machine: JointMachine, name: str, strength: str) -> DrawnEffect:
     """Draw an effect's parameters at a strength, in SI units."""
     rule = listed()[name] if name in listed() else unlisted()[name]
     spread = 1.0 + SIZE_SPREAD * float(draw.uniform(-1.0, 1.0))
     size = rule[strength] * spread * machine.scale(rule["in"])
     if rule.get("signed") and draw.random() < 0.5:
         size = -size
-    return Drawn(name, strength, {rule["size"]: size, **others(draw, machine, name)})
+    return DrawnEffect(name, strength, {rule["size"]: size, **others(draw, machine, name)})
 
 
-def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
+def others(draw: Generator, machine: JointMachine, name: str) -> dict[str, float]:
     """The parameters beside the size."""
     phase = {"phase": float(draw.uniform(-np.pi, np.pi))}
     slow = SLOWEST_LEVEL * machine.speed

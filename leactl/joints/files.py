@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from leactl import __version__
-from leactl.joints.effects import Drawn, alike
+from leactl.joints.effects import DrawnEffect, alike
 from leactl.joints.machine import Specimen, nominal_text
-from leactl.joints.run import Array, Run, Signals
+from leactl.joints.run import Array, JointRun, JointSignals
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 
@@ -22,7 +22,7 @@ QUANTITIES = {
 }
 
 
-def write_run(folder: Path, case: str, run: Run, signals: Signals) -> None:
+def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> None:
     """Write a run with the channels that the machine logs, their noise and rounding on them."""
     machine = run.specimen.machine
     columns = {name: values for name, values in logged(run, signals).items() if name in machine.channels}
@@ -56,7 +56,7 @@ def write_run(folder: Path, case: str, run: Run, signals: Signals) -> None:
     writer.path.rename(folder / f"{run.name}.h5")
 
 
-def logged(run: Run, signals: Signals) -> dict[str, Array]:
+def logged(run: JointRun, signals: JointSignals) -> dict[str, Array]:
     """Every channel that a log may have."""
     machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
     count, reference = len(signals.angle), signals.reference
@@ -72,7 +72,7 @@ def logged(run: Run, signals: Signals) -> dict[str, Array]:
 
 
 def entry(
-    specimen: Specimen, kind: str, effects: tuple[Drawn, ...], strength: str | None, machine: str, simulator: str
+    specimen: Specimen, kind: str, effects: tuple[DrawnEffect, ...], strength: str | None, machine: str, simulator: str
 ) -> dict[str, Any]:
     """What the key says of a case; effects outside the vocabulary count as `unknown`."""
     outside = kind == "unknown"

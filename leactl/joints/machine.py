@@ -20,7 +20,7 @@ SPREADS = {"torque_constant": 0.06, "rotor_inertia": 0.15, "viscous_damping": 0.
 
 
 @dataclass(frozen=True)
-class Machine:
+class JointMachine:
     """What is nominal, and how its runs are made and logged."""
 
     kind: str
@@ -67,7 +67,7 @@ class Machine:
 class Specimen:
     """One machine's true parameters beside what is nominal."""
 
-    machine: Machine
+    machine: JointMachine
     torque_constant: float
     rotor_inertia: float
     viscous_damping: float
@@ -78,7 +78,7 @@ class Specimen:
         return {name: getattr(self, name) for name in SPREADS} | {"back_emf_constant": self.torque_constant}
 
 
-def draw_machine(draw: Generator, kind: str) -> Machine:
+def draw_machine(draw: Generator, kind: str) -> JointMachine:
     """Draw a machine of a kind of `machines.yaml`, and how it is run and logged."""
     values = {name: logarithmic(draw, *limits) for name, limits in kinds()[kind].items()}
     friction = values["torque_constant"] * values["current"] / RESERVE
@@ -88,7 +88,7 @@ def draw_machine(draw: Generator, kind: str) -> Machine:
     channels += ["velocity_reference"] if draw.random() < 0.5 else []
     # levels stand still long enough for friction, the other two are drawn
     others = draw.choice([name for name in PROTOCOLS if name != "levels"], 2, replace=False)
-    return Machine(
+    return JointMachine(
         kind=kind,
         rate=rate,
         seconds=float(draw.uniform(*SECONDS)),
@@ -110,13 +110,13 @@ def draw_machine(draw: Generator, kind: str) -> Machine:
     )
 
 
-def draw_specimen(draw: Generator, machine: Machine) -> Specimen:
+def draw_specimen(draw: Generator, machine: JointMachine) -> Specimen:
     """Draw the true parameters of one machine."""
     off = {name: 1.0 + spread * float(draw.uniform(-1.0, 1.0)) for name, spread in SPREADS.items()}
     return Specimen(machine, **{name: getattr(machine, name) * by for name, by in off.items()})
 
 
-def nominal_text(machine: Machine) -> str:
+def nominal_text(machine: JointMachine) -> str:
     """The nominal model file beside the runs."""
     return f"""\
 name: {machine.kind}

@@ -13,13 +13,13 @@ from leactl.emulation.blind.key import write_key
 from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, stepped
-from leactl.joints.effects import STRENGTHS, Drawn, draw_effect, listed, never_beside, shown_by, unlisted
+from leactl.joints.effects import STRENGTHS, DrawnEffect, draw_effect, listed, never_beside, shown_by, unlisted
 from leactl.joints.files import entry, write_run
-from leactl.joints.machine import Generator, Machine, draw_machine, draw_specimen, kinds, nominal_text
+from leactl.joints.machine import Generator, JointMachine, draw_machine, draw_specimen, kinds, nominal_text
 from leactl.joints.programs import draw_program
-from leactl.joints.run import Run, Signals, draw_log
+from leactl.joints.run import JointRun, JointSignals, draw_log
 
-SIMULATORS: dict[str, Callable[[Sequence[Run]], list[Signals]]] = {
+SIMULATORS: dict[str, Callable[[Sequence[JointRun]], list[JointSignals]]] = {
     "stepped": stepped.simulate,
     "mujoco": by_mujoco.simulate,
 }
@@ -68,7 +68,7 @@ def make(
     for start in range(0, count, AT_ONCE):
         left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
         progress(f"{start} of {count} cases made{left}")
-        batch: list[tuple[str, Run]] = []
+        batch: list[tuple[str, JointRun]] = []
         for k in range(start, min(start + AT_ONCE, count)):
             name, at, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
             runs = draw_runs(np.random.default_rng([number, 1, k]), drawn_machines[at], effects, strength)
@@ -84,14 +84,14 @@ def make(
     return write_key(key_dir, out, entries, number, salt)
 
 
-def draw_machines(draw: Generator, count: int) -> list[Machine]:
+def draw_machines(draw: Generator, count: int) -> list[JointMachine]:
     """Draw machines, one of each kind before any kind comes twice."""
     names = in_turn(draw, tuple(kinds()))
     return [draw_machine(draw, next(names)) for _ in range(count)]
 
 
 def plan(
-    draw: Generator, count: int, machines: Sequence[Machine], wanted: Sequence[str]
+    draw: Generator, count: int, machines: Sequence[JointMachine], wanted: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
     """Kind, effects and strength of each case; a machine gets effects that its channels can show."""
     drawn = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
@@ -109,19 +109,19 @@ def plan(
     return plans
 
 
-def shown(names: Iterator[str], machine: Machine, beside: Sequence[str]) -> str:
+def shown(names: Iterator[str], machine: JointMachine, beside: Sequence[str]) -> str:
     """The next effect that a machine can show beside others."""
     taken = {*beside, *(name for other in beside for name in never_beside(other))}
     fit = set(shown_by(machine)) - taken
     return next(name for name in names if name in fit)
 
 
-def draw_runs(draw: Generator, machine: Machine, effects: Sequence[str], strength: str) -> list[Run]:
+def draw_runs(draw: Generator, machine: JointMachine, effects: Sequence[str], strength: str) -> list[JointRun]:
     """Draw a specimen with its effects, and the runs that are made of it."""
     specimen, log = draw_specimen(draw, machine), draw_log(draw, machine.sampling)
-    drawn: tuple[Drawn, ...] = tuple(draw_effect(draw, machine, name, strength) for name in effects)
+    drawn: tuple[DrawnEffect, ...] = tuple(draw_effect(draw, machine, name, strength) for name in effects)
     return [
-        Run(
+        JointRun(
             name=f"{protocol}-{repeat}",
             protocol=protocol,
             specimen=specimen,

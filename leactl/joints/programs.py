@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.joints.effects import SLOWEST_LEVEL
-from leactl.joints.machine import Generator, Machine
+from leactl.joints.machine import Generator, JointMachine
 
 Array = npt.NDArray[np.float64]
 LEVELS = 10
@@ -15,34 +15,34 @@ SERVO_CORNER_HZ = 0.6  # below which its integral acts
 
 
 @dataclass(frozen=True)
-class Program:
+class JointProgram:
     """References of one run."""
 
     current: Array | None  # A
     velocity: Array | None  # rad/s
 
 
-def draw_program(draw: Generator, machine: Machine, protocol: str) -> Program:
+def draw_program(draw: Generator, machine: JointMachine, protocol: str) -> JointProgram:
     """Draw the references of a run of a protocol."""
     time = np.arange(round(machine.seconds * machine.rate)) / machine.rate
     if protocol == "levels":
         sizes = np.geomspace(SLOWEST_LEVEL, 1.0, LEVELS) * draw.uniform(0.9, 1.1, LEVELS)
         signs = np.tile([1.0, -1.0], LEVELS // 2) * draw.choice([-1.0, 1.0])
-        return Program(None, machine.speed * held(draw.permutation(sizes) * signs, time))
+        return JointProgram(None, machine.speed * held(draw.permutation(sizes) * signs, time))
     if protocol == "ramp":
         turns = 2.0 * np.pi * 2.0 * time / machine.seconds
         triangle = 2.0 / np.pi * np.arcsin(np.sin(turns)) * draw.choice([-1.0, 1.0])
-        return Program(None, machine.speed * draw.uniform(0.7, 1.0) * triangle)
+        return JointProgram(None, machine.speed * draw.uniform(0.7, 1.0) * triangle)
     if protocol == "steps":
         least = machine.coulomb_friction / machine.torque_constant
         sizes = draw.uniform(1.1 * least, machine.current / 1.3, LEVELS) * np.tile([1.0, -1.0], LEVELS // 2)
-        return Program(held(sizes, time), None)
+        return JointProgram(held(sizes, time), None)
     frequencies = np.geomspace(0.2, 9.0, 9)
     waves = [np.sin(2.0 * np.pi * (f * time + draw.random())) / np.sqrt(f) for f in frequencies]
     total = np.sum(waves, axis=0)
     # a mean that overcomes friction: the rotor turns to and fro
     asked = total / np.std(total) * draw.uniform(0.45, 0.6) * machine.current
-    return Program(np.clip(asked, -machine.current, machine.current), None)
+    return JointProgram(np.clip(asked, -machine.current, machine.current), None)
 
 
 def held(levels: Array, time: Array) -> Array:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.joints.effects import Drawn
+from leactl.joints.effects import DrawnEffect
 from leactl.joints.machine import Generator, Specimen
-from leactl.joints.programs import Program
+from leactl.joints.programs import JointProgram
 
 Array = npt.NDArray[np.float64]
 PARTS = 8  # steps of a simulator in a sample
@@ -24,14 +24,14 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Run:
+class JointRun:
     """A specimen, what is wrong with it, what is asked of it."""
 
     name: str
     protocol: str
     specimen: Specimen
-    effects: tuple[Drawn, ...]
-    program: Program
+    effects: tuple[DrawnEffect, ...]
+    program: JointProgram
     log: Log
     angle: float  # rad, at the start
     seed: int
@@ -51,7 +51,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Signals:
+class JointSignals:
     """What the drive has at the end of every sample, free of noise."""
 
     reference: Array  # A, that acted in the sample

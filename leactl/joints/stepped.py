@@ -5,27 +5,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
-from leactl.joints.run import PARTS, Array, Run, Signals
+from leactl.joints.run import PARTS, Array, JointRun, JointSignals
 
-Column = Callable[[Callable[[Run], float]], Array]  # one number of every lane
+Column = Callable[[Callable[[JointRun], float]], Array]  # one number of every lane
 Parameter = Callable[..., Array]  # effect, parameter and what does nothing, of every lane
 TINY = 1e-9  # V, back-EMF below which no power folds a current back
 BURST = 0.6  # of a sine, above which a burst rubs
 
 
-def simulate(runs: Sequence[Run]) -> list[Signals]:
+def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
     """Run every lane to the end of its program."""
-    lanes = Lanes(runs)
+    lanes = JointLanes(runs)
     lengths = [len(run.asked(None)) for run in runs]
     longest = max(lengths)
     current, velocity = (padded(runs, quantity, longest) for quantity in ("current", "velocity"))
     kept = np.zeros((4, longest, len(runs)))
     for row in range(longest):
         kept[:, row] = lanes.sample(current[row], velocity[row])
-    return [Signals(*(kept[k, :length, lane] for k in range(4))) for lane, length in enumerate(lengths)]
+    return [JointSignals(*(kept[k, :length, lane] for k in range(4))) for lane, length in enumerate(lengths)]
 
 
-def padded(runs: Sequence[Run], quantity: str, longest: int) -> Array:
+def padded(runs: Sequence[JointRun], quantity: str, longest: int) -> Array:
     """A reference of all runs, a row a sample; runs that have ended ask for nothing."""
     wanted = np.zeros((longest, len(runs)))
     for lane, run in enumerate(runs):
@@ -34,11 +34,11 @@ def padded(runs: Sequence[Run], quantity: str, longest: int) -> Array:
     return wanted
 
 
-class Lanes:
+class JointLanes:
     """Drives, rotors and filters of all runs."""
 
-    def __init__(self, runs: Sequence[Run]) -> None:
-        def column(number: Callable[[Run], float]) -> Array:
+    def __init__(self, runs: Sequence[JointRun]) -> None:
+        def column(number: Callable[[JointRun], float]) -> Array:
             return np.array([number(run) for run in runs], np.float64)
 
         def effect(name: str, parameter: str, otherwise: float = 0.0) -> Array:
@@ -76,7 +76,9 @@ class Lanes:
         self.twist, self.load_speed, self.charge, self.charge_before = (zero.copy() for _ in range(4))
         self.time, self.steps = zero.copy(), 0
 
-    def _drive(self, runs: Sequence[Run], column: Column, effect: Parameter, nominal: Callable[[str], Array]) -> None:
+    def _drive(
+        self, runs: Sequence[JointRun], column: Column, effect: Parameter, nominal: Callable[[str], Array]
+    ) -> None:
         self.servo = column(lambda run: float(run.program.velocity is not None))
         self.gain = 2.0 * np.pi * SERVO_HZ * nominal("rotor_inertia") / nominal("torque_constant")
         self.corner = 2.0 * np.pi * SERVO_CORNER_HZ / nominal("rate")

@@ -32,7 +32,7 @@ STILL = 1e-9  # rad/s of the joint
 
 
 @dataclass(frozen=True)
-class Supply:
+class DriveSupply:
     """What a drive and its bus give, and the air around."""
 
     bus_voltage: float = 29.6  # V
@@ -76,7 +76,7 @@ class Stride:
 
 
 def stride(
-    motor: MotorSheet, cycle: Cycle, ratio: float, efficiency: float = 1.0, supply: Supply | None = None
+    motor: MotorSheet, cycle: Cycle, ratio: float, efficiency: float = 1.0, supply: DriveSupply | None = None
 ) -> Stride:
     """One cycle at one ratio (turns of the motor for one of the joint) and efficiency of the transmission.
 
@@ -86,10 +86,10 @@ def stride(
     """
     if not RATIOS[0] <= ratio <= RATIOS[1]:
         raise InputError(f"ratio {ratio:g}: from {RATIOS[0]:g} to {RATIOS[1]:g} was expected")
-    return _Many(motor, cycle, np.array([ratio]), efficiency, supply or Supply()).stride(0)
+    return _Many(motor, cycle, np.array([ratio]), efficiency, supply or DriveSupply()).stride(0)
 
 
-def best_ratio(motor: MotorSheet, cycle: Cycle, efficiency: float = 1.0, supply: Supply | None = None) -> Stride:
+def best_ratio(motor: MotorSheet, cycle: Cycle, efficiency: float = 1.0, supply: DriveSupply | None = None) -> Stride:
     """The feasible ratio of least electrical energy; where none is feasible, one with the fewest points beyond.
 
     Raises
@@ -99,7 +99,7 @@ def best_ratio(motor: MotorSheet, cycle: Cycle, efficiency: float = 1.0, supply:
     low, high = RATIOS
     for _ in range(2):
         ratios = np.geomspace(low, high, TRIED)
-        many = _Many(motor, cycle, ratios, efficiency, supply or Supply())
+        many = _Many(motor, cycle, ratios, efficiency, supply or DriveSupply())
         best = many.best()
         low, high = ratios[max(best - 1, 0)], ratios[min(best + 1, TRIED - 1)]
     return many.stride(best)
@@ -108,7 +108,7 @@ def best_ratio(motor: MotorSheet, cycle: Cycle, efficiency: float = 1.0, supply:
 class _Many:
     """One cycle at many ratios side by side, one row each."""
 
-    def __init__(self, motor: MotorSheet, cycle: Cycle, ratios: Array, efficiency: float, supply: Supply) -> None:
+    def __init__(self, motor: MotorSheet, cycle: Cycle, ratios: Array, efficiency: float, supply: DriveSupply) -> None:
         lacking = motor.missing(*NEEDED)
         if lacking:
             raise InputError(f"motor '{motor.name}' has no {', '.join(lacking)}: its energy cannot be worked out")

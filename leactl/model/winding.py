@@ -15,7 +15,7 @@ WindingType = Literal["wye", "delta"]
 
 
 @dataclass(frozen=True)
-class Frame:
+class QAxisFactors:
     """What q-axis figures of a winding are of what is measured between and in its leads."""
 
     resistance: float  # of the line-to-line resistance; of inductance too
@@ -23,9 +23,9 @@ class Frame:
     current: float  # of the amplitude of the current in a lead
 
 
-FRAMES: dict[WindingType, Frame] = {
-    "wye": Frame(1.0 / 2.0, 1.0 / math.sqrt(2.0), math.sqrt(3.0 / 2.0)),
-    "delta": Frame(3.0 / 2.0, math.sqrt(3.0 / 2.0), 1.0 / math.sqrt(2.0)),
+FRAMES: dict[WindingType, QAxisFactors] = {
+    "wye": QAxisFactors(1.0 / 2.0, 1.0 / math.sqrt(2.0), math.sqrt(3.0 / 2.0)),
+    "delta": QAxisFactors(3.0 / 2.0, math.sqrt(3.0 / 2.0), 1.0 / math.sqrt(2.0)),
 }
 
 

@@ -31,7 +31,7 @@ from leactl.yamlfile import Location
 
 
 @dataclass
-class Followed:
+class RoleSetpoint:
     """Mode and setpoint of a role at a point of the protocol."""
 
     mode: Mode = Mode.OFF
@@ -56,7 +56,7 @@ class Timeline:
     folder: Path  # of the protocol file
     setup: str = ""  # empty if the head has faults
     actions: list[Action] = field(default_factory=list)
-    roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
+    roles: dict[str, RoleSetpoint] = field(default_factory=lambda: {"test": RoleSetpoint(), "load": RoleSetpoint()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
     signals: dict[tuple[Location, str, ProtocolSignal], Samples] = field(default_factory=dict)
     outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # that steps so far may have, by name
@@ -161,7 +161,7 @@ class Timeline:
     def engage(self, step: ProtocolStep, modes: Mapping[str, Mode]) -> None:
         """Put roles into modes; the setpoint becomes zero, in angle mode unknown."""
         for role, mode in modes.items():
-            self.roles[role] = Followed(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
+            self.roles[role] = RoleSetpoint(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
         self.add(step, Engage(dict(modes)))
 
     def segment(

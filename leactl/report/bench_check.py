@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from leactl.report.terminal import list_line, number
-from leactl.runner.bench_check.statement import Statement, Verdict
+from leactl.runner.bench_check.statement import Statement, StatementVerdict
 
 DEVICE_WIDTH = 14
 
@@ -17,7 +17,7 @@ def lines(statements: Sequence[Statement]) -> Iterator[str]:
         yield list_line(head, ": ".join(filter(None, (each.about, text))))
         if each.change:
             yield list_line(" " * 13, each.change)
-    counts = [(verdict, sum(each.verdict is verdict for each in statements)) for verdict in Verdict]
+    counts = [(verdict, sum(each.verdict is verdict for each in statements)) for verdict in StatementVerdict]
     yield f"{len(statements)} checks: {', '.join(f'{count} {verdict}' for verdict, count in counts)}"
 
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from leactl.report.plan import peaks
 from leactl.report.terminal import encodable, encoding_of_stdout, list_line, terminal_columns, wrapped
-from leactl.runner.drill.finding import Drilled, Finding, PlannedDrill, Tell
+from leactl.runner.drill.finding import Drilled, DrillFinding, PlannedDrill, Tell
 
 NARROWEST = 72
 WIDEST = 160  # characters: the longest reason then stands on two lines
@@ -119,7 +119,7 @@ def _notes(drilled: Drilled) -> list[str]:
     return [f"{_name(finding)}: {note}" for finding in drilled.findings for note in finding.notes]
 
 
-def _name(finding: Finding) -> str:
+def _name(finding: DrillFinding) -> str:
     parameters = [
         f"{name} {value:g}" if isinstance(value, float) else f"0x{value:X}" if name == "code" else _word(name, value)
         for name, value in finding.parameters.items()
@@ -132,7 +132,7 @@ def _word(name: str, value: object) -> str:
     return name if value is True else str(value)
 
 
-def _cells(finding: Finding) -> tuple[str, ...]:
+def _cells(finding: DrillFinding) -> tuple[str, ...]:
     return (
         _name(finding),
         finding.reason or finding.status,
@@ -142,7 +142,7 @@ def _cells(finding: Finding) -> tuple[str, ...]:
     )
 
 
-def _end(finding: Finding) -> str:
+def _end(finding: DrillFinding) -> str:
     powered = [name for name, end in finding.devices.items() if end.without_power is False]
     doubtful = [name for name, end in finding.devices.items() if not end.confirmed and name not in powered]
     off = "off, " if finding.zero_torque_s is not None else ""

@@ -4,7 +4,7 @@ import sys
 import textwrap
 from collections.abc import Sequence
 
-from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
+from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
 from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
@@ -41,12 +41,12 @@ NO_BREAK = "\u00a0"  # a space at which no line ends
 MOST_REGIONS = 5
 
 
-def print_diagnosis(answer: Diagnosis) -> None:
+def print_diagnosis(answer: DiagnosisResult) -> None:
     """Print the answer as wide as the terminal, 80 columns into a pipe."""
     sys.stdout.write(render(answer, terminal_columns(), encoding_of_stdout()))
 
 
-def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
+def render(answer: DiagnosisResult, width: int = 80, encoding: str = "utf-8") -> str:
     """Return the whole diagnosis as text for a stream of this width and encoding."""
     width = min(max(width, SMALLEST), WIDEST)
     parts = [
@@ -61,7 +61,7 @@ def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
     return encodable(without_control_characters("\n\n".join(filter(None, parts))) + "\n", encoding)
 
 
-def verdict_part(answer: Diagnosis, width: int) -> str:
+def verdict_part(answer: DiagnosisResult, width: int) -> str:
     """Return the verdict and the causes."""
     chance = probability_text(answer.unexplained_probability)
     lines = [
@@ -77,7 +77,7 @@ def verdict_part(answer: Diagnosis, width: int) -> str:
     return "\n".join(lines)
 
 
-def simulator_part(answer: Diagnosis, width: int) -> str:
+def simulator_part(answer: DiagnosisResult, width: int) -> str:
     """Return what a simulator that stands for the model contains and leaves over; empty where there is none."""
     nominal = answer.simulator
     if nominal is None:
@@ -90,7 +90,7 @@ def simulator_part(answer: Diagnosis, width: int) -> str:
     )
 
 
-def unexplained_part(answer: Diagnosis, width: int) -> str:
+def unexplained_part(answer: DiagnosisResult, width: int) -> str:
     """Return what the unexplained rest depends on, the effects that come near, and the experiment that would decide."""
     rest = answer.unexplained
     if rest is None:
@@ -119,7 +119,7 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
     return lines
 
 
-def shrinkage_part(answer: Diagnosis, width: int) -> str:
+def shrinkage_part(answer: DiagnosisResult, width: int) -> str:
     """Return the channels that have a gap, before and after, and how many have none."""
     if not answer.shrinkage:
         return ""
@@ -163,7 +163,7 @@ def calibrated_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[st
     ]
 
 
-def region_part(answer: Diagnosis, width: int) -> str:
+def region_part(answer: DiagnosisResult, width: int) -> str:
     """Return the largest gaps and the region that holds most of each."""
     rows = [
         (
@@ -182,7 +182,7 @@ def region_part(answer: Diagnosis, width: int) -> str:
     return "\n".join(lines)
 
 
-def calibration_part(answer: Diagnosis, width: int) -> str:
+def calibration_part(answer: DiagnosisResult, width: int) -> str:
     """Return the parameters of the nominal model before and after calibration."""
     rows = calibration_rows(answer)
     return table(("calibration", "nominal", "fitted ± std", "", "change"), rows, width, droppable=1) if rows else ""

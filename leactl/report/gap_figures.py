@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.gap.diagnosis import Diagnosis, Picture, Rest, Where
+from leactl.gap.diagnosis import DiagnosisResult, Picture, Rest, Where
 from leactl.gap.verdict.shrinkage import Trace
 from leactl.gap.verdict.where import Profile
 from leactl.report.chart import AxisRange, Bins, CaptionedChart, Layer, LineMarks, chart
@@ -37,7 +37,7 @@ class Card(NamedTuple):
     figures: list[CaptionedChart]
 
 
-def channel_cards(answer: Diagnosis) -> list[Card]:
+def channel_cards(answer: DiagnosisResult) -> list[Card]:
     """Return a card for each channel with a large gap, open gaps first, then gaps that calibration closed."""
     traces = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("traces", ())}
     profiles = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("profiles", ())}
@@ -58,7 +58,7 @@ def channel_cards(answer: Diagnosis) -> list[Card]:
     return cards[:MOST_CARDS]
 
 
-def effect_cards(answer: Diagnosis) -> list[Card]:
+def effect_cards(answer: DiagnosisResult) -> list[Card]:
     """Return a card for each cause: the residual before and after it is added, over the variable that it acts on."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [

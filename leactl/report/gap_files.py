@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.diagnosis import DiagnosisResult
 from leactl.model.nominal import as_mapping
 from leactl.report.outputs import check_files
 
@@ -36,7 +36,7 @@ class Outputs:
         to_stdout = STDOUT in (self.html, self.model)
         check_files(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
-    def write(self, answer: Diagnosis) -> None:
+    def write(self, answer: DiagnosisResult) -> None:
         """Write the wanted files, each whole or not at all; JSON on stdout comes last."""
         texts: list[tuple[Path, str]] = []
         if self.model is not None:

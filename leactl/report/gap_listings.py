@@ -11,7 +11,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 
 if TYPE_CHECKING:
     from leactl.exchange.loop import ClosedLoop, PlayedRun
-    from leactl.gap.planning.advice import Advice, Experiment
+    from leactl.gap.planning.advice import Advice, AdvisedProtocol
     from leactl.gap.planning.reveal import Sight
 
 ADVICE_FORMAT, ADVICE_VERSION = "leactl-gap-plan", 1
@@ -112,7 +112,7 @@ def sight_line(sight: "Sight", width: int) -> str:
     return f"{sight.effect:<{width}}  {smallest:>10}  {worth:<20}{mark}{alike}".rstrip()
 
 
-def experiment_lines(experiment: "Experiment") -> list[str]:
+def experiment_lines(experiment: "AdvisedProtocol") -> list[str]:
     """Return the command that runs a protocol, and below it the effects that it shows and tells apart."""
     lines = [f"  leactl run {experiment.protocol}  ({experiment.duration_s:.0f} s)"]
     if experiment.shows:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.gap.diagnosis import Cause, Diagnosis, Rest, Shrinkage, SimulatorAnswer
+from leactl.gap.diagnosis import Cause, DiagnosisResult, Rest, Shrinkage, SimulatorAnswer
 from leactl.report.gap_figures import channel_cards, effect_cards, rest_cards
 from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
@@ -47,12 +47,12 @@ MOST_CARDS = 12  # channels with bars, where no effect is added
 SCALE_START = 0.5  # of the smallest value, where the logarithmic scale of the bars begins
 
 
-def page(answer: Diagnosis) -> str:
+def page(answer: DiagnosisResult) -> str:
     """Return the whole diagnosis as one self-contained page; the same answer gives the same page."""
     return render("gap.html", **content(answer))
 
 
-def content(answer: Diagnosis) -> dict[str, Any]:
+def content(answer: DiagnosisResult) -> dict[str, Any]:
     """Return what the template `gap.html` shows of a diagnosis."""
     model, empty = answer.extra.get("augmented"), closes_nothing(answer)
     return {
@@ -73,7 +73,7 @@ def content(answer: Diagnosis) -> dict[str, Any]:
     }
 
 
-def headline_facts(answer: Diagnosis) -> list[str]:
+def headline_facts(answer: DiagnosisResult) -> list[str]:
     """Return the probability that something unexplained acts, the largest gap, and how many channels have none."""
     facts = [f"Probability that something unexplained acts: {probability_text(answer.unexplained_probability)}."]
     for channel in largest_first(answer.shrinkage)[:1]:
@@ -128,7 +128,7 @@ def rest_content(rest: Rest) -> dict[str, Any]:
     }
 
 
-def shrinkage_content(answer: Diagnosis) -> dict[str, Any]:
+def shrinkage_content(answer: DiagnosisResult) -> dict[str, Any]:
     """Return bars for the channels with a gap, and a table of all channels."""
     effects = bool(claimed_effects(answer))
     largest = largest_first(answer.shrinkage)
@@ -190,7 +190,7 @@ def channel_bars(
     return {"label": channel_label(channel, channels), "remark": remark, "bars": bars}
 
 
-def region_rows(answer: Diagnosis) -> list[list[str]]:
+def region_rows(answer: DiagnosisResult) -> list[list[str]]:
     """Return a row for each channel with a gap and the region that holds most of it."""
     return [
         [

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from leactl.gap.diagnosis import (
     CalibratedParameter,
     Cause,
-    Diagnosis,
+    DiagnosisResult,
     EffectParameter,
     Near,
     Picture,
@@ -35,7 +35,7 @@ VERDICTS = {
 Channel = Where | Shrinkage
 
 
-def verdict_sentence(answer: Diagnosis) -> str:
+def verdict_sentence(answer: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes; faults of the set-up are named apart from effects."""
     faults, lacking = claimed_faults(answer), claimed_effects(answer)
     if answer.verdict != "effect" or not faults:
@@ -44,12 +44,12 @@ def verdict_sentence(answer: Diagnosis) -> str:
     return f"The set-up has {enumerated(faults)}{lacks}."
 
 
-def claimed_faults(answer: Diagnosis) -> list[str]:
+def claimed_faults(answer: DiagnosisResult) -> list[str]:
     """Return the faults of the set-up that are said to act; everything else in an answer is of the runs once mended."""
     return claimed_causes([cause for cause in answer.causes if cause.family == "setup"])
 
 
-def claimed_effects(answer: Diagnosis) -> list[str]:
+def claimed_effects(answer: DiagnosisResult) -> list[str]:
     """Return the effects that are said to act."""
     return claimed_causes([cause for cause in answer.causes if cause.family != "setup"])
 
@@ -109,7 +109,7 @@ def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     return sorted(closed, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 
 
-def closes_nothing(answer: Diagnosis) -> bool:
+def closes_nothing(answer: DiagnosisResult) -> bool:
     """Return whether effects are claimed although no gap of held-out runs shrinks with them by more than chance."""
     shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
     return bool(claimed_effects(answer)) and bool(answer.shrinkage) and not shrinks
@@ -162,7 +162,7 @@ def change_text(parameter: CalibratedParameter) -> str:
     return f"{100.0 * (parameter.fitted / parameter.nominal - 1.0):+.2f} %"
 
 
-def calibration_rows(answer: Diagnosis) -> list[list[str]]:
+def calibration_rows(answer: DiagnosisResult) -> list[list[str]]:
     """Return a row for each calibrated parameter: name, nominal and fitted value, units, change."""
     return [
         [

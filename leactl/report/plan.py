@@ -9,7 +9,7 @@ from leactl.protocol.plan import Plan
 from leactl.quantities import UNITS
 from leactl.report.terminal import duration
 from leactl.runfile.write.description import new_run_id
-from leactl.runner.session import Rehearsal, Request
+from leactl.runner.session import DryRun, Request
 from leactl.safety.limits import Limits
 from leactl.safety.thermal.foresight import Forecast
 
@@ -57,7 +57,7 @@ def hottest(forecast: Forecast) -> dict[str, float]:
     return {role: round(value, 2) for role, value in forecast.peaks.items()}
 
 
-def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
+def rehearsal_body(request: Request, rehearsal: DryRun) -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
     plan, windings = rehearsal.plan, rehearsal.windings
     return {
@@ -87,7 +87,7 @@ def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
     }
 
 
-def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, Any]) -> str:
+def rehearsal_text(request: Request, rehearsal: DryRun, body: Mapping[str, Any]) -> str:
     """Return what a run would do now as text.
 
     Parameters

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from leactl.model.motor import Motor
 from leactl.report.terminal import TEXT_WIDTH, wrapped
 from leactl.report.thermal_fits import ActuatorFit
-from leactl.safety.thermal.capability import Carried, Held, Peak
+from leactl.safety.thermal.capability import Carried, ContinuousLimits, Peak
 
 if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
@@ -15,7 +15,7 @@ MOST_CORRELATIONS = 3  # the largest are shown
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
-def limits_text(motor: Motor, ambient: float, continuous: Sequence[Held], peaks: Sequence[Peak]) -> str:
+def limits_text(motor: Motor, ambient: float, continuous: Sequence[ContinuousLimits], peaks: Sequence[Peak]) -> str:
     """Return the continuous and peak currents [A] and torques [N*m] of one motor."""
     lines = [
         f"{motor.name}: hottest phase at {motor.limits.winding_temperature:g} degC, ambient {ambient:g} degC",

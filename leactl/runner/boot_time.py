@@ -18,7 +18,7 @@ PROCESS = secrets.token_hex()  # stands for a boot that the system does not tell
 
 
 @dataclass(frozen=True)
-class Moment:
+class ClockReadings:
     """One moment by the wall clock and by the kernel's."""
 
     wall: float  # s since 1970
@@ -26,7 +26,7 @@ class Moment:
     since_boot: float  # s, sleep included
 
     @classmethod
-    def now(cls) -> "Moment":
+    def now(cls) -> "ClockReadings":
         """This moment.
 
         Raises
@@ -37,7 +37,7 @@ class Moment:
             return cls(time.time(), PROCESS, time.monotonic())
         return cls(time.time(), _boot(), time.clock_gettime(time.CLOCK_BOOTTIME))
 
-    def surely_since(self, other: "Moment") -> float:
+    def surely_since(self, other: "ClockReadings") -> float:
         """How long ago another moment was at the least [s].
 
         In one boot the kernel's clock tells. A moment of an earlier boot lies before this boot. Another machine that

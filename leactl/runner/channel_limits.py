@@ -87,7 +87,7 @@ class _Watched:
         self.broken = True
         return f"acceptance: {self.what} is {number:.6g} {limit.unit}, {self.wanted()}"
 
-    def verdict(self) -> "Verdict":
+    def verdict(self) -> "LimitVerdict":
         """The step in which the statistic is furthest out, or nearest to a bound."""
         limit = self.limit
         values = [window.statistic(limit.statistic) for window in self.windows]
@@ -108,11 +108,11 @@ class _Watched:
             told = f"{self.what} is {worst:.6g} {limit.unit}"
         else:
             told = f"{self.what} is not known, nothing was read in {len(values) - len(known)} of {len(values)} steps"
-        return Verdict(limit, row, met, told if met else f"{told}, {self.wanted()}")
+        return LimitVerdict(limit, row, met, told if met else f"{told}, {self.wanted()}")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LimitVerdict:
     """How one channel, or search, kept its limit."""
 
     limit: ChannelBounds | SearchLimit
@@ -179,7 +179,7 @@ class ChannelLimits:
         """Whether a limit is on a channel of the stream."""
         return stream in self._by_stream
 
-    def verdicts(self) -> list[Verdict]:
+    def verdicts(self) -> list[LimitVerdict]:
         """How every channel kept its limits."""
         return [watched.verdict() for watched in self._every]
 

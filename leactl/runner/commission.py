@@ -70,7 +70,7 @@ class Commissioned:
 
 
 @dataclass(frozen=True)
-class Manner:
+class CommissionOptions:
     """How an actuator is commissioned."""
 
     prepare: Prepare
@@ -83,7 +83,7 @@ class Manner:
     rehearse: bool = False  # make no run
 
 
-def commission(manner: Manner, file: Path) -> Commissioned:
+def commission(manner: CommissionOptions, file: Path) -> Commissioned:
     """Heat step by step until the protocol is admitted, and run it; the narrowed motor file is written after each heat.
 
     Raises
@@ -122,7 +122,7 @@ def commission(manner: Manner, file: Path) -> Commissioned:
     return judged
 
 
-def _heated(request: Request, judged: Commissioned, manner: Manner, before: int) -> Path:
+def _heated(request: Request, judged: Commissioned, manner: CommissionOptions, before: int) -> Path:
     """Make one run by the motor file so far.
 
     Raises
@@ -177,7 +177,7 @@ def _by(request: Request, file: Path | None) -> Request:
     return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
 
 
-def _shorter(manner: Manner, judged: Commissioned) -> Request:
+def _shorter(manner: CommissionOptions, judged: Commissioned) -> Request:
     """The protocol with as long a heat as is admitted, and a cooling that tells the housing.
 
     Raises
@@ -204,7 +204,7 @@ def _shorter(manner: Manner, judged: Commissioned) -> Request:
     )
 
 
-def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: Manner) -> Motor:
+def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: CommissionOptions) -> Motor:
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in told]
         _refuse_others(runs, asked)

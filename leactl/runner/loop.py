@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from leactl.bench.bench import Bench
-from leactl.driver.contract import AnalogInput, Block, Mode, Row
+from leactl.driver.contract import AnalogInput, Mode, Row, SampleBlock
 from leactl.errors import DeviceError, InputError, Stopped
 from leactl.protocol.plan import (
     Action,
@@ -192,7 +192,7 @@ class Loop:
         self._until_row -= 1  # never comes to 0 where nothing is recorded
         readings = bench.take()
         for reading in readings:
-            if isinstance(reading, Block):
+            if isinstance(reading, SampleBlock):
                 writer.append(reading.stream, reading.times - start, reading.values)
                 self._newest[reading.stream] = reading.last.values
             else:
@@ -253,13 +253,13 @@ class Loop:
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
-    def _judge(self, began: float, row: Sequence[float], readings: Sequence[Block | Row]) -> None:
+    def _judge(self, began: float, row: Sequence[float], readings: Sequence[SampleBlock | Row]) -> None:
         """Hold the limits on channels against a cycle's row and what the devices gave at their own pace."""
         if row:
             self._limits.receive("loop", began - self._start, row, self._note_limit)
         for reading in readings:
             if self._limits.watches(reading.stream):
-                for each in reading.rows() if isinstance(reading, Block) else (reading,):
+                for each in reading.rows() if isinstance(reading, SampleBlock) else (reading,):
                     self._limits.receive(each.stream, each.time - self._start, each.values, self._note_limit)
 
     def _note_limit(self, level: str, text: str) -> None:

@@ -19,7 +19,7 @@ from leactl.protocol.plan import (
     StepOutcome,
 )
 from leactl.quantities import UNITS
-from leactl.runner.channel_limits import Verdict
+from leactl.runner.channel_limits import LimitVerdict
 from leactl.units import converter
 
 ENDS = 2  # trials of a search that are at its ends
@@ -122,17 +122,17 @@ class Outcomes:
         """Whether the latest step of the name ended so; one that was left out has no outcome."""
         return self._latest.get(condition.step) == condition.outcome
 
-    def verdicts(self, limits: Sequence[SearchLimit]) -> list[Verdict]:
+    def verdicts(self, limits: Sequence[SearchLimit]) -> list[LimitVerdict]:
         """How every search kept its limits; one that was never done keeps none."""
         return [self._verdict(limit) for limit in limits]
 
-    def _verdict(self, limit: SearchLimit) -> Verdict:
+    def _verdict(self, limit: SearchLimit) -> LimitVerdict:
         searches = [one for one in self.searches if one.search.name == limit.search]
         wanted = f"{limit.low:g} to {limit.high:g} {limit.unit} was required"
         row: dict[str, Any] = {"bisect": limit.search, "lower": None, "upper": None, "units": limit.unit, "met": False}
         if not searches or any(one.outcome != BRACKETED for one in searches):
             what = "has no interval in every pass" if searches else "was not done"
-            return Verdict(limit, row, False, f"{limit.search} {what}, {wanted}")
+            return LimitVerdict(limit, row, False, f"{limit.search} {what}, {wanted}")
         conversion = converter(limit.unit, searches[0].search.quantity)
         assert conversion is not None  # the protocol was checked
         low = min(one.bracket[0] for one in searches) / conversion.factor
@@ -140,4 +140,4 @@ class Outcomes:
         met = limit.low <= low and high <= limit.high
         row |= {"lower": low, "upper": high, "met": met}
         told = f"{limit.search} is {low:.6g} to {high:.6g} {limit.unit}"
-        return Verdict(limit, row, met, told if met else f"{told}, {wanted}")
+        return LimitVerdict(limit, row, met, told if met else f"{told}, {wanted}")

@@ -164,7 +164,7 @@ def _locked(path: Path, text: bytes, shared: bool) -> int:
 
 
 @dataclass
-class Underway:
+class RunUnderway:
     """Another process's end of a run's file; it stays readable after the run has removed it."""
 
     bench: str
@@ -289,7 +289,7 @@ def _is_of_devices(safe: object) -> bool:
     )
 
 
-def running() -> tuple[list[Underway], list[str]]:
+def running() -> tuple[list[RunUnderway], list[str]]:
     """Every run that is under way by its own file, and a line for each file that cannot be read.
 
     What a run left behind that ended with safe devices is removed; the next run is told of the others (`lost`).
@@ -317,7 +317,7 @@ def running() -> tuple[list[Underway], list[str]]:
         }
         process = about.get("process")
         process = process if isinstance(process, int) else 0
-        underway.append(Underway(**texts, process=process, descriptor=descriptor))
+        underway.append(RunUnderway(**texts, process=process, descriptor=descriptor))
     return underway, faults
 
 

@@ -29,7 +29,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
-from leactl.runner.channel_limits import ACCEPTANCE, Verdict
+from leactl.runner.channel_limits import ACCEPTANCE, LimitVerdict
 from leactl.runner.event_lines import EventLines
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop
@@ -94,7 +94,7 @@ class Outcome:
     overruns: int
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
     zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
-    verdicts: Sequence[Verdict] = ()  # on the limits of channels and searches
+    verdicts: Sequence[LimitVerdict] = ()  # on the limits of channels and searches
     reported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what each device said of itself
 
     def as_json(self) -> dict[str, Any]:
@@ -240,7 +240,7 @@ def failures(request: Request) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class DryRun:
     """What a run would do that began now."""
 
     plan: Plan  # with the waits for cooling that it is to insert
@@ -252,7 +252,7 @@ class Rehearsal:
     one_sensor: Sequence[str]  # of each winding whose bound rests on one
 
 
-def rehearse(request: Request) -> Rehearsal:
+def rehearse(request: Request) -> DryRun:
     """Refuse what `execute` would refuse now, before it opens a device; its locks are held for a moment only.
 
     Raises
@@ -269,7 +269,7 @@ def rehearse(request: Request) -> Rehearsal:
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
     planned, forecast = _planned_bytes(request, bench), windings.forecast(ready.plan)
-    return Rehearsal(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
+    return DryRun(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
 
 
 def _alone(request: Request) -> AbstractContextManager[list[int]]:
@@ -410,7 +410,7 @@ def _run(context: RunContext) -> Outcome:
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
         writer.event(loop.time, "warning", "view", note)
-    verdicts: list[Verdict] = []
+    verdicts: list[LimitVerdict] = []
     if error is None or isinstance(error, AcceptanceFailed):
         sought = [limit for limit in plan.acceptance if isinstance(limit, SearchLimit)]
         verdicts = [*limits.verdicts(), *loop.outcomes.verdicts(sought)]

@@ -12,7 +12,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.state import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
@@ -57,7 +57,7 @@ class Windings:
         place = place_of(bench, emulated_here)
         memories = {role: Memory(self.names[role], motor, limit, ambient, place) for role, motor in self.motors.items()}
         self.recalled: dict[str, Recalled] = {
-            role: memory.cold() if cold or emulated_here else memory.recall(Moment.now())
+            role: memory.cold() if cold or emulated_here else memory.recall(ClockReadings.now())
             for role, memory in memories.items()
         }
         if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
@@ -67,7 +67,7 @@ class Windings:
         start = {role: known.nodes for role, known in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self._foreseen: tuple[Plan, Forecast] | None = None
-        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
+        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, ClockReadings.now)
 
     @contextmanager
     def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:

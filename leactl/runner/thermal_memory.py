@@ -23,7 +23,7 @@ from leactl.errors import InputError
 from leactl.model.motor import Motor
 from leactl.regular import write_at
 from leactl.runner import state
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.state import Place
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
@@ -52,7 +52,7 @@ class Memory:
         self._place, self.path = place, place.windings(_file_name(actuator))
         self._held: int | None = None  # its file, open from the first writing on: the last one needs no descriptor
 
-    def recall(self, now: Moment) -> Recalled:
+    def recall(self, now: ClockReadings) -> Recalled:
         """Bounds of this actuator at a moment; hot where nothing can be told.
 
         Where several places tell of it, since not all users could write to one, the hottest counts.
@@ -74,7 +74,7 @@ class Memory:
         paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
         return [path for path in paths if os.path.lexists(path)]
 
-    def _recall(self, path: Path, now: Moment) -> Recalled:
+    def _recall(self, path: Path, now: ClockReadings) -> Recalled:
         try:
             nodes, kept, running = self._read(path)
             left = now.surely_since(kept)
@@ -93,7 +93,7 @@ class Memory:
         bound.rest(left, self._ambient)
         return Recalled(bound.nodes()[:, 0], f"{how} {_told(kept.wall)}")
 
-    def keep(self, nodes: Array, now: Moment, running: bool) -> None:
+    def keep(self, nodes: Array, now: ClockReadings, running: bool) -> None:
         """Write bounds in one call; a file that is cut short all the same counts as hot.
 
         Raises
@@ -143,7 +143,7 @@ class Memory:
             bound.step(1.0, np.zeros(1), np.zeros(1), np.zeros(1), self._ambient)
             bound.state[:HOUSING] = rest
 
-    def _read(self, path: Path) -> tuple[Array, Moment, bool]:
+    def _read(self, path: Path) -> tuple[Array, ClockReadings, bool]:
         kept = json.loads(state.read(path))
         if kept["format"] != FORMAT or kept["format_version"] != VERSION:
             raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
@@ -165,7 +165,7 @@ class Memory:
         for key in ("time", "since_boot_s"):
             if type(kept[key]) not in (int, float):
                 raise ValueError(f"{key} {kept[key]!r}: seconds were expected")
-        moment = Moment(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
+        moment = ClockReadings(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
         return np.array(nodes, float), moment, kept["running"]
 
 
@@ -173,7 +173,7 @@ class Keeper:
     """Writes the bounds of a run every second from a thread of its own, so that no disk holds up the loop."""
 
     def __init__(
-        self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], Moment]
+        self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], ClockReadings]
     ) -> None:
         self._memories, self._nodes, self._clock = memories, nodes, clock
         self._ended = threading.Event()

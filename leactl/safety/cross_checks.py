@@ -13,7 +13,7 @@ APART_CYCLES = 3  # that a torque and a current which stand side by side may hav
 LOOKS = 16  # at the other channels in a stretch: a look in each cycle would cost more, and motion shows soon
 
 
-class _Still:
+class _StillChannel:
     """One channel over one stretch of time: the value that it began with, and what it is held against."""
 
     def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
@@ -87,15 +87,15 @@ class Stuck:
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
         self._panels = panels
-        self._channels: list[_Still] = []
+        self._channels: list[_StillChannel] = []
         for owner, watch in ((panel, watch) for panel in panels for watch in panel.watches):
             quantity, role = watch.channel.quantity, watch.channel.role
             shortest = min((entry.stuck_s for entry in interlocks.of(quantity, role) if entry.stuck_s), default=None)
             if shortest is None and watch.temperature:
                 shortest = TEMPERATURE_STUCK_S
             if shortest is not None:
-                self._channels.append(_Still(owner, watch, shortest))
-        self._still: list[_Still] = []
+                self._channels.append(_StillChannel(owner, watch, shortest))
+        self._still: list[_StillChannel] = []
         self._next = -math.inf
         self.due = -math.inf if self._channels else math.inf
 
@@ -137,7 +137,7 @@ class Stuck:
                     self._still.append(item)
         self._next = min(item.ends for item in self._channels)
 
-    def _look_at_others(self, item: _Still, now: float) -> None:
+    def _look_at_others(self, item: _StillChannel, now: float) -> None:
         """Look at what other channels do meanwhile, but not while a drive is out of operation: its time is put back."""
         if not item.is_read():  # nor is it known whether a drive is off
             item.unread = item.unread if item.unread <= now else now
@@ -152,7 +152,7 @@ class Stuck:
         elif item.alone:
             item.alone = not self._others_moved(item)
 
-    def _others_moved(self, item: _Still) -> bool:
+    def _others_moved(self, item: _StillChannel) -> bool:
         for panel, before in zip(self._panels, item.others, strict=True):
             for watch in panel.watches:
                 index = watch.index

@@ -30,7 +30,7 @@ def _key(unit: str, name: str) -> str:
     return f"{name}_{unit}_per_s" if name == "rate" else f"{name}_{unit}"
 
 
-class Entry(Block):
+class QuantityLimits(Block):
     """What one quantity may do, of one role or of all; `warn` and `trip` are magnitudes, or `_low` and `_high`."""
 
     unit: ClassVar[str] = ""
@@ -67,7 +67,7 @@ class Entry(Block):
         return data
 
     @model_validator(mode="after")
-    def _in_order(self) -> "Entry":
+    def _in_order(self) -> "QuantityLimits":
         for kind in ("warn", "trip"):
             lone = _key(self.unit, kind)
             if getattr(self, kind) is not None:
@@ -98,42 +98,42 @@ def _keys_in(unit: str) -> ConfigDict:
     return ConfigDict(alias_generator=lambda name: _key(unit, name))
 
 
-class InAmperes(Entry):
+class InAmperes(QuantityLimits):
     """Of a current."""
 
     model_config = _keys_in("A")
     unit = "A"
 
 
-class InVolts(Entry):
+class InVolts(QuantityLimits):
     """Of a voltage."""
 
     model_config = _keys_in("V")
     unit = "V"
 
 
-class InRadians(Entry):
+class InRadians(QuantityLimits):
     """Of an angle."""
 
     model_config = _keys_in("rad")
     unit = "rad"
 
 
-class InRadiansPerSecond(Entry):
+class InRadiansPerSecond(QuantityLimits):
     """Of a velocity."""
 
     model_config = _keys_in("rad_s")
     unit = "rad_s"
 
 
-class InNewtonMetres(Entry):
+class InNewtonMetres(QuantityLimits):
     """Of a torque."""
 
     model_config = _keys_in("Nm")
     unit = "Nm"
 
 
-class InDegrees(Entry):
+class InDegrees(QuantityLimits):
     """Of a temperature: a lone `warn` or `trip` is the hot side, and what reads like kelvin is refused."""
 
     model_config = _keys_in("degC")
@@ -281,11 +281,11 @@ class Interlocks(Block):
     clock: ClockJump = ClockJump()
     disk_space: DiskSpace = DiskSpace()
 
-    def entries(self) -> Iterator[tuple[str, Entry, Place]]:
+    def entries(self) -> Iterator[tuple[str, QuantityLimits, Place]]:
         """Every entry of a quantity with its place in the block."""
         for quantity in UNITS:
-            listed: Entry | tuple[Entry, ...] = getattr(self, quantity, ())
-            if isinstance(listed, Entry):
+            listed: QuantityLimits | tuple[QuantityLimits, ...] = getattr(self, quantity, ())
+            if isinstance(listed, QuantityLimits):
                 yield quantity, listed, (quantity,)
             else:
                 yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(listed))
@@ -294,7 +294,7 @@ class Interlocks(Block):
             window = {"trip_low_V": expected - band, "trip_high_V": expected + band, "for_s": self.supply.for_s}
             yield "bus_voltage", InVolts.model_validate(window), ("supply",)
 
-    def of(self, quantity: str, role: str) -> list[Entry]:
+    def of(self, quantity: str, role: str) -> list[QuantityLimits]:
         """Entries that hold for a channel."""
         return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
 

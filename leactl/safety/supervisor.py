@@ -13,7 +13,7 @@ from typing import NamedTuple, NoReturn
 
 from leactl.driver import safe_state
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Block, Confirmation, Driver, Mode, MotionDevice, Row
+from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row, SampleBlock
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
 from leactl.safety.angle_path import AnglePath
@@ -25,7 +25,7 @@ from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.pace import Pace
 from leactl.safety.supplies import Supplies
 from leactl.safety.thermal.guard import ThermalGuard
-from leactl.safety.thermal.measured import Leads, Measured
+from leactl.safety.thermal.measured import Leads, MeasuredStreams
 from leactl.safety.watching import UNLIMITED, Panel
 from leactl.safety.witnesses import Account, ByTorque, ByVoltage, TorqueModel, Witnesses
 
@@ -122,7 +122,7 @@ class Supervisor:
         self._own = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
         self._lasting = [self._own[stream.name] for stream in streams if not stream.ends]
         leads = Leads(guard)
-        self._measured = Measured(guard, streams, self.trip, leads)
+        self._measured = MeasuredStreams(guard, streams, self.trip, leads)
         self.supplies = Supplies(others, limits, guard, leads, self.refuse_latched, self.trip)
         self._heating_streams = self._measured.streams | self.supplies.streams
         guard.undriven = frozenset(place for place, role in enumerate(guard.roles) if role not in self._axes)
@@ -380,7 +380,7 @@ class Supervisor:
             due = min(due, witnesses.due)
         self._due = due
 
-    def receive(self, row: Row | Block) -> None:
+    def receive(self, row: Row | SampleBlock) -> None:
         """Judge a sample of a device's own stream, or many.
 
         Raises
@@ -389,7 +389,7 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        if isinstance(row, Block):
+        if isinstance(row, SampleBlock):
             self._own[row.stream].look_through(row)
             self._measured.look_through(row)
             return

@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from leactl.driver.contract import Block
+from leactl.driver.contract import SampleBlock
 from leactl.quantities import ChannelSpec
-from leactl.safety.interlocks import Entry, Interlocks
+from leactl.safety.interlocks import Interlocks, QuantityLimits
 from leactl.safety.limits import Limits
 
 UNLIMITED = (-math.inf, math.inf)
@@ -67,7 +67,13 @@ class Watch:
     """One channel: its windows, its fastest change, and when it was last a number."""
 
     def __init__(
-        self, index: int, channel: ChannelSpec, limits: Limits, entries: Sequence[Entry], trip: Trip, warn: Warn
+        self,
+        index: int,
+        channel: ChannelSpec,
+        limits: Limits,
+        entries: Sequence[QuantityLimits],
+        trip: Trip,
+        warn: Warn,
     ) -> None:
         self.index, self.channel = index, channel
         self.label, self.unit = f"{channel.role} {channel.quantity}", channel.unit
@@ -181,7 +187,7 @@ class Panel:
             self._last[index] = values[index]
         self._quiet, self.looked = quiet, now
 
-    def look_through(self, block: Block) -> None:
+    def look_through(self, block: SampleBlock) -> None:
         """Judge many samples that came one after the other.
 
         All at once where they are quiet and none has a rate to keep; one by one where they are not.

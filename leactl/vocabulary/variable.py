@@ -19,7 +19,7 @@ Variable = Literal[
 ]
 
 
-class Shown(NamedTuple):
+class VariableLabel(NamedTuple):
     """How a variable is shown."""
 
     label: str
@@ -27,19 +27,19 @@ class Shown(NamedTuple):
     quantity: str | None  # by which a region of a gap is given; None where no name of a region says it
 
 
-VARIABLES: dict[str, Shown] = {
-    "angle": Shown("angle", "rad", "angle"),
-    "velocity": Shown("velocity", "rad/s", "velocity"),
-    "acceleration": Shown("acceleration", "rad/s^2", None),
-    "direction": Shown("direction", "1", "direction"),
-    "travel": Shown("angle since the last reversal", "rad", "time_since_reversal"),
-    "q_axis_current": Shown("q-axis current", "A", "q_axis_current"),
-    "current_rate": Shown("rate of the commanded current", "A/s", None),
-    "power": Shown("electrical power", "W", None),
-    "torque": Shown("torque on the shaft", "N*m", "torque"),
-    "torque_rate": Shown("rate of the torque on the shaft", "N*m/s", None),
-    "winding_temperature": Shown("winding temperature", "degC", "winding_temperature"),
-    "housing_temperature": Shown("housing temperature", "degC", "housing_temperature"),
-    "time": Shown("time since the run's start", "s", "time"),
+VARIABLES: dict[str, VariableLabel] = {
+    "angle": VariableLabel("angle", "rad", "angle"),
+    "velocity": VariableLabel("velocity", "rad/s", "velocity"),
+    "acceleration": VariableLabel("acceleration", "rad/s^2", None),
+    "direction": VariableLabel("direction", "1", "direction"),
+    "travel": VariableLabel("angle since the last reversal", "rad", "time_since_reversal"),
+    "q_axis_current": VariableLabel("q-axis current", "A", "q_axis_current"),
+    "current_rate": VariableLabel("rate of the commanded current", "A/s", None),
+    "power": VariableLabel("electrical power", "W", None),
+    "torque": VariableLabel("torque on the shaft", "N*m", "torque"),
+    "torque_rate": VariableLabel("rate of the torque on the shaft", "N*m/s", None),
+    "winding_temperature": VariableLabel("winding temperature", "degC", "winding_temperature"),
+    "housing_temperature": VariableLabel("housing temperature", "degC", "housing_temperature"),
+    "time": VariableLabel("time since the run's start", "s", "time"),
 }
 assert set(VARIABLES) == set(get_args(Variable)), "every variable is shown"

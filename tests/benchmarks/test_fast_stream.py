@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from leactl.analysis.experiments.back_emf import analyze
-from leactl.driver.contract import Block, StreamSpec
+from leactl.driver.contract import SampleBlock, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
@@ -42,7 +42,7 @@ def test_a_block_costs_a_fraction_of_its_rows(tmp_path, figure):
         for _ in range(BLOCKS):
             times = (count + np.arange(SAMPLES)) * 1e-4
             count += SAMPLES
-            yield Block("daq", times, values)
+            yield SampleBlock("daq", times, values)
 
     def whole():
         for block in blocks():

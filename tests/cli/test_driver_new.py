@@ -142,16 +142,16 @@ def test_a_thermometer_that_speaks_modbus_passes_by_the_guide(binary, tmp_path):
 
 
 FRAMES = """
-from leactl.driver.serial_port import Cut
+from leactl.driver.serial_port import FrameCut
 from leactl_room_meter.driver import QUESTION, crc, framing, value_of
 
 answer = bytes.fromhex("01 04 02 FF FF B8 80")
 assert crc(QUESTION) == crc(answer) == 0
 assert value_of(answer) == -0.01
-assert framing(answer) == framing(answer[:4]) == Cut(0, 7)
-assert framing(bytes.fromhex("01 84 02 C2 C1")) == Cut(0, 5)
+assert framing(answer) == framing(answer[:4]) == FrameCut(0, 7)
+assert framing(bytes.fromhex("01 84 02 C2 C1")) == FrameCut(0, 5)
 for noise in (answer[:-1] + b"x", QUESTION, b"x", bytes.fromhex("01 84 02 C2 C0")):
-    assert framing(noise) == Cut(1, 0)
+    assert framing(noise) == FrameCut(1, 0)
 """
 
 

@@ -10,7 +10,7 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.diagnosis import DiagnosisResult
 from tests.cli.answers import SCHEMA, fits_the_page, sections, written
 from tests.cli.terminal import leactl
 from tests.cli.test_schema import PAGES
@@ -54,7 +54,7 @@ def keys_of(kind):
 
 def test_the_page_has_every_key_of_a_diagnosis():
     page = {key.replace("[]", "") for key, _, _ in ANSWERS["A diagnosis"][1]}
-    code = {key.replace("[]", "") for key in keys_of(Diagnosis) if not key.startswith("extra")}
+    code = {key.replace("[]", "") for key in keys_of(DiagnosisResult) if not key.startswith("extra")}
     assert {key for key in code if not key.startswith("unexplained.shapes.")} | {"format", "format_version"} == page
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity, Row, StreamSpec
 from leactl.driver.conversation import Pause, Query, Talk, Unreadable
-from leactl.driver.serial_port import Cut
+from leactl.driver.serial_port import FrameCut
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl.quantities import ChannelSpec
 
@@ -56,16 +56,16 @@ def packets(received):
     """Framing of packets of either direction."""
     start = received.find(HEADER)
     if start < 0:  # what may be the beginning of a header is kept
-        return Cut(next(n for n in range(len(received) + 1) if HEADER.startswith(received[n:])), 0)
+        return FrameCut(next(n for n in range(len(received) + 1) if HEADER.startswith(received[n:])), 0)
     if start or len(received) < 7:
-        return Cut(start, 0)
+        return FrameCut(start, 0)
     length = int.from_bytes(received[5:7], "little")
     if not LEAST <= length <= MOST:
-        return Cut(1, 0)
+        return FrameCut(1, 0)
     whole = received[: 7 + length]
     if len(whole) == 7 + length and struct.pack("<H", crc16(whole[:-2])) != whole[-2:]:
-        return Cut(1, 0)
-    return Cut(0, 7 + length)
+        return FrameCut(1, 0)
+    return FrameCut(0, 7 + length)
 
 
 def status_of(ident, count):

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Row, StreamSpec
 from leactl.driver.conversation import Pause, Query, Talk
-from leactl.driver.serial_port import Cut
+from leactl.driver.serial_port import FrameCut
 from leactl.errors import DeviceError, NoAnswer
 from leactl.quantities import ChannelSpec
 
@@ -45,15 +45,15 @@ def answers_to(request):
 
     def framing(received):
         if received[0] != address:
-            return Cut(1, 0)
+            return FrameCut(1, 0)
         if len(received) < 3:
-            return Cut(0, 0)
+            return FrameCut(0, 0)
         length = 5 if received[1] == function | EXCEPTION else 5 + 2 * count
         if length > 5 and (received[1], received[2]) != (function, 2 * count):
-            return Cut(1, 0)
+            return FrameCut(1, 0)
         if len(received) >= length and crc16(received[:length]):
-            return Cut(1, 0)
-        return Cut(0, length)
+            return FrameCut(1, 0)
+        return FrameCut(0, length)
 
     return framing
 

@@ -18,7 +18,7 @@ from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.recorder import parsed
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
-from leactl_plugins.elmo_serial.status import Status
+from leactl_plugins.elmo_serial.status import StatusRegister
 from pydantic import ValidationError
 
 from leactl.bench import benchfile
@@ -99,7 +99,7 @@ def test_the_status_register_has_the_manuals_bits(bench):
     assert shown & 1 << 4  # motor on
     assert shown >> 7 & 7 == 1  # unit mode
     assert shown & 1 << 12  # program running
-    assert str(Status(shown)) == f"motor on, torque, program running, SR 0x{shown:X}"
+    assert str(StatusRegister(shown)) == f"motor on, torque, program running, SR 0x{shown:X}"
 
 
 class Script:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from leactl.bench.benchfile import SerialBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
-from leactl.driver.serial_port import Cut, SerialPort
+from leactl.driver.serial_port import FrameCut, SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.trial.running import try_driver
 from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
@@ -143,7 +143,7 @@ def test_published_checksums():
     for frame in (WIDTH, VOLTAGE, ASK_VOLTAGE, hexa("0207 4112"), hexa("01 03 00 6B 00 03 74 17")):
         assert modbus_meter.with_crc(frame[:-2]) == frame
     answer = hexa("01 03 06 02 2B 00 00 00 64 05 7A")
-    assert modbus_meter.answers_to(hexa("01 03 00 6B 00 03 74 17"))(answer) == Cut(0, len(answer))
+    assert modbus_meter.answers_to(hexa("01 03 00 6B 00 03 74 17"))(answer) == FrameCut(0, len(answer))
     assert dynamixel.body_of(PONG) == (1, 0x55, hexa("00 06 04 26"))
 
 
@@ -273,7 +273,7 @@ def test_a_payload_that_looks_like_a_header_is_stuffed():
     body = hexa("00 FF FF FD 00 FF FF FD")
     whole = dynamixel.packet(1, 0x55, body)
     assert whole[9:].count(dynamixel.HEADER) == 0
-    assert dynamixel.packets(whole) == Cut(0, len(whole))
+    assert dynamixel.packets(whole) == FrameCut(0, len(whole))
     assert dynamixel.body_of(whole) == (1, 0x55, body)
 
 
@@ -393,7 +393,7 @@ def test_lines_and_frames_of_one_stream_keep_their_order(data):
             if line is None:
                 return None
             ahead.append(int(line))
-        block = port.take_frame(lambda _received: Cut(0, ahead[0]))
+        block = port.take_frame(lambda _received: FrameCut(0, ahead[0]))
         if block is not None:
             ahead.clear()
         return block
@@ -407,7 +407,7 @@ def test_of_bytes_without_a_frame_only_the_last_are_kept():
     port.open()
     for _ in range(10):
         device.coming = [(0.0, b"x" * 4096)]
-        assert port.take_frame(lambda _received: Cut(0, 0)) is None
+        assert port.take_frame(lambda _received: FrameCut(0, 0)) is None
     assert len(port._received) == port.longest_line
 
 

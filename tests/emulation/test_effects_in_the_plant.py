@@ -11,7 +11,7 @@ from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameter
 from leactl.emulation.plant.stepped.heating import heat
 from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
-from leactl.emulation.plant.stepped.run import Signals
+from leactl.emulation.plant.stepped.run import DriveSignals
 from leactl.emulation.plant.stepped.sensors import Sensors, Spread
 from leactl.vocabulary.effect import effect_definition, effects_on
 
@@ -445,7 +445,7 @@ def emissivity_bias():
 
 def as_signals(record):
     thin = record.torque.astype(np.float32)
-    return Signals(thin, thin, thin, thin, record.angle, thin, thin, thin, thin, thin[:1], thin[:1])
+    return DriveSignals(thin, thin, thin, thin, record.angle, thin, thin, thin, thin, thin[:1], thin[:1])
 
 
 CHECKS = {name: thing for name, thing in list(globals().items()) if name in effects_on("bench") and callable(thing)}

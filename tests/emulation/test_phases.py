@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from leactl.emulation.plant.parameters import ActuatorParameters, PhaseParameters, ThermalParameters
 from leactl.emulation.plant.phases import PhaseNetwork, lead_squares, turning_squares
-from leactl.emulation.plant.thermal import ThermalNetwork
+from leactl.emulation.plant.thermal import ExactThermalNetwork
 from tests.emulation.five_nodes import AT_REST, EVEN, TWO_LEADS, capacitances, conductances, integrated, settled
 
 LEA = ActuatorParameters()
@@ -66,7 +66,7 @@ def test_direct_current_through_two_leads_settles_at_the_closed_form():
 @pytest.mark.parametrize("coefficient", [0.0, 0.004])
 def test_three_equal_phases_are_the_winding_of_two_nodes(coefficient):
     p = replace(LEA, resistance_coefficient=coefficient)
-    two = ThermalNetwork(p.thermal, 25.0)
+    two = ExactThermalNetwork(p.thermal, 25.0)
     for _ in range(60000):
         two.step(0.01, p.resistance(two.winding) * 400.0)
     phases = held(p, 400.0 * EVEN, 600.0, 0.01)

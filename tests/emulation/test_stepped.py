@@ -13,7 +13,7 @@ from leactl.emulation.plant.stepped.heating import heat
 from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
 from leactl.emulation.plant.stepped.rig import SteppedRig
-from leactl.emulation.plant.stepped.run import Program, simulate
+from leactl.emulation.plant.stepped.run import DriveReferences, simulate
 from leactl.errors import InputError
 
 LEA = ActuatorParameters()
@@ -132,7 +132,7 @@ def test_heated_run_agrees_with_the_rig_s_exact_thermal_network():
 
 
 def test_lanes_do_not_feel_each_other_and_come_back_in_order():
-    programs = [Program(np.full(50, current)) for current in (1.0, 2.0, 3.0)]
+    programs = [DriveReferences(np.full(50, current)) for current in (1.0, 2.0, 3.0)]
     together = simulate([Lane("free")] * 3, programs)
     alone = [simulate([Lane("free")], [program])[0] for program in programs]
     for one, other in zip(together, alone, strict=True):
@@ -141,8 +141,8 @@ def test_lanes_do_not_feel_each_other_and_come_back_in_order():
 
 
 def test_servo_holds_its_velocity_and_opposes_the_test_drive():
-    still = Program(np.zeros(1500), np.full(1500, 10.0), "test")
-    load = Program(np.full(1500, 5.0), np.full(1500, -8.0), "load", 150.0, 1500.0, feedforward=0.9)
+    still = DriveReferences(np.zeros(1500), np.full(1500, 10.0), "test")
+    load = DriveReferences(np.full(1500, 5.0), np.full(1500, -8.0), "load", 150.0, 1500.0, feedforward=0.9)
     free, coupled = simulate([Lane("free"), Lane("coupled")], [still, load])
     assert free.velocity[-200:].mean() == pytest.approx(10.0, abs=0.02)
     assert coupled.load_velocity[-200:].mean() == pytest.approx(-8.0, abs=0.05)

@@ -6,13 +6,13 @@ from pathlib import Path
 from leactl.gap.diagnose import Case, split
 from leactl.gap.signals.record import read_record
 from leactl.joints.files import write_run
-from leactl.joints.machine import Machine, nominal_text
-from leactl.joints.run import Run
+from leactl.joints.machine import JointMachine, nominal_text
+from leactl.joints.run import JointRun
 from leactl.joints.stepped import simulate
 from leactl.model.nominal import read_model
 
 
-def write_cases(folder: Path, cases: Mapping[str, tuple[Machine, Sequence[Run]]]) -> None:
+def write_cases(folder: Path, cases: Mapping[str, tuple[JointMachine, Sequence[JointRun]]]) -> None:
     """Write a folder for each case: the model file of its machine, and its runs."""
     signals = iter(simulate([run for _, runs in cases.values() for run in runs]))
     for name, (machine, runs) in cases.items():

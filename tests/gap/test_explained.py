@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leactl.gap.search.sets import EffectSet, Finding
+from leactl.gap.search.sets import EffectSet, FurtherEffect
 
 TOUCHING = ("effect", "cogging", "(6.0,)", "cos")
 
@@ -16,7 +16,7 @@ def rows(equation, columns=()):
 
 def found(taken, left, moved):
     candidate = ("cogging", (6.0,))
-    member = Finding(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1), floor=0.0)
+    member = FurtherEffect(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1), floor=0.0)
     return EffectSet([candidate], [member], [[member]], [], None, taken, left, [moved], {})
 
 

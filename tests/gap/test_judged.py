@@ -9,7 +9,7 @@ import pytest
 
 from leactl.gap.diagnosis import Near
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import TIE, Finding
+from leactl.gap.search.sets import TIE, FurtherEffect
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.additive import Sample, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, LINE, UNREST, Judged, judge, unexplained
@@ -21,7 +21,7 @@ OTHER = ("voltage", "q_axis_voltage", "free")
 
 
 def finding(effect, height, gain=1e5):
-    return Finding((effect, ()), gain, height, 1.0, (height,), ("size",), np.eye(1), 0.0)
+    return FurtherEffect((effect, ()), gain, height, 1.0, (height,), ("size",), np.eye(1), 0.0)
 
 
 def of_one(member, *rivals, missed=None):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from leactl.gap.verdict.picture import Channel, Part, picture_of, view_of
+from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, view_of
 
-CHANNEL = Channel("velocity", "test", "free", "free_torque", "N*m")
+CHANNEL = ResidualChannel("velocity", "test", "free", "free_torque", "N*m")
 
 
 def part(effect, angle):

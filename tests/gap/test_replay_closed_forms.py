@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from leactl.gap.replay import replay
-from leactl.gap.replay.cutting import Cut
+from leactl.gap.replay.cutting import CutJob
 from leactl.gap.signals.record import LONG, Record
 from tests.gap.synthetic import (
     BENCH,
@@ -275,7 +275,7 @@ def test_stretches_of_any_length_begin_within_the_run_and_reach_its_end(length):
     """Runs that are stepped side by side share the longest stretch of all, whatever each was cut into at first."""
     samples, parts = 546, 80
     job = SimpleNamespace(clock=SimpleNamespace(time=np.arange(samples)), parts=parts)
-    cut = Cut(job, 0, 1, samples, np.zeros((samples - 1) * parts + 1), None, None)
+    cut = CutJob(job, 0, 1, samples, np.zeros((samples - 1) * parts + 1), None, None)
     cut.take_length(length)
     assert cut.length * (cut.count - 1) <= samples - 1 < cut.length * cut.count + 1
     assert cut.cut(cut.drive, np.arange(cut.count)).shape == (length * parts, cut.count)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
-from leactl.gap.servo.fit import Fitted, fit
+from leactl.gap.servo.fit import FittedServo, fit
 from leactl.gap.servo.ladder import climb, standing_of
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
@@ -176,8 +176,8 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
     coefficient = {"load_dependent_friction.coefficient": 0.2}
     error, names = np.random.default_rng(1).normal(size=1000), ("coulomb_friction",)
     sets = {
-        frozenset(): Fitted(true, 1.5, error, names, np.eye(1), np.ones((4, 1))),
-        load: Fitted(true | coefficient, 1.0, error, names, np.eye(1), np.ones((4, 1))),
+        frozenset(): FittedServo(true, 1.5, error, names, np.eye(1), np.ones((4, 1))),
+        load: FittedServo(true | coefficient, 1.0, error, names, np.eye(1), np.ones((4, 1))),
     }
     for unseen, believed in ((bench(tmp_path), False), (bench(tmp_path, load=0.2), True)):
         runs = servo_runs(unseen, servo_model())

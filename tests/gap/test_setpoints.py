@@ -8,7 +8,7 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals import setpoints
-from leactl.gap.signals.setpoints import MISSED, Followed, against_next, holds, leaps, marked, share_of_next
+from leactl.gap.signals.setpoints import MISSED, ReferenceFollowing, against_next, holds, leaps, marked, share_of_next
 from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
@@ -86,7 +86,7 @@ def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
     leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
     missed = np.where(np.arange(200) == 20, 60.0, 0.0)
     untold = 0.0, math.inf
-    runs = iter([Followed(one, leaping, leaping > 0.0, untold) for one in (0.0 * missed, missed)])
+    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, untold) for one in (0.0 * missed, missed)])
     monkeypatch.setattr(setpoints, "follow", lambda record, model: next(runs))
     records = [replace(record) for record in joint_case(6).fitted[:2]]
     assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.gap.simulated.inputs import Command, outside, tolerance_of
+from leactl.gap.simulated.inputs import RunCommand, outside, tolerance_of
 from leactl.gap.simulated.pairing import paired
 from tests.cli.terminal import leactl
 from tests.gap.test_simulated import MODEL, RATE, reference, write
@@ -136,7 +136,7 @@ def test_a_command_is_the_same_at_another_rate_and_within_a_few_samples(levels, 
     seen = values[np.clip((theirs - shift) * 2.0, 0, 7).astype(int)]
     asked = values[np.clip(ours * 2.0, 0, 7).astype(int)]
     reach = 3.0 / min(rate, 500.0)
-    beyond = outside(ours, asked, Command(theirs, seen, "A"), reach)
+    beyond = outside(ours, asked, RunCommand(theirs, seen, "A"), reach)
     assert np.max(beyond[ours <= theirs[-1]]) <= tolerance_of(asked, seen)
 
 
@@ -145,5 +145,5 @@ def test_another_amplitude_is_a_mismatch(more, noise):
     time = np.arange(2000) / 500.0
     asked = np.sin(2.0 * np.pi * time)
     noisy = asked + 0.005 * noise * np.random.default_rng(0).standard_normal(len(time))
-    beyond = outside(time, (1.0 + more) * asked, Command(time, noisy, "A"), 0.006)
+    beyond = outside(time, (1.0 + more) * asked, RunCommand(time, noisy, "A"), 0.006)
     assert np.max(beyond) > tolerance_of((1.0 + more) * asked, noisy)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.cli.gap import repeated
-from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter
+from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.equations.contract import Equation
 from leactl.gap.signals.derived import fast_signals
 from leactl.gap.simulated.comparing import SideBySide, SizeInReal, by_free_runs, of_another_machine, settled
@@ -60,7 +60,7 @@ def test_a_known_effect_is_taken_from_what_an_equation_leaves_over():
 
 def test_effects_of_a_servo_are_compared_as_its_free_runs_have_them():
     nominal = SimpleNamespace(causes=(cause("stribeck", 0.9, 0.1), cause("saturation", 0.2), cause("backlash", 0.1)))
-    alone = Diagnosis(
+    alone = DiagnosisResult(
         "effect",
         0.0,
         causes=(cause("stribeck", 0.7, 0.05), cause("saturation", 0.4), cause("backlash", 0.1, 0.01, 0.3)),
@@ -82,19 +82,21 @@ def test_effects_of_a_servo_are_compared_as_its_free_runs_have_them():
 )
 def test_what_both_have_is_no_cause(causes, unexplained, differs, verdict):
     both = SideBySide({"cogging": SizeInReal((), False, True)}, ())
-    answer = settled(Diagnosis("effect", unexplained, causes=causes), both, differs)
+    answer = settled(DiagnosisResult("effect", unexplained, causes=causes), both, differs)
     assert answer.verdict == verdict
     assert "cogging" not in [item.effect for item in answer.causes]
 
 
 def test_what_the_simulator_has_and_the_machine_lacks_is_no_sound_machine():
     both = SideBySide({"cogging": SizeInReal((), True, False)}, ())
-    assert settled(Diagnosis("none", 0.0), both, False).verdict == "calibration"
-    assert settled(Diagnosis("calibration", 0.0), SideBySide({}, ()), False).verdict == "none"
+    assert settled(DiagnosisResult("none", 0.0), both, False).verdict == "calibration"
+    assert settled(DiagnosisResult("calibration", 0.0), SideBySide({}, ()), False).verdict == "none"
 
 
 def test_what_both_show_though_it_is_small_in_the_simulator_is_told():
-    answer = settled(Diagnosis("effect", 0.0, causes=(cause("cogging", 1.0),)), SideBySide({}, ("cogging",)), False)
+    answer = settled(
+        DiagnosisResult("effect", 0.0, causes=(cause("cogging", 1.0),)), SideBySide({}, ("cogging",)), False
+    )
     assert answer.notes == ("not named: cogging; the simulated runs show as much of it",)
 
 

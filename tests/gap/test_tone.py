@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.gap.verdict.additive import SURE, certainty
-from leactl.gap.verdict.tone import FEWEST_PERIODS, Course, gains, strongest_frequency
+from leactl.gap.verdict.tone import FEWEST_PERIODS, ResidualCourse, gains, strongest_frequency
 from leactl.gap.verdict.unknown import LEAST_SLOW
 
 STRETCHES = 24
@@ -16,7 +16,7 @@ def course(left_of, duration=20.0, step=0.01, seed=0, kept=0.8):
     """Rows of a run, a fifth of them masked as rows around reversals are."""
     rng = np.random.default_rng(seed)
     time = 3.0 + np.flatnonzero(rng.random(round(duration / step)) < kept) * step
-    return Course(time, left_of(time, rng), (np.arange(len(time)) * STRETCHES // len(time)).astype(np.intp))
+    return ResidualCourse(time, left_of(time, rng), (np.arange(len(time)) * STRETCHES // len(time)).astype(np.intp))
 
 
 def humming(hertz, noise):
@@ -55,10 +55,10 @@ def test_noise_of_any_colour_repeats_by_no_frequency_of_another_run(left_of):
 def test_less_than_a_few_periods_is_a_slow_change_and_no_frequency():
     slow = course(humming(0.5 * FEWEST_PERIODS / 20.0, 0.0))
     assert strongest_frequency([slow]) >= FEWEST_PERIODS / slow.duration
-    short = Course(np.array([0.0, 0.1, 0.2]), np.array([1.0, 0.0, 1.0]), np.array([0, 1, 2]))
+    short = ResidualCourse(np.array([0.0, 0.1, 0.2]), np.array([1.0, 0.0, 1.0]), np.array([0, 1, 2]))
     assert strongest_frequency([short]) is None
 
 
 def test_a_run_of_one_stretch_is_not_judged_by_itself():
     whole = course(humming(2.0, 0.0))
-    assert not gains(Course(whole.time, whole.left, np.zeros_like(whole.stretch)), 2.0).any()
+    assert not gains(ResidualCourse(whole.time, whole.left, np.zeros_like(whole.stretch)), 2.0).any()

@@ -16,7 +16,7 @@ from leactl.gap.search.regression import Normal, Rows, gain_of, stack
 from leactl.gap.search.sets import best_of_each, outweighs
 from leactl.gap.signals.record import read_record
 from leactl.gap.verdict.shrinkage import Growth, Shrunk
-from leactl.gap.verdict.withdrawal import Fitted, apply
+from leactl.gap.verdict.withdrawal import FittedEffects, apply
 from leactl.model.nominal import Model, read_model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.cli.terminal import leactl
@@ -54,7 +54,7 @@ def simulated(by_calibration, by_effects):
 
 def beside(*calibration):
     """A fit whose parameters are these, whatever effects it has."""
-    return lambda causes: Fitted(tuple(causes), calibration)
+    return lambda causes: FittedEffects(tuple(causes), calibration)
 
 
 def test_what_held_out_runs_bear_out_is_applied(model):
@@ -70,7 +70,7 @@ def test_what_held_out_runs_bear_out_is_applied(model):
 )
 def test_an_effect_that_closes_nothing_is_taken_back_and_said(model, by_effects, reason):
     applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulated(-1.0, by_effects))
-    assert applied.fitted == Fitted((), (SOUND,))
+    assert applied.fitted == FittedEffects((), (SOUND,))
     assert not applied.augmented.effects
     assert applied.augmented.viscous_damping == 0.024
     assert applied.notes == (f"not named though it fits: saturation; {reason}",)
@@ -191,7 +191,7 @@ def test_calibration_beside_an_effect_stands_for_the_one_alone_that_takes_the_ef
 def test_a_parameter_at_its_bound_is_told_and_not_applied(model):
     applied = apply(model, [SOUND, BOUNDED], [[SATURATION]], beside(SOUND, BOUNDED), simulated(-1.0, -1.0))
     assert applied.augmented == model
-    assert applied.fitted == Fitted((), ())
+    assert applied.fitted == FittedEffects((), ())
     assert "calibration is not applied: rotor_inertia ended at a bound" in applied.notes[-1]
 
 

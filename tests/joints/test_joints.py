@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, machine, stepped
-from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, Drawn, alike, draw_effect, listed, shown_by, unlisted
+from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, DrawnEffect, alike, draw_effect, listed, shown_by, unlisted
 from leactl.joints.machine import draw_machine, kinds
 from leactl.joints.make import draw_runs, make
-from leactl.joints.programs import Program
+from leactl.joints.programs import JointProgram
 from leactl.model.nominal import read_model
 from leactl.vocabulary.effect import effect_definition
 
@@ -44,7 +44,7 @@ def test_a_constant_current_ends_at_the_speed_that_friction_leaves():
     run = runs_of("")[0]
     specimen = run.specimen
     asked = 0.8 * specimen.machine.current
-    program = Program(np.full(1000, asked), None)
+    program = JointProgram(np.full(1000, asked), None)
     found = stepped.simulate([replace(run, program=program)])[0]
     steady = (specimen.torque_constant * asked - specimen.coulomb_friction) / specimen.viscous_damping
     assert found.velocity[-1] == pytest.approx(steady, rel=1e-3)
@@ -77,9 +77,9 @@ def test_a_motor_with_play_is_ahead_of_the_rigid_one_by_the_load_s_share_of_it(s
     simulate = {"stepped": stepped.simulate, "mujoco": by_mujoco.simulate}[simulator]
     run, share, play = runs_of("")[0], 0.4, 0.02
     time = np.arange(2000) / run.specimen.machine.rate
-    program = Program(run.specimen.machine.current * np.sign(np.sin(2.0 * np.pi * 3.0 * time + 0.3)), None)
+    program = JointProgram(run.specimen.machine.current * np.sign(np.sin(2.0 * np.pi * 3.0 * time + 0.3)), None)
     free = replace(run.specimen, coulomb_friction=0.0, viscous_damping=0.0)
-    geared = Drawn("gear_backlash", "strong", {"play": play, "share": share, "friction": 0.0})
+    geared = DrawnEffect("gear_backlash", "strong", {"play": play, "share": share, "friction": 0.0})
     rigid, loose = (
         simulate([replace(run, specimen=free, program=program, effects=effects)])[0] for effects in ((), (geared,))
     )

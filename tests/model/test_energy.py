@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.model.cycle import POINTS, Cycle
-from leactl.model.energy import Supply, best_ratio, remarks, stride
+from leactl.model.energy import DriveSupply, best_ratio, remarks, stride
 from leactl.model.motor import load_sheet
 from leactl.model.winding import FRAMES
 
@@ -59,7 +59,7 @@ def test_the_winding_ends_where_heat_in_is_heat_out():
     rise = found.winding_temperature - 25.0
     outwards = 1.0 / (1.0 / 5.6 + 1.0 / 2.0)
     assert rise == pytest.approx(found.joule / 1.1 * outwards)
-    cold = stride(LEA, swing(torque=120.0), 12.0, supply=Supply(winding_temperature=25.0))
+    cold = stride(LEA, swing(torque=120.0), 12.0, supply=DriveSupply(winding_temperature=25.0))
     assert found.joule / cold.joule == pytest.approx(1.0 + 0.004 * rise)
 
 
@@ -67,13 +67,13 @@ def test_the_best_ratio_balances_load_and_inertia():
     cycle = swing(phase=0.0, torque=20.0)  # load and inertia in quadrature: their squares add up
     bend = np.sqrt(np.mean(cycle.acceleration**2))
     closed = math.sqrt(math.sqrt(np.mean(cycle.torque**2)) / (LEA.rotor_inertia * bend) * 1.0)
-    found = best_ratio(frictionless(LEA), cycle, supply=Supply(bus_voltage=500.0))
+    found = best_ratio(frictionless(LEA), cycle, supply=DriveSupply(bus_voltage=500.0))
     assert found.ratio == pytest.approx(closed, rel=1e-3)
 
 
 def test_a_bus_that_is_too_low_moves_the_best_ratio_down_to_its_ceiling():
     cycle = swing(phase=0.0, torque=20.0)
-    free, bound = best_ratio(LEA, cycle, supply=Supply(500.0)), best_ratio(LEA, cycle, supply=Supply(12.0))
+    free, bound = best_ratio(LEA, cycle, supply=DriveSupply(500.0)), best_ratio(LEA, cycle, supply=DriveSupply(12.0))
     assert bound.ratio < free.ratio
     assert bound.feasible
     assert bound.electrical > free.electrical
@@ -81,27 +81,27 @@ def test_a_bus_that_is_too_low_moves_the_best_ratio_down_to_its_ceiling():
 
 
 def test_points_beyond_a_ceiling_are_counted_and_the_first_is_told():
-    by_voltage = stride(LEA, swing(), 40.0, supply=Supply(29.6))
+    by_voltage = stride(LEA, swing(), 40.0, supply=DriveSupply(29.6))
     assert by_voltage.over_voltage > 0
     assert by_voltage.first_beyond_percent == 0.0  # the swing begins at its fastest
     assert not by_voltage.feasible
-    by_current = stride(LEA, swing(phase=-math.pi / 2.0), 5.0, supply=Supply(500.0, line_current=10.0))
+    by_current = stride(LEA, swing(phase=-math.pi / 2.0), 5.0, supply=DriveSupply(500.0, line_current=10.0))
     assert by_current.over_voltage == 0
-    needed = stride(LEA, swing(phase=-math.pi / 2.0), 5.0, supply=Supply(500.0)).peak_line_current
+    needed = stride(LEA, swing(phase=-math.pi / 2.0), 5.0, supply=DriveSupply(500.0)).peak_line_current
     assert needed > 10.0
     assert 0.0 < by_current.first_beyond_percent < 25.0
     assert 0 < by_current.over_current < POINTS
 
 
 def test_a_winding_that_runs_away_is_too_hot():
-    found = stride(LEA, swing(torque=3000.0), 5.0, supply=Supply(1000.0))
+    found = stride(LEA, swing(torque=3000.0), 5.0, supply=DriveSupply(1000.0))
     assert found.too_hot
     assert math.isinf(found.winding_temperature)
     assert not found.feasible
 
 
 def test_where_nothing_is_feasible_the_least_bad_is_given():
-    found = best_ratio(U8, swing(torque=150.0), supply=Supply(5.0, line_current=5.0))
+    found = best_ratio(U8, swing(torque=150.0), supply=DriveSupply(5.0, line_current=5.0))
     assert not found.feasible
     assert found.over_voltage + found.over_current > 0
 
@@ -137,7 +137,7 @@ def test_a_lossy_transmission_costs_the_motor_going_out_and_the_joint_coming_bac
 )
 def test_nothing_is_lost_and_nothing_is_gained(motor, amplitude, torque, phase, mean, ratio, efficiency):
     found = stride(
-        motor, swing(amplitude, torque, phase, mean=mean), ratio, efficiency, Supply(winding_temperature=60.0)
+        motor, swing(amplitude, torque, phase, mean=mean), ratio, efficiency, DriveSupply(winding_temperature=60.0)
     )
     spent = found.joint_work + found.joule + found.viscous + (found.coulomb or 0.0) + found.transmission
     assert found.electrical == pytest.approx(spent, rel=1e-9, abs=1e-9 * found.joule)
@@ -161,8 +161,8 @@ def test_what_a_motor_lacks_is_said_or_refused():
         ({"ratio": math.nan}, "ratio nan"),
         ({"efficiency": 0.0}, "efficiency 0: more than 0"),
         ({"efficiency": 1.1}, "efficiency 1.1"),
-        ({"supply": Supply(0.0)}, "bus voltage 0 V"),
-        ({"supply": Supply(29.6, -1.0)}, "line current -1 A"),
+        ({"supply": DriveSupply(0.0)}, "bus voltage 0 V"),
+        ({"supply": DriveSupply(29.6, -1.0)}, "line current -1 A"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, message):

@@ -10,7 +10,7 @@ import numpy as np
 
 from leactl.protocol.plan import Plan
 from leactl.runner import state
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_admission import motors_of
 from leactl.runner.thermal_memory import Memory
 from leactl.safety.thermal.box import Array, Box
@@ -141,8 +141,8 @@ def _start(
     start = {}
     for role in ROLES:
         memory = Memory(f"trial.{role}", LEA, limit, ambient, state.of_user())
-        memory.keep(before.kept[role], Moment(0.0, "", UPTIME_S - written), running=died)
-        start[role] = memory.recall(Moment(0.0, "", UPTIME_S + pause)).nodes
+        memory.keep(before.kept[role], ClockReadings(0.0, "", UPTIME_S - written), running=died)
+        start[role] = memory.recall(ClockReadings(0.0, "", UPTIME_S + pause)).nodes
     return start, "warm, killed" if died else "warm", [before, pause]
 
 

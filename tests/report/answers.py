@@ -5,14 +5,14 @@ from itertools import pairwise
 import numpy as np
 
 from leactl.gap.diagnosis import (
-    Bin,
     CalibratedParameter,
     Cause,
-    Diagnosis,
+    DiagnosisResult,
     EffectParameter,
     Near,
     Picture,
     Region,
+    ResidualBin,
     Rest,
     Shrinkage,
     Where,
@@ -57,7 +57,7 @@ def answer(**changed):
         "notes": ("not answered: the bus; it needs the bus voltage",),
         "extra": {"traces": (trace(TEST), trace(LOCKED)), "profiles": (profile(LOCKED), profile(TEST, "direction"))},
     }
-    return Diagnosis(**(said | changed))
+    return DiagnosisResult(**(said | changed))
 
 
 def picture(variable="q_axis_current", periods=None, along=None):
@@ -65,8 +65,10 @@ def picture(variable="q_axis_current", periods=None, along=None):
     bins = []
     for low, high in pairwise(edges):
         before, after = 1e-5 * (low + high) ** 3, 1e-4 * low
-        bins.append(Bin(low, high, 120, before, before - 0.02, before + 0.02, after, after - 0.01, after + 0.01))
-    bins[3] = Bin(-12.0, -8.0, 2, *[np.nan] * 6)
+        bins.append(
+            ResidualBin(low, high, 120, before, before - 0.02, before + 0.02, after, after - 0.01, after + 0.01)
+        )
+    bins[3] = ResidualBin(-12.0, -8.0, 2, *[np.nan] * 6)
     shown = ("torque", "test", "locked", "swung_torque", "N*m")
     return Picture(variable, "A", periods, along, *shown, 0.4127, 0.0013, 10, 1, tuple(bins))
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leactl.gap.diagnosis import Cause, Diagnosis
+from leactl.gap.diagnosis import Cause, DiagnosisResult
 from leactl.report.gap import render
 from leactl.report.gap_words import rest_words
 from tests.report.answers import answer, rest
@@ -128,7 +128,7 @@ def test_five_regions_at_most():
 
 
 def test_an_answer_without_a_gap_is_short():
-    assert render(Diagnosis("none", 0.003)) == (
+    assert render(DiagnosisResult("none", 0.003)) == (
         "verdict: none. The model explains these runs; no gap is left.\n"
         "probability that something unexplained acts: < 0.01\n"
     )

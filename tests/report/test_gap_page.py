@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.diagnosis import Cause, Diagnosis, Region, Shrinkage
+from leactl.gap.diagnosis import Cause, DiagnosisResult, Region, Shrinkage
 from leactl.report.chart import LineMarks
 from leactl.report.gap import render
 from leactl.report.gap_page import page
@@ -200,7 +200,7 @@ def test_without_an_effect_the_page_compares_before_and_after_calibration():
 @pytest.mark.parametrize(
     "diagnosis",
     [
-        Diagnosis("none", 0.0),
+        DiagnosisResult("none", 0.0),
         answer(extra={}),
         answer(shrinkage=(replace(answer().shrinkage[0], floor_rms=0.0, augmented_rms=0.0),)),
         answer(shrinkage=(replace(answer().shrinkage[0], nominal_rms=np.nan),), unexplained_probability=np.nan),

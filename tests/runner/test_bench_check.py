@@ -16,7 +16,7 @@ from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip,
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runner.bench_check.procedure import examine, reading, turning
-from leactl.runner.bench_check.statement import Verdict, ratio, wrong
+from leactl.runner.bench_check.statement import StatementVerdict, ratio, wrong
 from leactl.runner.bench_check.turning import Slope, factor_of_a_turn, slopes
 from leactl.runner.operators import granted
 from leactl.runner.session import execute
@@ -106,7 +106,7 @@ def test_a_right_bench_is_contradicted_in_nothing(checked, seed):
     examined = checked(seed=seed)
     assert (examined.end(), wrong(examined.statements)) == (None, [])
     moved = [each for each in examined.statements if each.about in (TORQUE, SHAFT, TURNS, MOTION, CURRENT)]
-    assert [each.verdict for each in moved] == [Verdict.OK] * 9
+    assert [each.verdict for each in moved] == [StatementVerdict.OK] * 9
     for outcome in examined.outcomes:
         assert (outcome.status, verify(outcome.path)) == ("complete", [])
 
@@ -219,7 +219,7 @@ def test_a_wrong_line_of_the_file_is_named(checked, fault):
     change, name, about, value, line = WRONG_FILES[fault]
     examined = checked(change)
     statement = told(examined)[name, about]
-    assert statement.verdict is Verdict.WRONG
+    assert statement.verdict is StatementVerdict.WRONG
     assert statement.measured == pytest.approx(value, rel=0.06)
     assert f"devices.{line}: " in statement.change
     assert ":".join(statement.change.split(":")[:1]).endswith("mine.yaml")
@@ -245,7 +245,7 @@ def test_two_encoders_wrong_alike_are_doubted_by_the_inertia(checked):
     assert wrong(examined.statements) == []
     for role in ("test", "load"):
         statement = told(examined)[f"drive_{role}", TURNS]
-        assert (statement.verdict, statement.why[:16]) == (Verdict.OPEN, "as if a turn had")
+        assert (statement.verdict, statement.why[:16]) == (StatementVerdict.OPEN, "as if a turn had")
         assert float(statement.why.split()[5]) == pytest.approx(4.0, rel=0.25)
         assert f"drive_{role}.settings.counts_per_turn" in statement.change
 
@@ -253,7 +253,7 @@ def test_two_encoders_wrong_alike_are_doubted_by_the_inertia(checked):
 def test_a_drive_that_turns_against_its_current_is_wrong(checked):
     turned = [reads("drive_test", quantity, -1.0) for quantity in ("velocity", "angle")]
     statement = told(checked(truth=faults(*turned)))["drive_test", TURNS]
-    assert statement.verdict is Verdict.WRONG
+    assert statement.verdict is StatementVerdict.WRONG
     assert statement.why.startswith("a current turns it backwards")
 
 
@@ -263,7 +263,7 @@ def test_a_drive_that_turns_against_its_current_is_wrong(checked):
 def test_a_velocity_that_is_not_the_change_of_the_angle_is_wrong(checked, gain, near):
     statement = told(checked(truth=faults(reads("drive_load", "velocity", gain)), limits={"velocity_rad_s": 400}))
     statement = statement["drive_load", MOTION]
-    assert statement.verdict is Verdict.WRONG
+    assert statement.verdict is StatementVerdict.WRONG
     assert statement.measured == pytest.approx(1.0 / gain, rel=0.01)
     assert statement.why.startswith(near)
 
@@ -273,14 +273,14 @@ def test_a_move_that_trips_tells_no_torque_constant(checked):
     assert isinstance(examined.end(), SafetyTrip)
     for role in ("test", "load"):
         statement = told(examined)[f"drive_{role}", TORQUE]
-        assert (statement.verdict, statement.why) == (Verdict.OPEN, "the move ended early")
+        assert (statement.verdict, statement.why) == (StatementVerdict.OPEN, "the move ended early")
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "angle", "q_axis_current"])
 def test_a_dead_channel_of_a_drive_is_named_though_the_bench_trips(checked, quantity):
     examined = checked(truth=faults(dead("drive_test", quantity=quantity)))
     statement = told(examined)["drive_test", CURRENT if quantity == "q_axis_current" else MOTION]
-    assert statement.verdict is Verdict.WRONG
+    assert statement.verdict is StatementVerdict.WRONG
     assert ("no current is read" if quantity == "q_axis_current" else f"the {quantity} stands") in statement.why
     assert isinstance(examined.end(), SafetyTrip)
 
@@ -289,7 +289,7 @@ def test_a_dead_channel_of_a_drive_is_named_though_the_bench_trips(checked, quan
 def test_a_drive_without_any_motion_is_named_where_the_other_turns_the_shaft(checked, name):
     examined = checked(truth=faults(dead(name, quantity="velocity"), dead(name, quantity="angle")))
     statement = told(examined)[name, SHAFT]
-    assert statement.verdict is Verdict.WRONG
+    assert statement.verdict is StatementVerdict.WRONG
     assert statement.why.startswith("no velocity of it")
 
 
@@ -309,10 +309,10 @@ def test_a_channel_that_falls_silent_is_named_with_its_device_and_the_time(
     assert isinstance(examined.end(), SafetyTrip)
     for quantity in quantities:
         statement = told(examined)["drive_test", f"{quantity} of test"]
-        assert statement.verdict is Verdict.WRONG
+        assert statement.verdict is StatementVerdict.WRONG
         assert statement.why == f"fell silent at {since} s: is its cable, or its bus, loose?"
     for about in starved if at_s < 3 else (TORQUE,):
-        assert told(examined)["drive_test", about].verdict is Verdict.OPEN
+        assert told(examined)["drive_test", about].verdict is StatementVerdict.OPEN
         assert f"{quantities[0]} of test: fell silent at " in told(examined)["drive_test", about].why
 
 
@@ -368,7 +368,7 @@ def test_a_sensor_that_may_stand_for_minutes_is_not_called_frozen_within_a_secon
 
     examined = checked(patient, faults(dead("torque_sensor", quantity="torque")), move=False)
     statement = told(examined)["torque_sensor", "torque of test"]
-    assert statement.verdict is Verdict.OPEN
+    assert statement.verdict is StatementVerdict.OPEN
     assert "frozen, or coarser than its noise" in statement.why
 
 
@@ -402,8 +402,8 @@ def test_firmware_and_serial_number_are_held_against_the_file(checked):
         device("torque_sensor", serial="A7")(bench)
 
     statements = told(checked(state, move=False))
-    assert statements["drive_load", "serial"].verdict is Verdict.OK
-    assert statements["drive_load", "firmware"].verdict is Verdict.WRONG
+    assert statements["drive_load", "serial"].verdict is StatementVerdict.OK
+    assert statements["drive_load", "firmware"].verdict is StatementVerdict.WRONG
     assert 'firmware: state firmware: "Whistle 01' in statements["drive_load", "firmware"].change
     assert statements["torque_sensor", "serial"].why == "the bench file says A7, the device reports none"
     assert 'state serial: "1"' in statements["drive_test", "serial"].change
@@ -416,7 +416,7 @@ def test_a_sensor_that_says_nothing_is_named_by_the_move_where_no_interlock_says
     examined = checked(unwatched, faults(dead("torque_sensor", quantity="torque")))
     at_rest, statement = (told(examined)[key] for key in (("torque_sensor", "torque of test"), ("drive_load", TORQUE)))
     assert at_rest.why == "the same in 41 readings: frozen, or coarser than its noise"
-    assert (at_rest.verdict, statement.verdict) == (Verdict.OPEN, Verdict.WRONG)
+    assert (at_rest.verdict, statement.verdict) == (StatementVerdict.OPEN, StatementVerdict.WRONG)
     assert statement.change.endswith("devices.torque_sensor.settings.inputs[0]: is it connected?")
 
 
@@ -425,17 +425,17 @@ def test_one_drive_alone_does_not_tell_its_friction_from_its_torque(checked):
         del bench["devices"]["drive_load"]
 
     statements = told(checked(alone, alone))
-    assert statements["drive_test", TORQUE].verdict is Verdict.OPEN
+    assert statements["drive_test", TORQUE].verdict is StatementVerdict.OPEN
     assert statements["drive_test", TORQUE].why == "it takes a shaft that either drive turns, in turn"
-    assert statements["drive_test", TURNS].verdict is Verdict.OK
-    assert not [each for each in statements.values() if each.verdict is Verdict.WRONG]
+    assert statements["drive_test", TURNS].verdict is StatementVerdict.OK
+    assert not [each for each in statements.values() if each.verdict is StatementVerdict.WRONG]
 
 
 def test_a_shaft_that_does_not_turn_tells_nothing(checked):
     statements = told(checked(current=0.2))
     for about in (TURNS, MOTION, TORQUE):
-        assert statements["drive_test", about].verdict is Verdict.OPEN
-    assert statements["drive_test", CURRENT].verdict is not Verdict.WRONG
+        assert statements["drive_test", about].verdict is StatementVerdict.OPEN
+    assert statements["drive_test", CURRENT].verdict is not StatementVerdict.WRONG
 
 
 def test_nothing_moves_unless_somebody_agrees(checked):

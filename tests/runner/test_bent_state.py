@@ -18,13 +18,13 @@ from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.model.motor import load_motor
 from leactl.runner import lock_holders, locks, runs_underway, state
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_memory import Memory
 from tests.cli.terminal import leactl
 from tests.latches import latch_of
 
 LIMIT = 130.0
-NOW = Moment(1.7e9, "this boot", 5000.0)
+NOW = ClockReadings(1.7e9, "this boot", 5000.0)
 
 
 def sparse(path):

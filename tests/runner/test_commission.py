@@ -10,7 +10,7 @@ import pytest
 from leactl.analysis.heating.narrowing import Accuracy
 from leactl.errors import AcceptanceFailed, InputError, Stopped
 from leactl.model.motor import load_motor
-from leactl.runner.commission import Manner, commission
+from leactl.runner.commission import CommissionOptions, commission
 from leactl.runner.request import prepare
 from leactl.runner.session import Outcome
 from tests.analysis.heated import HeatedBench, Plant
@@ -48,7 +48,7 @@ def manner_of(bench, asked=HOT, protocol="thermal", **how):
         return replace(made, plan=replace(made.plan, attended=True))
 
     said = []
-    return Manner(prepared, bench.perform, said.append, **({"most": 3} | how)), said
+    return CommissionOptions(prepared, bench.perform, said.append, **({"most": 3} | how)), said
 
 
 def test_one_short_heat_narrows_the_file_until_the_whole_protocol_is_admitted_and_run(tmp_path):

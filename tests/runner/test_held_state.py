@@ -18,7 +18,7 @@ from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write import writer
 from leactl.runner import latch, recorder, state, watchdog_process
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.latch import BYTES, Ready
 from leactl.runner.thermal_memory import Keeper, Memory
 from tests.cli.terminal import COMMAND
@@ -105,7 +105,7 @@ def test_a_latch_that_cannot_be_made_ready_moves_nothing(spin, monkeypatch):
 
 def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
     memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state.Place(tmp_path, shared=False))
-    now = Moment(1.7e9, "this boot", 5000.0)
+    now = ClockReadings(1.7e9, "this boot", 5000.0)
     nodes = {"test": np.full(3, 60.0)}
     keeper = Keeper({"test": memory}, lambda: nodes, lambda: now)
     keeper.start()
@@ -119,7 +119,7 @@ def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
 @pytest.mark.parametrize("how", ["removed", "replaced"])
 def test_a_winding_s_memory_that_went_is_made_anew(tmp_path, how):
     memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state.Place(tmp_path, shared=False))
-    now = Moment(1.7e9, "this boot", 5000.0)
+    now = ClockReadings(1.7e9, "this boot", 5000.0)
     memory.keep(np.full(3, 60.0), now, running=True)
     memory.path.unlink()
     if how == "replaced":

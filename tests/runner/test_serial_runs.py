@@ -9,7 +9,7 @@ import yaml
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.emulation.faults import find_fault
-from leactl.emulation.faults.contract import Standing
+from leactl.emulation.faults.contract import PlannedBench
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
@@ -86,7 +86,7 @@ def test_a_drives_faults_end_a_run_over_serial_lines(bench, tmp_path):
 
 def test_a_line_that_is_none_cannot_be_cut(bench):
     file, devices, _document = benchfile.load(bench())
-    standing = Standing(file, {device.name: device for device in devices})
+    standing = PlannedBench(file, {device.name: device for device in devices})
     fault = find_fault("cut_line").model_validate({"fault": "cut_line", "at_s": 1, "bus": "i2c1"})
     assert fault.misfits(standing) == {
         "bus": "'i2c1' is no serial line or raw socket of the bench; it has line_test, line_load"

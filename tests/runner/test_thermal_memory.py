@@ -19,7 +19,7 @@ from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.runner import state, thermal_memory
-from leactl.runner.boot_time import Moment
+from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import OVERDUE_S, Keeper, Memory
 from leactl.safety.thermal.bound import ThermalBound
@@ -34,7 +34,7 @@ WARM = np.array([90.0, 80.0, 50.0])
 
 def at(seconds=0.0, boot="b1", wall=None):
     """So long after the moment at which the tests keep something, in this boot."""
-    return Moment(1.8e9 + seconds if wall is None else wall, boot, UPTIME + seconds)
+    return ClockReadings(1.8e9 + seconds if wall is None else wall, boot, UPTIME + seconds)
 
 
 NOW = at()
@@ -142,7 +142,7 @@ def test_a_wall_clock_that_is_set_cools_nothing(wall, running):
 
 def test_what_has_rested_through_a_boot_has_cooled_for_as_long_as_the_machine_is_up():
     memory().keep(WARM, NOW, running=False)
-    up = Moment(1.8e9 + 9e6, "b2", 45.0)  # it may have been off for a second or for months
+    up = ClockReadings(1.8e9 + 9e6, "b2", 45.0)  # it may have been off for a second or for months
     assert memory().recall(up).nodes.tolist() == memory().recall(at(45.0)).nodes.tolist()
 
 
@@ -150,7 +150,7 @@ def test_what_has_rested_through_a_boot_has_cooled_for_as_long_as_the_machine_is
 def test_of_a_machine_with_another_boot_no_more_counts_than_lies_between_the_wall_clocks(wall, rested):
     """A folder that two machines share: the other one has been up for days."""
     memory().keep(WARM, NOW, running=False)
-    found = memory().recall(Moment(wall, "of the other machine", 9e5)).nodes
+    found = memory().recall(ClockReadings(wall, "of the other machine", 9e5)).nodes
     assert found.tolist() == pytest.approx(memory().recall(at(rested)).nodes.tolist())
 
 

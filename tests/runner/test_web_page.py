@@ -17,7 +17,7 @@ from leactl.errors import InputError, Stopped
 from leactl.quantities import ChannelSpec
 from leactl.report.web import STOP, feed
 from leactl.report.web.feed import CAUSE, RunPage
-from leactl.report.web.server import MOST_BYTES, MOST_OPEN, MOST_ROWS, Exchange, Shown, Site, answer
+from leactl.report.web.server import MOST_BYTES, MOST_OPEN, MOST_ROWS, HttpExchange, PageState, Site, answer
 from leactl.runfile.read.reader import Run
 from leactl.runner.progress import Progress
 
@@ -183,7 +183,7 @@ def test_a_page_is_given_each_row_once_and_the_last_minute_at_first(client, prog
     assert [row[0] for row in rows["rows"]] == [progress.time_s]
     assert rows["channels"] is None
     assert client.state(later["next"])["rows"] == []
-    shown = Shown()
+    shown = PageState()
     for number in range(MOST_ROWS + 5):
         shown.take({"row": [number]})
     assert [row[0] for row in shown.as_json(0)["rows"]] == list(range(5, MOST_ROWS + 5))
@@ -191,7 +191,7 @@ def test_a_page_is_given_each_row_once_and_the_last_minute_at_first(client, prog
 
 
 def test_silence_grows_from_the_newest_row_on(client):
-    assert Shown().as_json(0)["silent_s"] == 0.0  # nothing has begun
+    assert PageState().as_json(0)["silent_s"] == 0.0  # nothing has begun
     client.until(lambda state: state["rows"])
     first, second = (client.state()["silent_s"] for _ in range(2))
     assert 0.0 < first < second
@@ -202,7 +202,7 @@ def test_a_number_that_is_none_asks_for_all(page):
     site.shown.take({"row": [1]})
     for since in ("x", "-1", "9" * 20, "%00", ""):
         request = f"GET /state?since={since} HTTP/1.1\r\nHost: h\r\nAuthorization: Bearer t\r\n\r\n"
-        assert json.loads(Exchange(request.encode(), site).answer.split(b"\r\n\r\n")[1])["rows"] == [[1]]
+        assert json.loads(HttpExchange(request.encode(), site).answer.split(b"\r\n\r\n")[1])["rows"] == [[1]]
 
 
 def test_an_open_page_is_told_how_the_run_ended():

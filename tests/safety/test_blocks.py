@@ -7,12 +7,12 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from leactl.driver.contract import Block, Row, StreamSpec
+from leactl.driver.contract import Row, SampleBlock, StreamSpec
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
-from leactl.safety.thermal.measured import Measured
+from leactl.safety.thermal.measured import MeasuredStreams
 from leactl.safety.watching import Panel
 from tests.safety.guards import guard_of
 
@@ -63,7 +63,7 @@ def test_blocks_and_rows_are_judged_alike(name, rows, cut):
 
     def by_block(panel):
         for start, stop in itertools.pairwise(cuts):
-            panel.look_through(Block("daq", times[start:stop], values[start:stop]))
+            panel.look_through(SampleBlock("daq", times[start:stop], values[start:stop]))
 
     assert judged(INTERLOCKS[name], by_block) == judged(INTERLOCKS[name], by_row)
 
@@ -71,14 +71,14 @@ def test_blocks_and_rows_are_judged_alike(name, rows, cut):
 def test_temperatures_that_come_in_blocks_are_held_against_the_guard():
     stream = StreamSpec("camera", (ChannelSpec("winding", "winding_temperature", "test", "camera"),))
     tripped = []
-    measured = Measured(guard_of(), [stream], tripped.append)
-    measured.look_through(Block("camera", np.array([0.0, 0.1]), np.array([[26.0], [60.0]])))
+    measured = MeasuredStreams(guard_of(), [stream], tripped.append)
+    measured.look_through(SampleBlock("camera", np.array([0.0, 0.1]), np.array([[26.0], [60.0]])))
     assert len(tripped) == 1
     assert "measured at 60.0 degC" in tripped[0]
 
 
 def test_a_block_gives_its_rows_and_its_last():
-    block = Block("daq", np.array([1.0, 2.0]), np.array([[3.0, 4.0], [5.0, 6.0]]))
+    block = SampleBlock("daq", np.array([1.0, 2.0]), np.array([[3.0, 4.0], [5.0, 6.0]]))
     assert list(block.rows()) == [Row("daq", 1.0, [3.0, 4.0]), Row("daq", 2.0, [5.0, 6.0])]
     assert block.last == Row("daq", 2.0, [5.0, 6.0])
 
@@ -94,7 +94,7 @@ def test_only_a_stream_that_says_it_ends_may_fall_silent(ends):
     clock = EmulatedClock()
     supervisor = Supervisor(LIMITS, {}, [Source()], clock, guard_of())
     supervisor.begin(0.01)
-    supervisor.receive(Block("daq", np.array([0.0]), np.array([[1.0]])))
+    supervisor.receive(SampleBlock("daq", np.array([0.0]), np.array([[1.0]])))
     for number in range(1, 300):
         clock.sleep_until(number * 0.01)
         if not ends and number > 250:

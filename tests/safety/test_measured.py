@@ -6,7 +6,7 @@ import pytest
 from leactl.driver.contract import Row, StreamSpec
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
-from leactl.safety.thermal.measured import Measured
+from leactl.safety.thermal.measured import MeasuredStreams
 from tests.safety.guards import guard_of
 
 CHANNELS = ("winding_temperature", "housing_temperature", "line_current")
@@ -18,7 +18,7 @@ def tripped(cause):
 
 
 def measured(guard):
-    return Measured(guard, [STREAM], tripped)
+    return MeasuredStreams(guard, [STREAM], tripped)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ PAIR = StreamSpec("supply", tuple(ChannelSpec(n, n, "test", "supply") for n in (
 
 def looked(resistances, currents, bound=28.0):
     """Rows at 10 Hz of a winding with these resistances from lead to lead."""
-    look = Measured(guard_of(start=bound), [PAIR], tripped)
+    look = MeasuredStreams(guard_of(start=bound), [PAIR], tripped)
     for k, (resistance, current) in enumerate(zip(resistances, currents, strict=True)):
         look.look(Row("supply", 0.1 * k, (resistance * current, current)))
 

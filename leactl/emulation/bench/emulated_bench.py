@@ -16,7 +16,7 @@ from leactl.driver.serial_port import SerialLine
 from leactl.emulation.bench.block import actuator_of, effect_of
 from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.faults import make_fault
-from leactl.emulation.faults.device_readings import Signals
+from leactl.emulation.faults.device_readings import DeviceSignals
 from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.plant.effects.contract import RIG_HOOKS, own_hooks
 from leactl.emulation.plant.exact.rig import Actuator, Rig
@@ -130,7 +130,7 @@ class EmulatedBench:
             name: SerialWire(self.time, bus.byte_s) for name, bus in file.buses.items() if isinstance(bus, LineBus)
         }
         self.far_ends: dict[str, Any] = {}
-        self.signals: dict[str, Signals] = {}
+        self.signals: dict[str, DeviceSignals] = {}
         for device in devices:
             self._place(device, bool(faults))
         Schedule(self, faults, number)
@@ -233,7 +233,7 @@ class EmulatedBench:
         entry = device.entry
         physics: Physics = self
         if faulty:
-            physics = self.signals[device.name] = Signals(self)
+            physics = self.signals[device.name] = DeviceSignals(self)
         far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, physics)
         if entry.bus in self.wires:
             self.wires[entry.bus].attach(far_end)

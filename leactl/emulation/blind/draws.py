@@ -17,7 +17,7 @@ from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 from leactl.emulation.plant.stepped.lanes import Array, Lane
-from leactl.emulation.plant.stepped.run import Program
+from leactl.emulation.plant.stepped.run import DriveReferences
 from leactl.emulation.plant.stepped.sensors import Spread
 from leactl.vocabulary.effect import effect_definition, effects_on
 
@@ -27,7 +27,7 @@ REPEATS = ("a", "b")
 
 
 @dataclass(frozen=True)
-class Drawn:
+class PlantedEffect:
     """One effect of a case."""
 
     name: str
@@ -43,23 +43,23 @@ class RunDraw:
     name: str  # locked_staircase-a
     kind: str
     lane: Lane
-    program: Program | Array  # an array is the current of a heated run
+    program: DriveReferences | Array  # an array is the current of a heated run
     seed: int
 
 
 @dataclass(frozen=True)
-class Case:
+class BlindCase:
     """One bench, its departures, its ten runs."""
 
     name: str
     kind: str
-    effects: tuple[Drawn, ...]
+    effects: tuple[PlantedEffect, ...]
     base: Base
     spread: Spread
     runs: tuple[RunDraw, ...]
 
 
-def draw_case(draw: Generator, name: str, kind: str, effects: Sequence[str], strength: str) -> Case:
+def draw_case(draw: Generator, name: str, kind: str, effects: Sequence[str], strength: str) -> BlindCase:
     """Draw everything of a case.
 
     Parameters
@@ -81,10 +81,10 @@ def draw_case(draw: Generator, name: str, kind: str, effects: Sequence[str], str
         for run in RUN_KINDS
         for repeat in REPEATS
     )
-    return Case(name, kind, drawn, base, spread, runs)
+    return BlindCase(name, kind, drawn, base, spread, runs)
 
 
-def draw_effect(draw: Generator, name: str, strength: str) -> Drawn:
+def draw_effect(draw: Generator, name: str, strength: str) -> PlantedEffect:
     """Draw an effect's parameters at a strength."""
     rule, parameters = _rules()[name], {}
     for parameter, definition in effect_definition(name).parameters.items():
@@ -104,14 +104,14 @@ def draw_effect(draw: Generator, name: str, strength: str) -> Drawn:
             parameters[parameter] = math.exp(draw.uniform(math.log(low), math.log(high)))
         else:
             parameters[parameter] = float(draw.uniform(low, high))
-    return Drawn(name, strength, make_effect(name, parameters), parameters)
+    return PlantedEffect(name, strength, make_effect(name, parameters), parameters)
 
 
-def _draw_unlisted(draw: Generator, name: str, strength: str) -> Drawn:
+def _draw_unlisted(draw: Generator, name: str, strength: str) -> PlantedEffect:
     low, high = STRENGTHS[strength]
     effect = unlisted_effects()[name].drawn(draw, float(draw.uniform(low, high)))
     parameters = {key: value for key, value in vars(effect).items() if key != "role"}
-    return Drawn(name, strength, effect, parameters)
+    return PlantedEffect(name, strength, effect, parameters)
 
 
 def _draw_spread(draw: Generator) -> Spread:
@@ -120,7 +120,7 @@ def _draw_spread(draw: Generator) -> Spread:
 
 
 def _draw_run(
-    draw: Generator, name: str, kind: str, warm: bool, base: Base, spread: Spread, drawn: Sequence[Drawn]
+    draw: Generator, name: str, kind: str, warm: bool, base: Base, spread: Spread, drawn: Sequence[PlantedEffect]
 ) -> RunDraw:
     ambient = base.bench.ambient_temperature
     if kind == "heating":
@@ -151,7 +151,7 @@ def _in_this_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
     return effect.afresh(draw) if isinstance(effect, Unlisted) else effect
 
 
-def _steadied(program: Program, drawn: Sequence[Drawn]) -> Program:
+def _steadied(program: DriveReferences, drawn: Sequence[PlantedEffect]) -> DriveReferences:
     """Lower a servo's gain where an effect makes its loop late or springy, as whoever tunes it would."""
     if program.servo == "load":
         springy = any(own.name in ("shaft_compliance", "backlash") for own in drawn)
@@ -167,7 +167,7 @@ def _steadied(program: Program, drawn: Sequence[Drawn]) -> Program:
     return _with_gain(program, 0.35 / late) if late else program
 
 
-def _with_gain(program: Program, most: float) -> Program:
+def _with_gain(program: DriveReferences, most: float) -> DriveReferences:
     gain = min(program.velocity_gain, most)
     share = gain / program.velocity_gain
     return replace(program, velocity_gain=gain, velocity_integral=program.velocity_integral * share * share)

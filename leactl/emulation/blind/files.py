@@ -8,10 +8,10 @@ import numpy as np
 
 from leactl import __version__
 from leactl.emulation.blind.bases import nominal_text
-from leactl.emulation.blind.draws import Case, RunDraw
-from leactl.emulation.plant.stepped.heating import Heated
+from leactl.emulation.blind.draws import BlindCase, RunDraw
+from leactl.emulation.plant.stepped.heating import HeatedRun
 from leactl.emulation.plant.stepped.lanes import Array
-from leactl.emulation.plant.stepped.run import Program, Signals
+from leactl.emulation.plant.stepped.run import DriveReferences, DriveSignals
 from leactl.emulation.plant.stepped.sensors import Sensors
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
@@ -39,33 +39,33 @@ SUPPLY = {
 }
 
 
-def write_model(folder: Path, case: Case) -> None:
+def write_model(folder: Path, case: BlindCase) -> None:
     """Write `nominal.yaml`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "nominal.yaml").write_text(nominal_text(case.base), encoding="utf-8")
 
 
-def write_moving(folder: Path, case: Case, run: RunDraw, signals: Signals) -> None:
+def write_moving(folder: Path, case: BlindCase, run: RunDraw, signals: DriveSignals) -> None:
     """Write a run in which the drives were on."""
     sensors = Sensors(run.lane, case.spread, run.seed)
     loop = sensors.loop(signals)
     specs = dict(LOOP)
     program = run.program
-    if isinstance(program, Program) and program.velocity is not None:
+    if isinstance(program, DriveReferences) and program.velocity is not None:
         drive = f"drive_{program.servo}"
         specs["velocity_reference"] = ChannelSpec("velocity_reference", "velocity_reference", program.servo, drive)
         loop["velocity_reference"] = np.asarray(program.velocity)
     _write(folder, case, run, {"loop": (specs, loop), "camera": (CAMERA, sensors.camera(signals))})
 
 
-def write_heated(folder: Path, case: Case, run: RunDraw, heated: Heated) -> None:
+def write_heated(folder: Path, case: BlindCase, run: RunDraw, heated: HeatedRun) -> None:
     """Write a run in which direct current heated the windings."""
     camera, supply = Sensors(run.lane, case.spread, run.seed).heated(heated)
     _write(folder, case, run, {"camera": (CAMERA, camera), "supply": (SUPPLY, supply)})
 
 
 def _write(
-    folder: Path, case: Case, run: RunDraw, streams: dict[str, tuple[dict[str, ChannelSpec], dict[str, Array]]]
+    folder: Path, case: BlindCase, run: RunDraw, streams: dict[str, tuple[dict[str, ChannelSpec], dict[str, Array]]]
 ) -> None:
     info = RunInfo(
         run_id=f"{case.name}-{run.name}",
@@ -91,7 +91,7 @@ def _write(
     writer.path.rename(folder / f"{run.name}.h5")
 
 
-def entry(case: Case) -> dict[str, Any]:
+def entry(case: BlindCase) -> dict[str, Any]:
     """What is known of a case; unlisted effects count as `unknown`, their names stand in `unlisted`."""
     named = [own for own in case.effects if case.kind != "unknown"]
     return {
@@ -104,7 +104,7 @@ def entry(case: Case) -> dict[str, Any]:
     }
 
 
-def _true_base(case: Case) -> dict[str, float]:
+def _true_base(case: BlindCase) -> dict[str, float]:
     """True parameters under the names of the model file; nested ones dotted."""
     base = case.base
     test: dict[str, Any] = asdict(base.test)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from leactl.emulation.blind.draws import STRENGTHS, Case, draw_case, usual_effects
+from leactl.emulation.blind.draws import STRENGTHS, BlindCase, draw_case, usual_effects
 from leactl.emulation.blind.files import entry, write_heated, write_model, write_moving
 from leactl.emulation.blind.key import write_key
 from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.stepped.heating import heat
-from leactl.emulation.plant.stepped.run import Program, simulate
+from leactl.emulation.plant.stepped.run import DriveReferences, simulate
 from leactl.errors import InputError
 from leactl.vocabulary.effect import effects_on
 
@@ -103,14 +103,14 @@ def _plans(
     return [plans[k] for k in draw.permutation(count)]
 
 
-def write(folders: Sequence[Path], batch: Sequence[Case]) -> None:
+def write(folders: Sequence[Path], batch: Sequence[BlindCase]) -> None:
     """Run the benches of some cases side by side, and write each case into its folder."""
     placed = list(zip(folders, batch, strict=True))
     for folder, case in placed:
         write_model(folder, case)
     runs = [(folder, case, run) for folder, case in placed for run in case.runs]
-    moving = [(*one, one[2].program) for one in runs if isinstance(one[2].program, Program)]
-    heated = [(*one, one[2].program) for one in runs if not isinstance(one[2].program, Program)]
+    moving = [(*one, one[2].program) for one in runs if isinstance(one[2].program, DriveReferences)]
+    heated = [(*one, one[2].program) for one in runs if not isinstance(one[2].program, DriveReferences)]
     signals = simulate([run.lane for _, _, run, _ in moving], [program for *_, program in moving])
     for (folder, case, run, _), signal in zip(moving, signals, strict=True):
         write_moving(folder, case, run, signal)

@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.emulation.plant.stepped.lanes import Array
 from leactl.emulation.plant.stepped.plant import TICK
-from leactl.emulation.plant.stepped.run import Program
+from leactl.emulation.plant.stepped.run import DriveReferences
 
 MOVING = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
 RUN_KINDS = (*MOVING, "heating")
@@ -24,7 +24,7 @@ TORQUE_CONSTANT, DAMPING, INERTIA = 0.49, 0.0238, 0.0024  # nominal, to choose a
 Generator = np.random.Generator
 
 
-def locked_staircase(draw: Generator) -> Program:
+def locked_staircase(draw: Generator) -> DriveReferences:
     """Rising and falling levels of both signs with a minor loop, then a fast part."""
     levels = int(draw.integers(4, 7))
     peak, dwell, ramp = draw.uniform(18.0, 24.5), draw.uniform(0.8, 1.4), draw.uniform(0.06, 0.3)
@@ -36,10 +36,10 @@ def locked_staircase(draw: Generator) -> Program:
     fast = _multisine(draw, draw.uniform(7.0, 11.0), 0.3, draw.uniform(60.0, 150.0), 30)
     fast *= draw.uniform(1.2, 3.0) / fast.std()
     bias = draw.uniform(-4.0, 4.0)
-    return Program(np.concatenate([stairs, _levels([bias], 0.5, 0.2), np.clip(fast + bias, -20.0, 20.0)]))
+    return DriveReferences(np.concatenate([stairs, _levels([bias], 0.5, 0.2), np.clip(fast + bias, -20.0, 20.0)]))
 
 
-def coupled_grid(draw: Generator) -> Program:
+def coupled_grid(draw: Generator) -> DriveReferences:
     """The load holds speeds of both signs, the test drive steps through torques of both signs at each."""
     magnitudes = np.sort(np.exp(draw.uniform(math.log(2.0), math.log(27.0), int(draw.integers(4, 7)))))
     magnitudes[-1] = max(magnitudes[-1], draw.uniform(18.0, 27.0))
@@ -58,19 +58,19 @@ def coupled_grid(draw: Generator) -> Program:
     turn = _slew_limited(velocity, draw.uniform(60.0, 250.0))
     gain = draw.uniform(110.0, 190.0)
     integral = gain * draw.uniform(8.0, 15.0)
-    return Program(current, turn, "load", gain, integral, feedforward=draw.uniform(0.8, 0.97))
+    return DriveReferences(current, turn, "load", gain, integral, feedforward=draw.uniform(0.8, 0.97))
 
 
-def free_multisine(draw: Generator) -> Program:
+def free_multisine(draw: Generator) -> DriveReferences:
     """A current of many sines that turns the rotor to and fro through rest."""
     duration = draw.uniform(36.0, 44.0)
     current = _multisine(draw, duration, draw.uniform(0.03, 0.06), draw.uniform(30.0, 70.0), int(draw.integers(20, 32)))
     slow = _multisine(draw, duration, 0.1, 0.6, 4)
     current = current / current.std() * draw.uniform(0.55, 0.8) + slow / slow.std() * draw.uniform(0.5, 0.8)
-    return Program(current * min(1.0, 22.0 / _fastest(current)))
+    return DriveReferences(current * min(1.0, 22.0 / _fastest(current)))
 
 
-def free_velocity(draw: Generator) -> Program:
+def free_velocity(draw: Generator) -> DriveReferences:
     """Slow turns in both directions, steps of speed, sweeps."""
     first = float(draw.choice([-1.0, 1.0]))
     slow = [first * draw.uniform(0.25, 0.7), -first * draw.uniform(0.2, 0.6)]
@@ -84,7 +84,7 @@ def free_velocity(draw: Generator) -> Program:
     parts.append(draw.uniform(27.0, 31.0) * sweep * float(draw.choice([-1.0, 1.0])))
     velocity = np.concatenate(parts)
     gain = draw.uniform(110.0, 220.0)
-    return Program(np.zeros(len(velocity)), velocity, "test", gain, gain * draw.uniform(3.0, 8.0))
+    return DriveReferences(np.zeros(len(velocity)), velocity, "test", gain, gain * draw.uniform(3.0, 8.0))
 
 
 def heating(draw: Generator, strong: bool) -> Array:

@@ -69,9 +69,9 @@ def check_faults(file: "BenchFile", devices: "Sequence[CheckedDevice]", document
     """
     if file.emulated is None or not file.emulated.faults:
         return
-    from leactl.emulation.faults.contract import Standing
+    from leactl.emulation.faults.contract import PlannedBench
 
-    standing = Standing(file, {device.name: device for device in devices})
+    standing = PlannedBench(file, {device.name: device for device in devices})
     lines: list[str] = []
     for index, entry in enumerate(file.emulated.faults):
         place = ("emulated", "faults", index)

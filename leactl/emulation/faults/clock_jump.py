@@ -9,7 +9,7 @@ from leactl.bench.benchfile import BenchFile
 from leactl.emulation.faults.contract import Draw, Drill, Fault, FaultTarget, Undo
 
 
-class ClockJump(Fault):
+class HostClockJump(Fault):
     """The host's clock jumps while the bench's time goes on: a machine that was suspended, or a clock put back."""
 
     example = "{fault: clock_jump, at_s: 2, jump_s: -1}"

@@ -12,7 +12,7 @@ from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice
 from leactl.driver import registry
 from leactl.driver.far_end import Breakable, CanEmulator, FailingSupply, Frame
 from leactl.emulation.clock import EmulatedClock, HostClock
-from leactl.emulation.faults.device_readings import STILL, Signals
+from leactl.emulation.faults.device_readings import STILL, DeviceSignals
 from leactl.emulation.plant.parameters import BenchParameters
 from leactl.emulation.wires.buses import CanWire, EmulatedI2cBus
 from leactl.emulation.wires.serial import SerialWire
@@ -38,10 +38,10 @@ class FaultTarget(Protocol):
     serial_wires: dict[str, SerialWire]
     bus_of: dict[str, str]
     far_ends: dict[str, Any]
-    signals: dict[str, Signals]
+    signals: dict[str, DeviceSignals]
 
 
-class Standing(NamedTuple):
+class PlannedBench(NamedTuple):
     """The bench that a fault is to happen on, before there is one."""
 
     file: BenchFile
@@ -54,7 +54,7 @@ class Standing(NamedTuple):
         ------
         InputError : the device has no emulator.
         """
-        entry, signals = self.devices[device].entry, Signals(STILL)
+        entry, signals = self.devices[device].entry, DeviceSignals(STILL)
         far_end = registry.load(entry.driver).far_end(self.devices[device].settings, entry.role, signals)
         return far_end, set(signals.changes)
 
@@ -101,7 +101,7 @@ class Fault(Block, ABC):
         """When it ends [s]; infinity where it does not, or leaves nothing to be ended."""
         return math.inf
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """What does not fit this bench, by the parameter that says it."""
         return {}
 
@@ -126,7 +126,7 @@ class OfBus(LastingFault):
 
     bus: str = Field(description="name of the CAN bus")
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """A bus that is none, or no CAN bus."""
         buses = [name for name, bus in standing.file.buses.items() if isinstance(bus, CanBus)]
         return {} if self.bus in buses else {"bus": f"'{self.bus}' is no CAN bus of the bench; {_known(buses)}"}
@@ -160,7 +160,7 @@ class OfDevice(Fault):
 
     device: str = Field(description="name of the device")
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """A device that is none, or of another kind."""
         if self.device not in standing.devices:
             return {"device": f"'{self.device}' is no device of the bench; {_known(standing.devices)}"}
@@ -170,7 +170,7 @@ class OfDevice(Fault):
             return {"device": str(error)}
 
     @abstractmethod
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """What does not fit this device."""
 
     def unread(self, quantity: str, quantities: set[str]) -> dict[str, str]:
@@ -182,7 +182,7 @@ class OfDevice(Fault):
 class OfDrive(OfDevice):
     """A fault inside a drive."""
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device whose emulator has no faults of its own."""
         return {} if isinstance(far_end, Breakable) else {"device": f"'{self.device}' is no drive that can fail so"}
 
@@ -192,7 +192,7 @@ class OfPowerSupply(OfDevice, LastingFault):
 
     not_drilled = "no run of the drill switches a power supply on, and one that is off can fail in neither way"
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device whose emulator has no faults of a supply."""
         fails = isinstance(far_end, FailingSupply)
         return {} if fails else {"device": f"'{self.device}' is no power supply that can fail so"}
@@ -213,7 +213,7 @@ class OfSensor(OfDevice, LastingFault):
 
     quantity: str = Field(description="what the device reads: torque, q_axis_current, velocity, angle, bus_voltage")
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A quantity that the device does not read."""
         return self.unread(self.quantity, quantities)
 
@@ -231,7 +231,7 @@ class OfSupply(LastingFault):
 
     bus_voltage_V: Positive = Field(description="DC link voltage meanwhile")  # noqa: N815 (a unit keeps its letter)
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """A voltage on the wrong side of the bench's own."""
         given = standing.file.emulated.bench if standing.file.emulated else {}
         usual = BenchParameters.from_mapping(given).bus_voltage

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, LineBus
-from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, Standing, Undo
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, PlannedBench, Undo
 
 
 class CutLine(LastingFault):
@@ -20,7 +20,7 @@ class CutLine(LastingFault):
         """Off."""
         return (Drill({}, 0.1, "cyclic_age_s"),)
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """A bus that is none, or no line."""
         lines = [name for name, bus in standing.file.buses.items() if isinstance(bus, LineBus)]
         known = f"no serial line or raw socket of the bench; it has {', '.join(lines) or 'none'}"

@@ -11,7 +11,7 @@ from leactl.driver.far_end import PAIRS, Machine, Physics, SupplyLoad, Terminals
 Change = Callable[[float], float]
 
 
-class Signals:
+class DeviceSignals:
     """A device's own view of the physics; it knows which quantities the device has asked for."""
 
     def __init__(self, physics: Physics) -> None:
@@ -55,7 +55,7 @@ class Signals:
 class _ReadMachine:
     """A machine as its drive's sensors tell it."""
 
-    def __init__(self, machine: Machine, signals: Signals) -> None:
+    def __init__(self, machine: Machine, signals: DeviceSignals) -> None:
         self.command = machine.command
         self._read, self._now = machine.read, (0.0, 0.0, 0.0)
         self._motion = [
@@ -86,7 +86,7 @@ class _ReadMachine:
 class _ReadTerminals:
     """Leads as the device at them tells their voltages."""
 
-    def __init__(self, terminals: Terminals, signals: Signals) -> None:
+    def __init__(self, terminals: Terminals, signals: DeviceSignals) -> None:
         self._terminals, self.chance = terminals, terminals.chance
         self._changes = [signals.changes.setdefault(quantity, []) for quantity in PAIRS]
 
@@ -98,12 +98,12 @@ class _ReadTerminals:
         return found
 
 
-class _Still:
+class _MotionlessBench:
     """A bench on which nothing moves and every reading is zero, to see what a device asks of one."""
 
     voltage = bus_voltage = 0.0
 
-    def machine(self, role: str) -> "_Still":
+    def machine(self, role: str) -> "_MotionlessBench":
         return self
 
     def command(self, mode: str, value: float) -> None:
@@ -115,7 +115,7 @@ class _Still:
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], Any]:
         return float
 
-    def terminals(self, role: str) -> "_Still":
+    def terminals(self, role: str) -> "_MotionlessBench":
         return self
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
@@ -125,11 +125,11 @@ class _Still:
     def chance(self) -> np.random.Generator:
         return np.random.default_rng(0)
 
-    def at_supply(self, feeds: str, role: str) -> "_Still":
+    def at_supply(self, feeds: str, role: str) -> "_MotionlessBench":
         return self
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
         return 0.0, 0.0
 
 
-STILL = _Still()
+STILL = _MotionlessBench()

@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, I2cBus
-from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, Standing, Undo
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, PlannedBench, Undo
 
 
 class DisconnectedSensor(OfDevice, LastingFault):
@@ -27,7 +27,7 @@ class DisconnectedSensor(OfDevice, LastingFault):
             Drill({"quantity": "q_axis_current"}, 2.1, "current_disagreement or stuck_s"),
         )
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A quantity that the device does not read, or a device that hangs on no I2C bus."""
         if self.quantity is None:
             bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.emulation.faults import find_fault, known_faults
-from leactl.emulation.faults.contract import Drill, Fault, Standing
+from leactl.emulation.faults.contract import Drill, Fault, PlannedBench
 
 AT_ONCE = 0.0  # any moment serves to ask whether a fault fits a bench
 
 
-class Rehearsal(NamedTuple):
+class FaultRehearsal(NamedTuple):
     """One fault on one device or bus: its entry of a bench file but for `at_s`, and what is asked of the bench."""
 
     fault: str
@@ -30,16 +30,16 @@ class Rehearsal(NamedTuple):
 
 def rehearsals(
     file: BenchFile, devices: Sequence[CheckedDevice], only: Collection[str] = ()
-) -> tuple[list[Rehearsal], dict[str, str]]:
+) -> tuple[list[FaultRehearsal], dict[str, str]]:
     """What of the catalogue, or of these faults `only`, is rehearsed on a bench, and why the rest is not.
 
     Raises
     ------
     InputError : a name among `only` that is no fault's.
     """
-    standing = Standing(file, {device.name: device for device in devices})
+    standing = PlannedBench(file, {device.name: device for device in devices})
     chosen = {name: find_fault(name) for name in only} or known_faults()
-    rehearsed: list[Rehearsal] = []
+    rehearsed: list[FaultRehearsal] = []
     left_out: dict[str, str] = {}
     for name, kind in sorted(chosen.items()):
         if kind.not_drilled:
@@ -52,7 +52,7 @@ def rehearsals(
     return rehearsed, left_out
 
 
-def _fitting(name: str, kind: type[Fault], drill: Drill, standing: Standing) -> list[Rehearsal]:
+def _fitting(name: str, kind: type[Fault], drill: Drill, standing: PlannedBench) -> list[FaultRehearsal]:
     places: list[dict[str, Any]] = [{}]
     if "device" in kind.model_fields:
         places = [{"device": device} for device in standing.devices]
@@ -60,7 +60,7 @@ def _fitting(name: str, kind: type[Fault], drill: Drill, standing: Standing) -> 
         places = [{"bus": bus} for bus in standing.file.buses]
     entries = [{"fault": name, **place, **drill.parameters} for place in places]
     return [
-        Rehearsal(name, entry, drill)
+        FaultRehearsal(name, entry, drill)
         for entry in entries
         if not kind.model_validate({**entry, "at_s": AT_ONCE}).misfits(standing)
     ]

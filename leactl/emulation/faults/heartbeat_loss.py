@@ -7,7 +7,7 @@ from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, CanBus
 from leactl.driver.far_end import CanEmulator, Frame, Living
-from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, Standing, Undo
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, PlannedBench, Undo
 
 
 class HeartbeatLoss(OfDevice, LastingFault):
@@ -22,7 +22,7 @@ class HeartbeatLoss(OfDevice, LastingFault):
         """The heartbeat alone, and all that the drive sends."""
         return Drill({}, 0.5, "the drive's heartbeat"), Drill({"answers": True}, 0.1, "cyclic_age_s")
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device that hangs on no CAN bus sends no heartbeat, and not every one that does."""
         bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
         if not isinstance(bus, CanBus):

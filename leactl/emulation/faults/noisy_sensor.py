@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, OfSensor, Positive, Standing
+from leactl.emulation.faults.contract import Draw, Drill, OfSensor, PlannedBench, Positive
 from leactl.quantities import UNITS
 
 
@@ -23,7 +23,7 @@ class NoisySensor(OfSensor):
         spread = file.limits.torque_Nm
         return (Drill({"quantity": "torque", "spread": spread, "unit": "N*m"}, 0.5, "limit of torque_Nm"),)
 
-    def misfits(self, standing: Standing) -> dict[str, str]:
+    def misfits(self, standing: PlannedBench) -> dict[str, str]:
         """Besides what misfits any sensor, a unit that is not the quantity's."""
         faults, unit = super().misfits(standing), UNITS.get(self.quantity, self.unit)
         return faults if self.unit == unit else faults | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, OfSensor, Standing
+from leactl.emulation.faults.contract import Draw, Drill, OfSensor, PlannedBench
 
 BEYOND_ANY_RANGE = 1e6
 ENDLESS = ("velocity", "angle")
@@ -27,7 +27,7 @@ class SaturatedSensor(OfSensor):
             Drill({"quantity": "q_axis_current", "end": "low"}, 0.05, "limit of current_A"),
         )
 
-    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """An encoder has no range to be at the end of."""
         if self.quantity in ENDLESS:
             return {"quantity": f"{self.quantity} comes from an encoder, which has no end of its range"}

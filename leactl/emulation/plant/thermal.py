@@ -5,7 +5,7 @@ import math
 from leactl.emulation.plant.parameters import ThermalParameters
 
 
-class ThermalNetwork:
+class ExactThermalNetwork:
     """Temperatures of winding and housing [degC] under heat into either."""
 
     def __init__(self, parameters: ThermalParameters, ambient: float) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leactl.driver.batch import BatchSource
-from leactl.driver.contract import Block, Row
+from leactl.driver.contract import Row, SampleBlock
 from leactl.driver.far_end import PAIRS
 from leactl.emulation.trial.drives import confirmed
 from leactl.emulation.trial.stand import Broken, Stand
@@ -27,7 +27,7 @@ def taken(stand: Stand, seconds: float) -> tuple[Samples, list[tuple[float, floa
     end = stand.clock.now() + seconds
     while stand.clock.now() < end:
         for one in stand.driver.take():
-            rows: Sequence[Row] = list(one.rows()) if isinstance(one, Block) else [one]
+            rows: Sequence[Row] = list(one.rows()) if isinstance(one, SampleBlock) else [one]
             for row in rows:
                 moments.append((row.time, stand.clock.now()))
                 for name, value in zip(names[row.stream], row.values, strict=True):

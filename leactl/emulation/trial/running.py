@@ -23,14 +23,14 @@ Trial = Callable[[Stand], None]
 
 
 @dataclass(frozen=True)
-class Tried:
+class TrialResult:
     """One trial: what has to hold, and what does not; empty where it does."""
 
     name: str
     fault: str
 
 
-def try_driver(driver: type[Driver]) -> list[Tried]:
+def try_driver(driver: type[Driver]) -> list[TrialResult]:
     """Make a driver and its far end anew for each trial, and try it; a fault is a line.
 
     Raises
@@ -38,7 +38,9 @@ def try_driver(driver: type[Driver]) -> list[Tried]:
     InputError : it cannot be tried, for it has no `example` of settings or no far end.
     """
     with tempfile.TemporaryDirectory() as folder:
-        return [Tried(plain(trial), alone(trial, driver, Path(folder))) for trial in trials_of(driver, Path(folder))]
+        return [
+            TrialResult(plain(trial), alone(trial, driver, Path(folder))) for trial in trials_of(driver, Path(folder))
+        ]
 
 
 def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:

@@ -10,7 +10,7 @@ from leactl.gap.blind.check import OpenKey
 from leactl.gap.blind.marks import NAMED
 from leactl.gap.blind.truth import Truth
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.gap.diagnosis import Cause, Diagnosis
+from leactl.gap.diagnosis import Cause, DiagnosisResult
 from leactl.processes import Progress
 
 Outcome = Literal["named", "named with others", "missed"]
@@ -20,7 +20,7 @@ Outcome = Literal["named", "named with others", "missed"]
 class Demonstration:
     """What was planted, and what the diagnosis named before anybody told it."""
 
-    answer: Diagnosis
+    answer: DiagnosisResult
     planted: str
     strength: str
     parameters: Mapping[str, float]  # of the planted effect
@@ -43,7 +43,7 @@ class Demonstration:
         return tuple(cause for cause in named(self.answer) if cause.effect != self.planted)
 
 
-def named(answer: Diagnosis) -> list[Cause]:
+def named(answer: DiagnosisResult) -> list[Cause]:
     """Causes at even odds or better."""
     return [cause for cause in answer.causes if cause.probability >= NAMED]
 

@@ -51,7 +51,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Bin:
+class ProbabilityBin:
     """Cases whose first cause has a probability between two tenths."""
 
     low: float
@@ -65,7 +65,7 @@ class Bin:
 class Calibration:
     """How far the probabilities of first causes can be trusted."""
 
-    bins: tuple[Bin, ...]
+    bins: tuple[ProbabilityBin, ...]
     count: int
     base_rate: float
     error: float  # expected calibration error
@@ -232,7 +232,7 @@ def calibration(marks: Sequence[Mark]) -> Calibration:
         inside = places == k
         if inside.any():
             mean, share = float(stated[inside].mean()), float(right[inside].mean())
-            bins.append(Bin(k / BINS, (k + 1) / BINS, int(inside.sum()), mean, share))
+            bins.append(ProbabilityBin(k / BINS, (k + 1) / BINS, int(inside.sum()), mean, share))
             error += float(inside.mean()) * abs(mean - share)
     rate = float(right.mean()) if len(right) else 0.0
     spread = rate * (1.0 - rate)

@@ -16,7 +16,7 @@ from leactl.protocol.plan import Plan
 
 
 @dataclass(frozen=True)
-class Experiment:
+class AdvisedProtocol:
     """A shipped protocol beside what there is."""
 
     protocol: str
@@ -35,7 +35,7 @@ class Advice:
     """What there is shows, and what would show more, the most per second first."""
 
     sights: tuple[Sight, ...]
-    experiments: tuple[Experiment, ...]
+    experiments: tuple[AdvisedProtocol, ...]
     dark: tuple[str, ...]  # effects that neither what there is nor any one of the protocols shows
     notes: tuple[str, ...]
 
@@ -95,14 +95,14 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     return Advice(tuple(now), tuple(useful), tuple(s.effect for s in now if s.effect not in shown), tuple(notes))
 
 
-def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> Experiment:
+def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> AdvisedProtocol:
     """What a protocol adds."""
     shows = tuple(b.effect for a, b in zip(before, after, strict=True) if b.seen and not a.seen)
     old, new = pairs(before), pairs(after)
     # two effects of which one was invisible were not taken for each other, and still are not told apart
     visible = {s.effect for s in after if s.smallest is not None}
     told = tuple(sorted(pair for pair in old - new if set(pair) <= visible))
-    return Experiment(plan.name, plan.duration_s, shows, told)
+    return AdvisedProtocol(plan.name, plan.duration_s, shows, told)
 
 
 def pairs(sights: Sequence[Sight]) -> set[tuple[str, str]]:

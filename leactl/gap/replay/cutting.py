@@ -27,7 +27,7 @@ Index = npt.NDArray[np.intp]
 
 
 @dataclass
-class Cut:
+class CutJob:
     """A job cut into stretches."""
 
     job: Job
@@ -68,7 +68,7 @@ class Cut:
         setattr(self.job, name, whole)
 
 
-def cut_of(job: Job, kind: str) -> Cut:
+def cut_of(job: Job, kind: str) -> CutJob:
     """Cut a job into stretches and work out what drives it."""
     clock, plant, parts = job.clock, job.plant, job.parts
     samples = len(clock.time)
@@ -93,7 +93,7 @@ def cut_of(job: Job, kind: str) -> Cut:
     seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
     length = samples if seconds is None else max(1, round(seconds / clock.interval))
     job.first = first
-    cut = Cut(job, first, length, stretches(job, first, length), drive, load_drive, share)
+    cut = CutJob(job, first, length, stretches(job, first, length), drive, load_drive, share)
     if kind == "tracked":
         cut.target, cut.target_speed = target_of(job)
     return cut
@@ -164,7 +164,7 @@ def logged_torque(job: Job) -> Array | None:
     return told if told is not None else job.clock.get("torque")
 
 
-def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
+def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
     """Some stretches of every cut as lanes."""
     plants: list[tuple[Plant, slice]] = []
     at = 0

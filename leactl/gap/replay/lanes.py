@@ -21,7 +21,7 @@ STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a ste
 
 
 @dataclass
-class State:
+class LaneState:
     """Where each lane stands."""
 
     angle: Array  # rad, of the test rotor
@@ -30,9 +30,9 @@ class State:
     twist: Array  # rad
     bristle: Array  # -1 .. 1, friction that has built up
 
-    def picked(self, lanes: npt.NDArray[np.intp]) -> "State":
+    def picked(self, lanes: npt.NDArray[np.intp]) -> "LaneState":
         """Some of the lanes."""
-        return State(*(values[lanes] for values in vars(self).values()))
+        return LaneState(*(values[lanes] for values in vars(self).values()))
 
 
 @dataclass
@@ -84,7 +84,7 @@ class Lanes:
 
 
 @dataclass
-class Motion:
+class LaneMotion:
     """What the lanes did, (steps, lanes)."""
 
     angle: Array
@@ -93,7 +93,7 @@ class Motion:
     load_velocity: Array
     current: Array | None
     pull: Array | None  # N*m, that tracking adds to the drive
-    end: State
+    end: LaneState
 
 
 def resonant_stiffness(lanes: Lanes) -> Array:
@@ -103,7 +103,7 @@ def resonant_stiffness(lanes: Lanes) -> Array:
     return np.asarray(np.sin(np.minimum(half, STIFFEST)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
 
 
-def stepped(lanes: Lanes, start: State) -> Motion:
+def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
     """Step every lane to its end."""
     steps, count = lanes.drive.shape
     h = lanes.step
@@ -127,7 +127,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     shape = (steps, count)
     current = np.empty(shape) if servo is not None else None
     pull = np.empty(shape) if lanes.tracking is not None else None
-    out = Motion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
+    out = LaneMotion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
     for group in groups:
         group.attach(angle, velocity, ahead, torque, twist, push)
     for index in range(steps):
@@ -184,13 +184,13 @@ def stepped(lanes: Lanes, start: State) -> Motion:
                 load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_held), load_held)
                 twist -= h * load_velocity
                 out.load_velocity[index] = load_velocity
-    out.end = State(angle, velocity, load_velocity, twist, bristle)
+    out.end = LaneState(angle, velocity, load_velocity, twist, bristle)
     if shaft:
         take_up(out, lanes, stiffness)
     return out
 
 
-def take_up(motion: Motion, lanes: Lanes, stiffness: Array) -> None:
+def take_up(motion: LaneMotion, lanes: Lanes, stiffness: Array) -> None:
     """Correct the motion for the softer spring of the steps: a twist is the torque over the stiffness of the shaft.
 
     The softer spring twists too much. The excess is removed where no balance of torques reads it: the load's speed is

@@ -15,7 +15,7 @@ from leactl.effects.plant import Array
 from leactl.effects.shapes import play
 from leactl.effects.teeth import followed
 from leactl.gap.replay.cutting import (
-    Cut,
+    CutJob,
     Index,
     constants_of,
     cut_of,
@@ -26,7 +26,7 @@ from leactl.gap.replay.cutting import (
     voltage_torque,
 )
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.lanes import Motion, State, stepped
+from leactl.gap.replay.lanes import LaneMotion, LaneState, stepped
 from leactl.gap.replay.starting import starting_motion
 
 SLOWEST = 0.5  # of the time in which drag stops a rotor, between samples: in more a start is lost before it is measured
@@ -37,7 +37,7 @@ CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end 
 
 def move(jobs: Sequence[Job]) -> None:
     """Replay the motion of every job that has what it takes; the others say what is missing."""
-    sets: dict[tuple[str, float, int], list[Cut]] = {}
+    sets: dict[tuple[str, float, int], list[CutJob]] = {}
     for job in jobs:
         kind = kind_of(job)
         if kind is not None:
@@ -113,7 +113,7 @@ def carry(job: Job) -> None:
     job.current_mean = job.current_mean + 0.5 * (more[1:] + more[:-1])
 
 
-def start_of(cut: Cut, kind: str) -> State:
+def start_of(cut: CutJob, kind: str) -> LaneState:
     """Where each stretch of a turning rotor or a servo begins."""
     job = cut.job
     at = cut.first + cut.length * np.arange(cut.count)
@@ -139,7 +139,7 @@ def start_of(cut: Cut, kind: str) -> State:
     measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
     if measured and kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
         load, twist = behind_teeth(job, c, at)
-    return State(angle, earlier, load, twist, np.sign(velocity) * np.abs(rubbing))
+    return LaneState(angle, earlier, load, twist, np.sign(velocity) * np.abs(rubbing))
 
 
 def behind_teeth(job: Job, c: Mapping[str, float], at: Index) -> tuple[Array, Array]:
@@ -157,13 +157,13 @@ def strained(torque: Array, job: Job) -> Array:
     return np.asarray(torque / constants_of(job)["stiffness"] + 0.5 * job.plant.play * np.sign(torque), np.float64)
 
 
-def run(cuts: Sequence[Cut], picked: Sequence[Index], starts: Sequence[State]) -> Motion:
+def run(cuts: Sequence[CutJob], picked: Sequence[Index], starts: Sequence[LaneState]) -> LaneMotion:
     """Step some stretches of every cut."""
-    together = State(*(np.concatenate(values) for values in zip(*(vars(s).values() for s in starts), strict=True)))
+    together = LaneState(*(np.concatenate(values) for values in zip(*(vars(s).values() for s in starts), strict=True)))
     return stepped(lanes_of(cuts, picked), together)
 
 
-def settle(cuts: Sequence[Cut], kind: str) -> None:
+def settle(cuts: Sequence[CutJob], kind: str) -> None:
     """Step the stretches of locked or tracked rotors until each begins where the one before it ended."""
     picked: list[Index] = [np.arange(cut.count) for cut in cuts]
     starts = [resting(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
@@ -183,7 +183,7 @@ def settle(cuts: Sequence[Cut], kind: str) -> None:
             return
 
 
-def continued(cut: Cut, start: State, after: Index, ends: State) -> npt.NDArray[np.bool_]:
+def continued(cut: CutJob, start: LaneState, after: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
     """Let stretches begin where those before them ended; tells which had begun elsewhere."""
     c = constants_of(cut.job)
     spring = c["stiffness"] or c["tracking"]
@@ -198,7 +198,7 @@ def continued(cut: Cut, start: State, after: Index, ends: State) -> npt.NDArray[
     return wrong
 
 
-def resting(cut: Cut) -> State:
+def resting(cut: CutJob) -> LaneState:
     """A first guess of where each stretch of a locked rotor begins: friction as play, nothing rings."""
     c = constants_of(cut.job)
     parts, at = cut.job.parts, cut.length * np.arange(cut.count)
@@ -210,10 +210,10 @@ def resting(cut: Cut) -> State:
     torque = torque[at]
     none = np.zeros(cut.count)
     bristle = np.clip((drive[at] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
-    return State(still, none, none.copy(), twist[at], bristle)
+    return LaneState(still, none, none.copy(), twist[at], bristle)
 
 
-def keep(cuts: Sequence[Cut], picked: Sequence[Index], motion: Motion) -> None:
+def keep(cuts: Sequence[CutJob], picked: Sequence[Index], motion: LaneMotion) -> None:
     """Put what the lanes did into the jobs."""
     at = 0
     for cut, lanes in zip(cuts, picked, strict=True):

@@ -50,7 +50,7 @@ SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours ar
 
 
 @dataclass(frozen=True)
-class Finding:
+class FurtherEffect:
     """One effect beyond a base hypothesis."""
 
     candidate: Candidate
@@ -82,7 +82,7 @@ def finding(
     candidate: Candidate,
     whole: bool = False,
     free: bool = False,
-) -> Finding | None:
+) -> FurtherEffect | None:
     """What one form of an effect takes away beyond a base.
 
     None where no run shows it, where its sign makes no sense, and where its whole interval is beyond the range in which
@@ -119,7 +119,7 @@ def finding(
     if effect.delays:  # a delay within what stamps may be is no effect, however surely it is there
         floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
-    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
+    result = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None
 
 
@@ -133,16 +133,16 @@ def behind(gain: float) -> float:
     return -2.0 * apart(gain) * math.log(UNSHOWN)
 
 
-def by_themselves(evidence: Evidence) -> dict[str, list[Finding | None]]:
+def by_themselves(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
     """Every effect by itself, whatever its sign, in each form that is tried; None in forms that no run shows."""
     normal, base = evidence.normal(), evidence.stack.columns_of([])
-    tried: dict[str, list[Finding | None]] = {}
+    tried: dict[str, list[FurtherEffect | None]] = {}
     for candidate in evidence.candidates:
         tried.setdefault(candidate[0], []).append(finding(evidence, normal, base, candidate, free=True))
     return tried
 
 
-def sizes_by_chance(name: str, items: Sequence[Finding | None]) -> list[float]:
+def sizes_by_chance(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
     """Size of an effect beyond what noise explains, in each form that is tried; empty where nothing is gained.
 
     It is measured in the form that takes most away and told in the others by their standard errors: a form that the
@@ -162,13 +162,13 @@ def sizes_by_chance(name: str, items: Sequence[Finding | None]) -> list[float]:
     return sizes[:1] if effect.periodic else sizes
 
 
-def standard_errors(name: str, items: Sequence[Finding | None]) -> list[float]:
+def standard_errors(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
     """Standard error of an effect in each form that is tried, infinite where no run shows one; of orders the least."""
     stds = [math.inf if item is None else item.std for item in items]
     return [min(stds)] if library()[name].periodic else stds
 
 
-def is_possible(evidence: Evidence, item: Finding) -> bool:
+def is_possible(evidence: Evidence, item: FurtherEffect) -> bool:
     """Whether an effect is met in such a size; nothing is said against what noise alone would give."""
     if is_beyond_range(item) or item.size + INTERVAL * item.std < library()[item.effect].least:
         return False
@@ -176,7 +176,7 @@ def is_possible(evidence: Evidence, item: Finding) -> bool:
     return item.height <= ENTRY or not outweighs(evidence.stack, places, np.asarray(item.values))
 
 
-def is_beyond_range(item: Finding) -> bool:
+def is_beyond_range(item: FurtherEffect) -> bool:
     """Whether the whole interval of an effect's size is beyond the range in which the effect is met."""
     return item.size - INTERVAL * item.std > BEYOND * effect_definition(item.effect).largest
 
@@ -199,11 +199,11 @@ def outweighs(stack: Stack, added: npt.NDArray[np.intp], values: Array) -> bool:
 
 def best_of_each(
     evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], whole: bool = False
-) -> list[Finding]:
+) -> list[FurtherEffect]:
     """The best form of every effect beyond a hypothesis, by gain, largest first."""
     base = evidence.stack.columns_of(hypothesis)
     taken = {effect for effect, _ in hypothesis}
-    best: dict[str, Finding] = {}
+    best: dict[str, FurtherEffect] = {}
     for candidate in evidence.candidates:
         if candidate[0] in taken:
             continue
@@ -218,9 +218,9 @@ class EffectSet:
     """The set that a search ended with."""
 
     hypothesis: list[Candidate]
-    members: list[Finding]  # each beyond the others
-    rivals: list[list[Finding]]  # for each member: every effect in its place, itself among them
-    rest: list[Finding]  # what would come next
+    members: list[FurtherEffect]  # each beyond the others
+    rivals: list[list[FurtherEffect]]  # for each member: every effect in its place, itself among them
+    rest: list[FurtherEffect]  # what would come next
     fit: Fit
     taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away, with its overtones,
     left: list[float]  # and what is left there beyond usual noise
@@ -578,7 +578,7 @@ def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: in
     return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
 
 
-def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> Finding | None:
+def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
     """One member of a set beyond the others."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
@@ -627,7 +627,7 @@ def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidat
     return hypothesis
 
 
-def whole_form(item: Finding) -> tuple[float, ...]:
+def whole_form(item: FurtherEffect) -> tuple[float, ...]:
     """The form at which a shape would be whole, to three digits."""
     form = library()[item.effect].whole(item.candidate[1], item.values[0])
     return tuple(float(f"{value:.3g}") for value in form)

@@ -11,7 +11,7 @@ from leactl.gap.replay import replay_all
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
-from leactl.gap.servo.fit import Fitted
+from leactl.gap.servo.fit import FittedServo
 from leactl.gap.servo.ladder import OWN, Ladder
 from leactl.gap.servo.profile import shifted
 from leactl.gap.servo.runs import side_by_side
@@ -143,7 +143,7 @@ def parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[
     return tuple(EffectParameter(name, *fitted[name], defined[name].units) for name in defined if name in fitted)
 
 
-def calibration(model: Model, fitted: Fitted, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
+def calibration(model: Model, fitted: FittedServo, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
     """The nominal model's parameters as free runs have them."""
     parameters = []
     for name in OWN:

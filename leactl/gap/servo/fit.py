@@ -95,7 +95,7 @@ class Fitting:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedServo:
     """A model at its least cost."""
 
     parameters: Parameters
@@ -108,9 +108,9 @@ class Fitted:
 
 def fit(
     runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = (), least_gain: float = GAINED
-) -> list[Fitted]:
+) -> list[FittedServo]:
     """Fit every parameter of each start but the shapes and those held, from where it is; all starts side by side."""
-    against = Measured(runs)
+    against = MeasuredServoRuns(runs)
     fittings = [Fitting(start, held, runs) for start in starts]
     for one, errors in zip(fittings, against.errors(fittings, [f.point[None] for f in fittings]), strict=True):
         one.error, one.cost = errors[0], one.total(errors[0], one.point)
@@ -126,7 +126,7 @@ def fit(
         one.done = False
     against.differentiate(fittings)  # where each ended
     return [
-        Fitted(
+        FittedServo(
             one.parameters(one.point),
             one.cost,
             one.error,
@@ -143,7 +143,7 @@ def cost(error: Array) -> float:
     return float(2.0 * OUTLIER_RAD**2 * np.sum(np.sqrt(1.0 + (error / OUTLIER_RAD) ** 2) - 1.0))
 
 
-class Measured:
+class MeasuredServoRuns:
     """Runs that fits are held against: the angle, and where a voltage is logged the inner error that it tells.
 
     A voltage over the gain is an error of the angle as the controller has it: both are counted in rad.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from leactl.gap.search.evidence import rows_per_independent
 from leactl.gap.search.regression import Candidate
-from leactl.gap.servo.fit import SETTLED, Fitted, Measured, cost, fit
+from leactl.gap.servo.fit import SETTLED, FittedServo, MeasuredServoRuns, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
@@ -44,7 +44,7 @@ FEW_RUNS = 4  # below which runs do not tell how far they lie apart
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class LikelyEffect:
     """An effect with its probability."""
 
     effect: str
@@ -58,11 +58,11 @@ class Standing:
 class Ladder:
     """The set that stands, and the model with and without it."""
 
-    standing: tuple[Standing, ...]
-    calibrated: Fitted
-    augmented: Fitted
+    standing: tuple[LikelyEffect, ...]
+    calibrated: FittedServo
+    augmented: FittedServo
     stds: Mapping[str, float]  # of the parameters of the augmented model
-    sets: Mapping[Set, Fitted]
+    sets: Mapping[Set, FittedServo]
     late: float  # s, by which the reference acts after its stamps
 
 
@@ -109,10 +109,10 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     return Ladder(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
 
 
-class Sets(dict[Set, Fitted]):
+class Sets(dict[Set, FittedServo]):
     """The best fit of every set of effects that was tried."""
 
-    def __init__(self, runs: ServoRuns, known: Mapping[Set, Fitted], held: Sequence[str]) -> None:
+    def __init__(self, runs: ServoRuns, known: Mapping[Set, FittedServo], held: Sequence[str]) -> None:
         super().__init__(known)
         self._runs, self._held = runs, tuple(held)
 
@@ -170,7 +170,7 @@ class Sets(dict[Set, Fitted]):
             if one not in self or result.cost < self[one].cost:
                 self[one] = result
 
-    def settle(self, members: Set) -> Fitted:
+    def settle(self, members: Set) -> FittedServo:
         """Fit a set that is told once more, with all that belongs to it and as closely as it goes."""
         (self[members],) = fit(self._runs, [self[members].parameters], self._held, SETTLED)
         return self[members]
@@ -203,8 +203,8 @@ def untold(runs: ServoRuns) -> tuple[str, ...]:
 
 
 def standing_of(
-    sets: Mapping[Set, Fitted], members: Set, runs: ServoRuns, unseen: ServoRuns | None
-) -> tuple[Standing, ...]:
+    sets: Mapping[Set, FittedServo], members: Set, runs: ServoRuns, unseen: ServoRuns | None
+) -> tuple[LikelyEffect, ...]:
     """How sure each effect is: what it gains where it was fitted, unless runs that nobody fitted lose as much by it."""
     fitted = sets[members]
     stds = errors_of(fitted, runs)
@@ -215,7 +215,7 @@ def standing_of(
         left, *others = unfollowed(unseen, [fitted, *(sets[members - {name}] for name in names)])
         lost = {name: math.log(left / other) for name, other in zip(names, others, strict=True)}
     standings = [
-        Standing(
+        LikelyEffect(
             name,
             acts(name, fitted.parameters, runs)
             * presence(height(worse[name], fitted))
@@ -231,11 +231,11 @@ def standing_of(
         probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LEAST)
         if probability >= LEAST:
             further = parameters_of(name, sets[more], errors_of(sets[more], runs))
-            standings.append(Standing(name, probability, 0.0, further))
+            standings.append(LikelyEffect(name, probability, 0.0, further))
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))
 
 
-def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
+def in_place_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
     """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
     others = {one: next(iter(one - members)) for one in sets if members - one == {name} and len(one - members) == 1}
     return tuple(sorted(q for one, q in others.items() if relative(sets, one, members, runs) < FORM_ERROR))
@@ -286,14 +286,14 @@ def without(parameters: Parameters, effects: Set) -> Parameters:
     return {name: value for name, value in parameters.items() if name.partition(".")[0] not in effects}
 
 
-def relative(sets: Mapping[Set, Fitted], fewer: Set, members: Set, runs: ServoRuns) -> float:
+def relative(sets: Mapping[Set, FittedServo], fewer: Set, members: Set, runs: ServoRuns) -> float:
     """Logarithm of how much worse a set is without a member, beside what is open to all."""
     fitted, lacking = sets[members], sets[fewer]
     left_open = open_cost(sets, members, members - fewer, runs)
     return math.log(max((lacking.cost + left_open) / (fitted.cost + left_open), 1.0))
 
 
-def open_cost(sets: Mapping[Set, Fitted], members: Set, judged: Set, runs: ServoRuns) -> float:
+def open_cost(sets: Mapping[Set, FittedServo], members: Set, judged: Set, runs: ServoRuns) -> float:
     """Cost that the encoder's counts leave open, and that forms may leave.
 
     What a profile or a dead band takes from the cost is most of it; what their forms leave of that is open as well,
@@ -306,18 +306,18 @@ def open_cost(sets: Mapping[Set, Fitted], members: Set, judged: Set, runs: Servo
     return left_open
 
 
-def height(worse: float, fitted: Fitted) -> float:
+def height(worse: float, fitted: FittedServo) -> float:
     """How far an effect stands above what noise and the forms of others would give it."""
     independent = len(fitted.error) / rows_per_independent(fitted.error)
     return worse / math.hypot(FORM_ERROR, math.sqrt(2.0) / independent)
 
 
-def unfollowed(runs: ServoRuns, several: Sequence[Fitted]) -> list[float]:
+def unfollowed(runs: ServoRuns, several: Sequence[FittedServo]) -> list[float]:
     """Cost of other runs with the parameters of each of several fits."""
-    return [cost(error) for error in Measured(runs).of([fitted.parameters for fitted in several])]
+    return [cost(error) for error in MeasuredServoRuns(runs).of([fitted.parameters for fitted in several])]
 
 
-def errors_of(fitted: Fitted, runs: ServoRuns) -> dict[str, float]:
+def errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
     """Standard errors of what was fitted: by errors that hang together, or by how far runs lie apart if that is more.
 
     The second is the sandwich of Huber (1967) over whole runs; a parameter that nothing shows has its own size.
@@ -334,7 +334,7 @@ def errors_of(fitted: Fitted, runs: ServoRuns) -> dict[str, float]:
     return dict(zip(fitted.names, stds.tolist(), strict=True))
 
 
-def parameters_of(effect: str, fitted: Fitted, stds: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def parameters_of(effect: str, fitted: FittedServo, stds: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """The parameters of an effect by the names of its definition, with standard errors."""
     parameters = {
         name.removeprefix(f"{effect}."): (value, stds.get(name, 0.0))

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.servo.fit import Measured, cost
+from leactl.gap.servo.fit import MeasuredServoRuns, cost
 from leactl.gap.servo.profile import SLOWNESS, SLUGGISHNESS
 from leactl.gap.servo.runs import ServoRuns
 from leactl.gap.servo.simulation import FINEST, Parameters
@@ -42,7 +42,7 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     grids = {"servo_dead_band": bands} | (
         {"reference_rate_limit": profiles} if float(np.max(asked)) > MET * top else {}
     )
-    against, starts = Measured(runs), {}
+    against, starts = MeasuredServoRuns(runs), {}
     for effect, grid in grids.items():
         points = [base | point for base in bases for point in grid]
         costs = np.nan_to_num([cost(error) for error in against.of(points)], nan=np.inf).reshape(len(bases), -1)

@@ -38,7 +38,7 @@ STRETCHES = 32
 
 
 @dataclass(frozen=True)
-class Course:
+class LatenessCourse:
     """How late a channel of a run is, over time: on a line, or in leaps."""
 
     start: float  # samples late at the first sample
@@ -56,7 +56,7 @@ class Course:
 
 def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """The channel whose clock runs off most clearly, if one does."""
-    courses: dict[Key, dict[str, Course]] = {}
+    courses: dict[Key, dict[str, LatenessCourse]] = {}
     told: dict[Key, list[tuple[Record, Pair, Lateness]]] = {}
     asked: dict[Key, int] = {}
     for record in records:
@@ -93,7 +93,7 @@ def in_time(pair: Pair) -> bool:
     return not early and float(np.std(rest)) < QUIET * noise
 
 
-def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Course]:
+def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, LatenessCourse]:
     """Courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
     lines = {record.name: line(one) for record, _, one in group}
     known = {
@@ -109,7 +109,7 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Course
     ]
     if agreed and not contradicted and len(known) >= max(len(lines) // 2, 1):
         courses = {
-            record.name: Course(lines[record.name][0].start - pair.filtered, lines[record.name][0].drift)
+            record.name: LatenessCourse(lines[record.name][0].start - pair.filtered, lines[record.name][0].drift)
             for record, pair, _ in group
         }
         return courses if mends(group, courses) else {}
@@ -120,7 +120,7 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Course
         early += mean - pair.filtered + STEADY * error < -allowed
         late += mean - pair.filtered - STEADY * error > -allowed
     if 2 * early > len(offsets) and not late:
-        courses = {run: Course(mean - pair.filtered, 0.0) for run, ((mean, _), pair, _) in offsets.items()}
+        courses = {run: LatenessCourse(mean - pair.filtered, 0.0) for run, ((mean, _), pair, _) in offsets.items()}
         return courses if mends(group, courses, steady=False) else {}
     return {}
 
@@ -130,23 +130,28 @@ def unstamped(record: Record) -> set[Key]:
     return set() if record.fast is None else record.fast.unstamped
 
 
-def line(one: Lateness) -> tuple[Course, float, float, float]:
+def line(one: Lateness) -> tuple[LatenessCourse, float, float, float]:
     """A straight course through stretches, the error of its drift, its scatter, and the samples it spans."""
     columns = np.stack([np.ones(len(one.late)), one.middle], axis=1) / one.error[:, None]
     solved, *_ = np.linalg.lstsq(columns, one.late / one.error, rcond=None)
     left = one.late - solved[0] - solved[1] * one.middle
     inflation = max(float(np.sqrt(np.sum((left / one.error) ** 2) / (len(left) - 2))), 1.0)
     error = float(np.sqrt(np.linalg.inv(columns.T @ columns)[1, 1])) * inflation
-    return Course(float(solved[0]), float(solved[1])), error, float(np.median(np.abs(left))), float(np.ptp(one.middle))
+    return (
+        LatenessCourse(float(solved[0]), float(solved[1])),
+        error,
+        float(np.median(np.abs(left))),
+        float(np.ptp(one.middle)),
+    )
 
 
-def drifts(course: Course, error: float, scatter: float, span: float) -> bool:
+def drifts(course: LatenessCourse, error: float, scatter: float, span: float) -> bool:
     """Whether a channel is ever later, or earlier, by more than a sample over its run."""
     total = abs(course.drift) * span
     return total > 2.0 * SAMPLE and abs(course.drift) > STEADY * error and scatter < FOLLOWS * total
 
 
-def leaping(record: Record, pair: Pair, one: Lateness) -> Course | None:
+def leaping(record: Record, pair: Pair, one: Lateness) -> LatenessCourse | None:
     """The course of a channel that goes early in leaps and stays so; None where it does not."""
     error = np.maximum(one.error, float(np.median(np.abs(np.diff(one.late)))) + 0.05)
     steps = leaps_of(one.late, error)
@@ -167,7 +172,7 @@ def leaping(record: Record, pair: Pair, one: Lateness) -> Course | None:
     places = [int(0.5 * (one.middle[step - 1] + one.middle[step])) for step in steps]
     start = medians[0]
     whole = tuple((place, float(round(height))) for place, height in zip(places, heights.tolist(), strict=True))
-    course = Course(0.0, 0.0, refined(record, pair, start, whole))
+    course = LatenessCourse(0.0, 0.0, refined(record, pair, start, whole))
     return course if mends([(record, pair, one)], {record.name: course}) else None
 
 
@@ -215,12 +220,14 @@ def refined(
     return tuple(at)
 
 
-def mends(group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[str, Course], steady: bool = True) -> bool:
+def mends(
+    group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[str, LatenessCourse], steady: bool = True
+) -> bool:
     """Whether channels go along with their companions once their clock is put right."""
     return float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group])) >= MENDS
 
 
-def gain_of(pair: Pair, course: Course, steady: bool) -> float:
+def gain_of(pair: Pair, course: LatenessCourse, steady: bool) -> float:
     """Share of what a channel is off by that goes with its clock put right; beside both a steady lag, if allowed."""
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
@@ -235,13 +242,13 @@ def gain_of(pair: Pair, course: Course, steady: bool) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def put_right(values: Array, course: Course) -> Array:
+def put_right(values: Array, course: LatenessCourse) -> Array:
     """A channel as it was when its stamps say; what lies beyond its ends is held."""
     at = np.arange(len(values), dtype=np.float64)
     return np.asarray(np.interp(at + course.late(len(values)), at, values), np.float64)
 
 
-def fault_of(key: Key, against: str, courses: Mapping[str, Course], records: Sequence[Record]) -> SetUpFault:
+def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], records: Sequence[Record]) -> SetUpFault:
     """A channel's clock as a fault, with what it does and how it is put right."""
     intervals = {record.name: record.fast.interval for record in records if record.fast is not None}
     mend = partial(with_clock, key=key, courses=courses)
@@ -266,7 +273,7 @@ def fault_of(key: Key, against: str, courses: Mapping[str, Course], records: Seq
     return SetUpFault(DRIFT, key, SEEN, evidence, change, mend, parameters)
 
 
-def with_clock(record: Record, key: Key, courses: Mapping[str, Course]) -> Record:
+def with_clock(record: Record, key: Key, courses: Mapping[str, LatenessCourse]) -> Record:
     """A record whose channel is put right in time; what is beyond its ends is left out."""
     clock, course = record.fast, courses.get(record.name)
     if clock is None or course is None or key not in clock.values:

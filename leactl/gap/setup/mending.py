@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Bin, Picture
+from leactl.gap.diagnosis import Picture, ResidualBin
 from leactl.gap.over import bin_count, bin_edges, bin_of, means
 from leactl.gap.setup.lateness import STRETCHES
 from leactl.gap.setup.side_by_side import Pair, direct_pairs, modelled_pairs
@@ -125,5 +125,5 @@ def drawn_of(
         drawn[1].rms(counts),
         drawn[0].off_zero,
         drawn[1].off_zero,
-        tuple(Bin(*row) for row in columns),
+        tuple(ResidualBin(*row) for row in columns),
     )

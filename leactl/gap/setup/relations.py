@@ -71,7 +71,7 @@ class Factor:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothedMotion:
     """Speed, acceleration and way of a run, alike smoothed."""
 
     angle: Array | None
@@ -96,7 +96,7 @@ def factors_of(record: Record, model: Model) -> Iterator[Factor]:
             yield from of_motion(record, clock, model, moved)
 
 
-def motion_of(clock: Clocked, role: str = "test") -> Motion | None:
+def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
     """Motion from the angle, else from the velocity; None where neither is logged or all of it is noise."""
     angle, velocity = clock.get("angle", role), clock.get("velocity", role)
     if angle is None and velocity is None:
@@ -111,7 +111,7 @@ def motion_of(clock: Clocked, role: str = "test") -> Motion | None:
             noise = noise_of(np.asarray(velocity)) * CURVES / width**1.5 / clock.interval
         acceleration = slope(speed, clock.interval)
         if noise <= NOISY * float(np.std(acceleration)):
-            return Motion(None if angle is None else smooth(angle, width), speed, acceleration, width)
+            return SmoothedMotion(None if angle is None else smooth(angle, width), speed, acceleration, width)
         width *= math.sqrt(2.0)
     return None
 
@@ -148,7 +148,7 @@ def width_for(values: Array) -> float:
     return width
 
 
-def of_torque(clock: Clocked, model: Model, mechanical: str, moved: Motion | None) -> Iterator[Factor]:
+def of_torque(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion | None) -> Iterator[Factor]:
     """The torque on the shaft over what the current and the motion make of it."""
     torque, force = clock.get("torque"), driving(clock, model, mechanical)
     if torque is None or force is None:
@@ -171,7 +171,7 @@ def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
     return play(force, model.coulomb_friction or 0.0) if mechanical == "locked" else force
 
 
-def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: Motion) -> Iterator[Factor]:
+def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion) -> Iterator[Factor]:
     """What current and speed take of the voltage."""
     voltage, current = clock.get("q_axis_voltage"), clock.get("q_axis_current")
     if voltage is None or current is None:
@@ -187,7 +187,7 @@ def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: Motion) -> 
     yield from several(nominal, smooth(voltage, moved.width), columns, valid, moved.width)
 
 
-def of_feeding(record: Record, clock: Clocked, model: Model, moved: Motion) -> Iterator[Factor]:
+def of_feeding(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
     """The voltage that feeds a motor over what its motion takes: its sense, for how much is what such runs are to tell.
 
     Each with its mirror image: a step holds one voltage, whose sense is in its mean.
@@ -201,7 +201,7 @@ def of_feeding(record: Record, clock: Clocked, model: Model, moved: Motion) -> I
     yield from factor("feeding", reads, takes, [], np.concatenate([valid, valid[::-1]]), moved.width)
 
 
-def taken_of_voltage(record: Record, model: Model, moved: Motion) -> Array | None:
+def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Array | None:
     """What back-EMF and friction of a motor that is fed with a voltage take of it [V]; None where none feeds it."""
     fed = fed_by_voltage(record, model)
     if fed is None:
@@ -210,7 +210,7 @@ def taken_of_voltage(record: Record, model: Model, moved: Motion) -> Array | Non
     return np.asarray((fed.damping * moved.velocity + friction) / fed.gain, np.float64)
 
 
-def of_motion(record: Record, clock: Clocked, model: Model, moved: Motion) -> Iterator[Factor]:
+def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
     """What inertia, damping and friction take of the current of a free run, in currents; gravity stands beside."""
     current = clock.get("q_axis_current")
     if current is None or not model.torque_constant:

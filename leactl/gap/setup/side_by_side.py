@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.setup.relations import Motion, driving, motion_of, taken_of_voltage
+from leactl.gap.setup.relations import SmoothedMotion, driving, motion_of, taken_of_voltage
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import Model
@@ -59,7 +59,7 @@ def late_by(clock: Clocked, bandwidth: float | None) -> float:
     return 0.0 if bandwidth is None else 1.0 / (2.0 * np.pi * bandwidth * clock.interval)
 
 
-def along(moved: Motion) -> list[Array]:
+def along(moved: SmoothedMotion) -> list[Array]:
     """What inertia, damping and friction go along with."""
     return [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), moved.width)]
 

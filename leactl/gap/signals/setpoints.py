@@ -34,7 +34,7 @@ BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a cu
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
 
 
-class Followed(NamedTuple):
+class ReferenceFollowing(NamedTuple):
     """How the current of one run follows its reference."""
 
     missed: Array  # by the best sum of neighbours, in standard deviations of what it misses as a rule
@@ -73,7 +73,7 @@ def against_next(shares: Sequence[tuple[float, float]]) -> float:
 
 
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
-    """Whether every leap that steps at once is met, and there are enough of them; rows as in `Followed`."""
+    """Whether every leap that steps at once is met, and there are enough of them; rows as in `ReferenceFollowing`."""
     enough = int(np.sum(steps & (leaping > TELLING))) >= FEWEST
     return enough and not bool(misses(missed, leaping, steps).any())
 
@@ -94,7 +94,7 @@ def changes_between(missed: Array, leaping: Array) -> bool:
     return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
 
 
-def follow(record: Record, model: Model) -> Followed | None:
+def follow(record: Record, model: Model) -> ReferenceFollowing | None:
     """How a run's current follows its reference.
 
     None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
@@ -120,7 +120,7 @@ def follow(record: Record, model: Model) -> Followed | None:
     leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
     calm = use & ~leapt
     foresight = share_of_next(sums[calm], current[calm])
-    return Followed(missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight)
+    return ReferenceFollowing(missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight)
 
 
 def share_of_next(sums: Array, current: Array) -> tuple[float, float]:

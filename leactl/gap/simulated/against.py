@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from leactl.gap.diagnose import Case, Progress, diagnose_mended, read_case, split, without_faults
-from leactl.gap.diagnosis import Diagnosis, SimulatedRun, SimulatorAnswer
+from leactl.gap.diagnosis import DiagnosisResult, SimulatedRun, SimulatorAnswer
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
@@ -54,7 +54,7 @@ def read_simulated_case(
     return SimulatedCase(case, pairs, *split(records), notes)
 
 
-def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -> Diagnosis:
+def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -> DiagnosisResult:
     """Answer what real runs have beyond a simulator.
 
     The simulated runs are diagnosed against the plain form of the model. Their parameters and effects are the nominal,
@@ -102,7 +102,7 @@ def _labelled(label: str, progress: Progress) -> Progress:
 
 def _beyond(
     mended: Case, nominal: NominalOfSimulator, other: Sequence[str], faults: Sequence[SetUpFault], progress: Progress
-) -> Diagnosis:
+) -> DiagnosisResult:
     """Diagnose real runs against the nominal without some of its effects."""
     kept = [effect for effect in nominal.effects if effect.name not in other]
     case = Case(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from leactl.gap.diagnose import EFFECT, UNKNOWN
 from leactl.gap.diagnosis import (
     CalibratedParameter,
-    Diagnosis,
+    DiagnosisResult,
     EffectiveParameter,
     EffectParameter,
     Presence,
@@ -77,7 +77,7 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
     return SideBySide(sizes, tuple(shown))
 
 
-def by_free_runs(nominal: NominalOfSimulator, alone: Diagnosis) -> SideBySide:
+def by_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideBySide:
     """The simulator's effects beside those of a servo's real runs that are diagnosed against its plain form.
 
     Sizes are compared by the first parameter of each effect.
@@ -108,7 +108,7 @@ def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
     return not simulated.shows or real.size > ENTRY * simulated.size
 
 
-def settled(answer: Diagnosis, both: SideBySide, parameters_differ: bool) -> Diagnosis:
+def settled(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) -> DiagnosisResult:
     """The answer without causes that the simulator has as well, and its verdict.
 
     Where nothing is named, calibration has to change what differs beyond both errors: a parameter, or the size of an

@@ -37,7 +37,7 @@ class Mismatch:
 
 
 @dataclass(frozen=True)
-class Command:
+class RunCommand:
     """One command of a run over the time since the run's start."""
 
     time: Array
@@ -50,7 +50,7 @@ class Command:
         return float(np.median(np.diff(self.time)))
 
 
-def commands_of(run: Run) -> dict[tuple[str, str], Command]:
+def commands_of(run: Run) -> dict[tuple[str, str], RunCommand]:
     """The commands of a run by quantity and role: of each role the outermost setpoint, else what was measured."""
     begin = min((float(run.time(name)[0]) for name in run.streams if run.rows[name]), default=0.0)
     roles = {spec.role for specs in run.streams.values() for spec in specs}
@@ -67,11 +67,11 @@ def commands_of(run: Run) -> dict[tuple[str, str], Command]:
     return found
 
 
-def _command(channels: Sequence[Channel], begin: float) -> Command | None:
+def _command(channels: Sequence[Channel], begin: float) -> RunCommand | None:
     for channel in channels:
         good = np.isfinite(channel.values)
         if good.sum() >= FEWEST:
-            return Command(channel.time[good] - begin, channel.values[good], channel.units)
+            return RunCommand(channel.time[good] - begin, channel.values[good], channel.units)
     return None
 
 
@@ -91,7 +91,7 @@ def mismatch(real: Run, simulated: Run) -> Mismatch | None:
     return None
 
 
-def _difference(key: tuple[str, str], ours: Command, theirs: Command, real: Run) -> Mismatch | None:
+def _difference(key: tuple[str, str], ours: RunCommand, theirs: RunCommand, real: Run) -> Mismatch | None:
     name = f"{key[0]} of {key[1]}"
     if ours.units != theirs.units:
         return Mismatch(1.0, f"{name} is in {theirs.units}, {real.path} has it in {ours.units}")
@@ -126,7 +126,7 @@ def tolerance_of(ours: Array, theirs: Array) -> float:
     return min(SURE * noise + rounded, WIDEST * span) + ROUNDING * span
 
 
-def outside(time: Array, values: Array, other: Command, reach: float) -> Array:
+def outside(time: Array, values: Array, other: RunCommand, reach: float) -> Array:
     """How far values lie outside the range that another command has within a reach [s] of the same time."""
     low, high = np.full(len(time), np.inf), np.full(len(time), -np.inf)
     for offset in np.linspace(-reach, reach, OFFSETS):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from leactl.errors import InputError
 from leactl.gap.diagnose import EFFECT, Case, Channel, Progress, diagnose_mended, without_faults
-from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, SimulatorFloor
+from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, SimulatorFloor
 from leactl.gap.search.evidence import PRIORS, Evidence
 from leactl.gap.search.parameters import (
     at_bound,
@@ -32,7 +32,7 @@ class NominalOfSimulator:
     start: Model  # that the fits began with
     plain: Model  # with fitted parameters, without effects
     model: Model  # with effects
-    answer: Diagnosis  # of the simulated runs against the plain form
+    answer: DiagnosisResult  # of the simulated runs against the plain form
     faults: tuple[SetUpFault, ...]  # of the simulated runs' set-up
     parameters: tuple[CalibratedParameter, ...]  # of the plain form, as the simulated runs have them
     effects: tuple[KnownEffect, ...]  # that can be taken from equations

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 from leactl.errors import InputError
 from leactl.gap.diagnose import Progress, diagnose, read_case
-from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.simulated.against import diagnose_against, read_simulated_case
 from leactl.runfile.read.reader import Run
 
@@ -19,7 +19,7 @@ def answer_of(
     model: Path | None,
     simulated: Sequence[Path] = (),
     progress: Progress = lambda _: None,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """Diagnose runs against a model, or against the simulator that made other runs on the same inputs.
 
     Parameters

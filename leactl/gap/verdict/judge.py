@@ -15,7 +15,7 @@ from leactl.effects import library
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Rows
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import LOOSE, TIE, EffectSet, Finding, apart
+from leactl.gap.search.sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
 
 EXACT_FORM_ERROR = 0.0005
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
@@ -33,10 +33,10 @@ LINE, LINE_SLOPE = 1.28, 30.0  # over its neighbourhood, of a line in a spectrum
 class Judged:
     """One member of the set with its probability and class."""
 
-    finding: Finding
+    finding: FurtherEffect
     explained: float
     probability: float
-    rivals: tuple[tuple[Finding, float], ...]  # with their own probabilities
+    rivals: tuple[tuple[FurtherEffect, float], ...]  # with their own probabilities
     peers: tuple[str, ...]
 
 
@@ -63,7 +63,7 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
     return sorted(judged, key=lambda item: -item.probability)
 
 
-def spread(member: Finding, rival: Finding, missed: Mapping[Candidate, float]) -> float:
+def spread(member: FurtherEffect, rival: FurtherEffect, missed: Mapping[Candidate, float]) -> float:
     """How far apart two gains may be by noise and by what forms miss; pure lags miss next to nothing.
 
     A form misses a usual share of what it explains, but no more than shows where both are let free.

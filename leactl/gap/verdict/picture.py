@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Bin, Cause, Picture
+from leactl.gap.diagnosis import Cause, Picture, ResidualBin
 from leactl.gap.over import (
     ACTS,
     FOLLOWED,
@@ -49,7 +49,7 @@ EPSILON = float(np.finfo(np.float64).eps)
 SQUARED = 1e-150  # whose square is a number still
 
 
-class Channel(NamedTuple):
+class ResidualChannel(NamedTuple):
     """What a residual is of."""
 
     quantity: str
@@ -59,16 +59,16 @@ class Channel(NamedTuple):
     units: str
 
 
-def channel_of(rows: Rows) -> Channel:
+def channel_of(rows: Rows) -> ResidualChannel:
     """The channel of an equation's rows."""
-    return Channel(rows.quantity, rows.role, rows.mechanical, rows.equation, rows.units)
+    return ResidualChannel(rows.quantity, rows.role, rows.mechanical, rows.equation, rows.units)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """A channel in one set-up on all held-out runs, where the effect acts."""
 
-    channel: Channel
+    channel: ResidualChannel
     before: Array
     after: Array
     effect: Array  # what the effect explains, row by row
@@ -163,7 +163,7 @@ def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
     digits = EPSILON * float(np.max(np.abs(np.concatenate([one.measured for _, one in group]))))
     noise = max(float(np.sqrt(np.mean([one.noise**2 for _, one in group]))), digits, SQUARED)
     gain = float(np.sum(before**2 - after**2)) / noise**2
-    channel = Channel(first.quantity, first.role, first.mechanical, "replay", UNITS[first.quantity])
+    channel = ResidualChannel(first.quantity, first.role, first.mechanical, "replay", UNITS[first.quantity])
     return Part(channel, before, after, before - after, groups, values, float(len(np.unique(groups))), gain)
 
 
@@ -261,7 +261,7 @@ def picture_of(best: View) -> Picture:
         after.rms(counts),
         before.off_zero,
         after.off_zero,
-        tuple(Bin(*row) for row in columns),
+        tuple(ResidualBin(*row) for row in columns),
     )
 
 

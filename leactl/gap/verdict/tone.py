@@ -18,7 +18,7 @@ OVERSAMPLED = 8  # frequencies that are tried within what a run's length tells a
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ResidualCourse:
     """What one equation leaves over of one run, over time."""
 
     time: Array  # s
@@ -36,7 +36,7 @@ class Course:
         return float(np.median(np.diff(self.time)))
 
 
-def strongest_frequency(courses: Sequence[Course]) -> float | None:
+def strongest_frequency(courses: Sequence[ResidualCourse]) -> float | None:
     """The frequency whose sine explains most squares of all runs together [Hz]; None where no run is long enough.
 
     Rows are put on one grid of times and the gaps between them left zero, so that one transform a run does for all
@@ -54,7 +54,7 @@ def strongest_frequency(courses: Sequence[Course]) -> float | None:
     return float(frequencies[np.argmax(power)]) if power.any() else None
 
 
-def gains(course: Course, frequency: float) -> Array:
+def gains(course: ResidualCourse, frequency: float) -> Array:
     """Squares of each row that a sine explains whose phase the other half of the run tells.
 
     A half is every second quarter: a sine goes on through the quarter between, and what merely changes slowly does not.
@@ -75,7 +75,7 @@ def gains(course: Course, frequency: float) -> Array:
     return gained
 
 
-def _sine(course: Course, learnt: npt.NDArray[np.bool_], frequency: float) -> tuple[float, Array]:
+def _sine(course: ResidualCourse, learnt: npt.NDArray[np.bool_], frequency: float) -> tuple[float, Array]:
     """The squares that are left of the rows that a sine is learnt on, and what it says of all rows."""
     turned = 2.0 * np.pi * frequency * (course.time - course.time[0])
     columns = np.stack([np.cos(turned), np.sin(turned)], axis=1)

@@ -16,13 +16,13 @@ from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.orders import periodogram, turns
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
-from leactl.gap.search.sets import ENTRY, EffectSet, Finding
+from leactl.gap.search.sets import ENTRY, EffectSet, FurtherEffect
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.state import state_in
 from leactl.gap.verdict.additive import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
-from leactl.gap.verdict.tone import Course, gains, strongest_frequency
+from leactl.gap.verdict.tone import ResidualCourse, gains, strongest_frequency
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
@@ -157,15 +157,15 @@ def is_slow(left: Array, sample: Sample, gap: float) -> bool:
     return float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, sample.stretch) >= SURE
 
 
-def courses(stacked: Stack, indices: Sequence[int], left: Array, stretch: Groups) -> list[Course]:
+def courses(stacked: Stack, indices: Sequence[int], left: Array, stretch: Groups) -> list[ResidualCourse]:
     """What is left over of some rows, run by run over time."""
     several = [stacked.rows[index] for index in indices]
     ends = np.cumsum([len(rows.index) for rows in several])[:-1]
     parts = zip(several, np.split(left, ends), np.split(stretch, ends), strict=True)
-    return [Course(rows.signals.time[rows.index], own, place) for rows, own, place in parts]
+    return [ResidualCourse(rows.signals.time[rows.index], own, place) for rows, own, place in parts]
 
 
-def tone_of(fitted: Sequence[Course], held_out: Sequence[Course], gap: float) -> float | None:
+def tone_of(fitted: Sequence[ResidualCourse], held_out: Sequence[ResidualCourse], gap: float) -> float | None:
     """The frequency by which what is left over repeats, on held-out runs too [Hz]; None where it does not."""
     frequency = strongest_frequency(fitted)
     if frequency is None:
@@ -231,7 +231,7 @@ def doubt(item: Judged) -> str:
     return "held-out runs do not bear it out"
 
 
-def kept_out(item: Finding) -> str:
+def kept_out(item: FurtherEffect) -> str:
     """Why an effect did not enter the set."""
     if item.height <= ENTRY:
         return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY:g} are needed"

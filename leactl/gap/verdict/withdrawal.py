@@ -16,14 +16,14 @@ Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
 
-class Fitted(NamedTuple):
+class FittedEffects(NamedTuple):
     """Effects, and the calibration fitted together with them."""
 
     causes: tuple[Cause, ...]
     calibration: tuple[CalibratedParameter, ...]
 
 
-Refit = Callable[[Sequence[Cause]], Fitted]
+Refit = Callable[[Sequence[Cause]], FittedEffects]
 """Fits some of the effects that were named, without the others."""
 
 
@@ -33,7 +33,7 @@ class Applied:
 
     calibrated: Model
     augmented: Model
-    fitted: Fitted  # what the augmented model has
+    fitted: FittedEffects  # what the augmented model has
     shrunk: Shrunk
     first_calibration_withdrawn: bool  # whether the calibration that was fitted without effects is not applied
     notes: tuple[str, ...]
@@ -59,7 +59,7 @@ def apply(
     bounded_fit : whether a parameter that ends at its bound counts against a trial; not so in the free runs of a servo,
         which tell some parameters by their ratio only.
     """
-    fitted, calibrated = Fitted((), tuple(without_effects)), with_calibration(model, without_effects)
+    fitted, calibrated = FittedEffects((), tuple(without_effects)), with_calibration(model, without_effects)
     augmented, shrunk = calibrated, None
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(waiting):  # after each acceptance all refused ones are tried again
@@ -110,7 +110,7 @@ def apply(
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else GAP_GROWS
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
-    return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes), refused)
+    return Applied(model, model, FittedEffects((), ()), simulate(model, model), True, tuple(notes), refused)
 
 
 def all_but(stages: Sequence[Sequence[Cause]], dropped: Sequence[Cause]) -> list[Sequence[Cause]]:

@@ -46,7 +46,7 @@ HEADERS: Final = {
 }
 
 
-class Shown:
+class PageState:
     """What the run has shown by now."""
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ class Site:
 
     def __init__(self, page: str, token: str, hosts: Sequence[str]) -> None:
         self.page, self.token, self.hosts = page, token, hosts
-        self.shown = Shown()
+        self.shown = PageState()
         self.asked_at = float("-inf")  # by a page with the token, on the clock of `time.monotonic`
 
     def stop(self) -> None:
@@ -94,7 +94,7 @@ class Site:
             os.write(sys.stdout.fileno(), STOP)
 
 
-class Exchange(BaseHTTPRequestHandler):
+class HttpExchange(BaseHTTPRequestHandler):
     """One request and its answer, both as bytes: the standard library reads and writes HTTP, and no socket."""
 
     protocol_version = "HTTP/1.1"
@@ -168,7 +168,7 @@ def answer(request: bytes, site: Site) -> bytes:
     """Return the answer to the head of a request."""
     if len(request) > MOST_BYTES:
         return b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-    return Exchange(request, site).answer
+    return HttpExchange(request, site).answer
 
 
 async def serve(listener: socket.socket, site: Site) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from leactl.analysis.quality.gate import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
 from leactl.analysis.quality.repeated_readings import FEWEST
 from leactl.runfile.read.reader import Channel, Run
-from leactl.runner.bench_check.statement import Statement, Verdict
+from leactl.runner.bench_check.statement import Statement, StatementVerdict
 from leactl.runner.session import Request
 
 ONE_A_ROLE = ("torque", "velocity", "angle", "q_axis_current")
@@ -17,7 +17,9 @@ NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says tha
 def unopened(failures: Mapping[str, str]) -> list[Statement]:
     """Return who answered, device by device, where one could not be opened; `failures` are empty where one could."""
     return [
-        Statement(name, "answers", Verdict.WRONG if text else Verdict.OK, why=text.removeprefix(f"{name}: "))
+        Statement(
+            name, "answers", StatementVerdict.WRONG if text else StatementVerdict.OK, why=text.removeprefix(f"{name}: ")
+        )
         for name, text in failures.items()
     ]
 
@@ -36,19 +38,25 @@ def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]
 def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> Iterator[Statement]:
     for device in request.devices:
         says, stated = reported[device.name], device.entry.facts
-        yield Statement(device.name, "answers", Verdict.OK, why=", ".join(f"{key} {says[key]}" for key in says))
+        yield Statement(
+            device.name, "answers", StatementVerdict.OK, why=", ".join(f"{key} {says[key]}" for key in says)
+        )
         for key in ("serial", "firmware"):
             if key in says and key in stated:  # another serial number is not opened
                 same = key == "serial" or says[key] == stated[key]
-                verdict, why = (Verdict.OK, "") if same else (Verdict.WRONG, f"the bench file says {stated[key]}")
+                verdict, why = (
+                    (StatementVerdict.OK, "")
+                    if same
+                    else (StatementVerdict.WRONG, f"the bench file says {stated[key]}")
+                )
             elif key in stated:
-                verdict, why = Verdict.OPEN, f"the bench file says {stated[key]}, the device reports none"
+                verdict, why = StatementVerdict.OPEN, f"the bench file says {stated[key]}, the device reports none"
             elif key in says and key == "serial":
-                verdict, why = Verdict.OPEN, "the bench file states none: another device would not be noticed"
+                verdict, why = StatementVerdict.OPEN, "the bench file states none: another device would not be noticed"
             else:
                 continue
             text = "; ".join(filter(None, (says.get(key, ""), why)))
-            change = f'state {key}: "{says[key]}"' if key in says and verdict is not Verdict.OK else ""
+            change = f'state {key}: "{says[key]}"' if key in says and verdict is not StatementVerdict.OK else ""
             line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
             yield Statement(device.name, key, verdict, why=text, change=line)
 
@@ -57,7 +65,7 @@ def _notices(run: Run, request: Request) -> Iterator[Statement]:
     names = {device.name for device in request.devices}
     for event in run.events:
         if event.source in names and event.level in ("warning", "error") and not event.message.startswith("firmware "):
-            yield Statement(event.source, "notice", Verdict.OPEN, why=event.message)
+            yield Statement(event.source, "notice", StatementVerdict.OPEN, why=event.message)
 
 
 def _channels(run: Run, request: Request) -> Iterator[Statement]:
@@ -79,7 +87,7 @@ def _measured_twice(run: Run, request: Request) -> Iterator[Statement]:
                 f"leave it out, or leave {channels[0].device} out, or give it another role",
             )
             why = f"{channels[0].device} gives it too, and move and analyses take one"
-            yield Statement(channel.device, f"{quantity} of {role}", Verdict.WRONG, why=why, change=line)
+            yield Statement(channel.device, f"{quantity} of {role}", StatementVerdict.WRONG, why=why, change=line)
 
 
 def _channel(channel: Channel, request: Request) -> Statement:
@@ -89,29 +97,29 @@ def _channel(channel: Channel, request: Request) -> Statement:
     about = " ".join(filter(None, (quantity, "of", role, channel.location and f"at {channel.location}")))
     if not len(values):
         text = f"none of {len(channel)} readings is a number: is it connected?"
-        return Statement(channel.device, about, Verdict.WRONG, why=text)
+        return Statement(channel.device, about, StatementVerdict.WRONG, why=text)
     mean, std = float(values.mean()), float(values.std())
     low, high = request.bench.limits.of(quantity) or (np.nan, np.nan)
     entries = request.bench.interlocks.of(quantity, role)
-    verdict, why = Verdict.OK, ""
+    verdict, why = StatementVerdict.OK, ""
     missing = 1.0 - len(values) / len(channel)
     stands, span = len(values) >= FEWEST and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
     if mean < low or mean > high:
-        verdict, why = Verdict.WRONG, "beyond the bench's limits"
+        verdict, why = StatementVerdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():
-        verdict, why = Verdict.WRONG, "exactly 0, which it never is: is it connected?"
+        verdict, why = StatementVerdict.WRONG, "exactly 0, which it never is: is it connected?"
     elif stands and quantity in AT_REST:
         verdict, why = (
-            Verdict.OPEN,
+            StatementVerdict.OPEN,
             "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
         )
     elif stands and min((entry.stuck_s for entry in entries if entry.stuck_s), default=np.inf) <= NEARLY * span:
         verdict, why = (
-            Verdict.WRONG,
+            StatementVerdict.WRONG,
             f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",
         )
     elif stands:
-        verdict, why = Verdict.OPEN, f"the same in {len(values)} readings: frozen, or coarser than its noise"
+        verdict, why = StatementVerdict.OPEN, f"the same in {len(values)} readings: frozen, or coarser than its noise"
     elif missing > MISSING:
-        verdict, why = Verdict.OPEN, f"{missing:.1%} of its readings are missing"
+        verdict, why = StatementVerdict.OPEN, f"{missing:.1%} of its readings are missing"
     return Statement(channel.device, about, verdict, mean, std, channel.units, float(low), float(high), why)

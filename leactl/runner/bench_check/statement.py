@@ -12,7 +12,7 @@ from leactl.runner.session import Request
 SURE = 3.0  # standard errors
 
 
-class Verdict(StrEnum):
+class StatementVerdict(StrEnum):
     """What the bench says of a statement."""
 
     OK = "ok"
@@ -26,7 +26,7 @@ class Statement:
 
     device: str
     about: str
-    verdict: Verdict
+    verdict: StatementVerdict
     measured: float = math.nan
     std: float = math.nan
     units: str = ""
@@ -48,13 +48,22 @@ def ratio(device: str, about: str, value: float, std: float, bound: float) -> St
     margin = bound + SURE * std
     sound = abs(value - 1.0) <= margin
     if not math.isfinite(margin) or (sound and margin > 2.0 * bound):
-        return Statement(device, about, Verdict.OPEN, value, std, "1", why="the move tells too little of it")
-    return Statement(device, about, Verdict.OK if sound else Verdict.WRONG, value, std, "1", 1.0 - margin, 1.0 + margin)
+        return Statement(device, about, StatementVerdict.OPEN, value, std, "1", why="the move tells too little of it")
+    return Statement(
+        device,
+        about,
+        StatementVerdict.OK if sound else StatementVerdict.WRONG,
+        value,
+        std,
+        "1",
+        1.0 - margin,
+        1.0 + margin,
+    )
 
 
 def wrong(statements: Iterable[Statement]) -> list[Statement]:
     """Statements that the bench contradicts."""
-    return [each for each in statements if each.verdict is Verdict.WRONG]
+    return [each for each in statements if each.verdict is StatementVerdict.WRONG]
 
 
 def setting(request: Request, device: CheckedDevice, names: Iterable[str], advice: str) -> str:

@@ -18,7 +18,7 @@ from leactl.analysis.signals.levels import standard_error
 from leactl.gap.setup.conventions import UNITS, convention, whole
 from leactl.runfile.read.reader import Run
 from leactl.runner.bench_check.silence import silences
-from leactl.runner.bench_check.statement import SURE, Statement, Verdict, ratio, setting
+from leactl.runner.bench_check.statement import SURE, Statement, StatementVerdict, ratio, setting
 from leactl.runner.drill.emulated import drives
 from leactl.runner.session import Request
 from leactl.runner.thermal_admission import motors_of
@@ -48,7 +48,7 @@ class Slope(NamedTuple):
     std: float
 
 
-class Motion(NamedTuple):
+class DriveMotion(NamedTuple):
     """One drive's channels, all at the stamps of the loop."""
 
     time: Array
@@ -59,7 +59,7 @@ class Motion(NamedTuple):
     on: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, run: Run, role: str) -> "Motion":
+    def of(cls, run: Run, role: str) -> "DriveMotion":
         """Read a role's channels."""
         current = run.channel("q_axis_current", role)
         quantities = ("q_axis_current_reference", "velocity", "angle", "drive_enabled")
@@ -115,7 +115,7 @@ class Turning:
         self._run, self._request = run, request
         names = drives(request.devices)
         self._drives = {names[device.name]: device for device in request.devices if device.name in names}
-        self._motions = {role: Motion.of(run, role) for role in self._drives}
+        self._motions = {role: DriveMotion.of(run, role) for role in self._drives}
         self._silences = silences(run, request.bench.limits, 1.0 / request.plan.rate_Hz)
         self._motors = motors_of(request.bench)
 
@@ -123,7 +123,7 @@ class Turning:
         """Yield what the move shows of each drive, of the shaft between them, and of the torque sensor."""
         for (quantity, role), silence in self._silences.items():
             why = f"{silence}: is its cable, or its bus, loose?"
-            yield Statement(silence.device, f"{quantity} of {role}", Verdict.WRONG, why=why)
+            yield Statement(silence.device, f"{quantity} of {role}", StatementVerdict.WRONG, why=why)
         for role in self._drives:
             yield from self._drive(role)
         torques = self._torques()
@@ -142,7 +142,7 @@ class Turning:
             yield judged if fitted[0].value else replace(judged, why=none_read)
         else:
             why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED
-            yield Statement(name, "current over its demand", Verdict.OPEN, why=why)
+            yield Statement(name, "current over its demand", StatementVerdict.OPEN, why=why)
         yield self._turned(role)
         yield self._velocity(role, *motion.travels())
 
@@ -161,15 +161,18 @@ class Turning:
         if not fitted or not abs(fitted[0].value) > SURE * fitted[0].std:
             silent = self._silence_of(role, "velocity", "q_axis_current", "drive_enabled")
             why = silent or "the shaft has hardly turned: is it free, is --current enough?"
-            return Statement(name, about, Verdict.OPEN, why=why)
+            return Statement(name, about, StatementVerdict.OPEN, why=why)
         turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
         rotors = sum(motor.rotor_inertia for motor in turned)
         low, high, (value, std) = rotors / UNALIKE, rotors * UNALIKE, fitted[0]
-        verdict, why, change = Verdict.OK, "", ""
+        verdict, why, change = StatementVerdict.OK, "", ""
         if value < 0.0:
-            verdict, why = Verdict.WRONG, "a current turns it backwards: commutation or encoder direction of the drive"
+            verdict, why = (
+                StatementVerdict.WRONG,
+                "a current turns it backwards: commutation or encoder direction of the drive",
+            )
         elif not low <= value <= high:
-            verdict = Verdict.OPEN
+            verdict = StatementVerdict.OPEN
             why = f"as if a turn had {rotors / value:.2g} times the counts, or as if more turned than the rotors"
             change = setting(self._request, self._drives[role], COUNTS, "does the encoder have as many?")
         return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
@@ -183,17 +186,17 @@ class Turning:
         silent = self._silence_of(role, "velocity", "angle")
         reach = [float(np.ptp(np.cumsum(part))) if len(part) else 0.0 for part in (velocity, angle)]
         if max(reach) < TURNED_RAD:
-            return Statement(device.name, about, Verdict.OPEN, why=silent or "the shaft has not turned")
+            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has not turned")
         if not velocity.any() or not angle.any():
             stands = "velocity" if reach[0] < reach[1] else "angle"
             return Statement(
-                device.name, about, Verdict.WRONG, why=f"frozen: the {stands} stands while the other moves"
+                device.name, about, StatementVerdict.WRONG, why=f"frozen: the {stands} stands while the other moves"
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
-            return Statement(device.name, about, Verdict.OPEN, why=silent or ENDED)
+            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or ENDED)
         judged = ratio(device.name, about, *fitted[0], LAGS)
-        if judged.verdict is not Verdict.WRONG:
+        if judged.verdict is not StatementVerdict.WRONG:
             return judged
         near = factor_of_a_turn(fitted[0], self._motors[role].pole_pairs)
         advice = f"divide the angle's scale by {fitted[0].value:.4g}, or multiply the velocity's by it"
@@ -207,13 +210,13 @@ class Turning:
         for role, velocity in (("test", test[moving]), ("load", load[moving])):
             if len(velocity) >= FEWEST and not np.nan_to_num(velocity).any():
                 why = "no velocity of it while the other drive's says that the shaft turns"
-                return Statement(self._drives[role].name, about, Verdict.WRONG, why=why)
+                return Statement(self._drives[role].name, about, StatementVerdict.WRONG, why=why)
         fitted = slopes(test[moving, np.newaxis], load[moving])
         if not fitted:
             silent = "; ".join(filter(None, (self._silence_of(role, "velocity") for role in ("test", "load"))))
-            return Statement(device.name, about, Verdict.OPEN, why=silent or "the shaft has hardly turned")
+            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has hardly turned")
         judged = ratio(device.name, about, *fitted[0], LAGS)
-        if judged.verdict is not Verdict.WRONG:
+        if judged.verdict is not StatementVerdict.WRONG:
             return judged
         slope, near = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
         if slope.value < 0.0 and of_size_one(slope):
@@ -271,8 +274,8 @@ class Turning:
                 alone = "it takes a shaft that either drive turns, in turn"
                 silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
                 why = "; ".join(filter(None, silent)) or (alone if self._run.status == "complete" else ENDED)
-                judged[role] = Statement(name, about, Verdict.OPEN, why=why)
-        off = {role: each.measured for role, each in judged.items() if each.verdict is Verdict.WRONG}
+                judged[role] = Statement(name, about, StatementVerdict.OPEN, why=why)
+        off = {role: each.measured for role, each in judged.items() if each.verdict is StatementVerdict.WRONG}
         size = max(1.0, *map(abs, off.values())) if off else 1.0
         shared = len(off) == 2 and abs(off["test"] - off["load"]) < ALIKE * size
         for role, each in judged.items():

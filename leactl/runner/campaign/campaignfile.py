@@ -85,7 +85,7 @@ class CampaignFile(Block):
 
 
 @dataclass(frozen=True)
-class Step:
+class CampaignStep:
     """A step as it is to be made, in one variant of the campaign."""
 
     name: str
@@ -121,7 +121,7 @@ class Campaign:
     title: str
     variant: str  # "" for the campaign as it is written
     seed: int
-    steps: Mapping[str, Step]
+    steps: Mapping[str, CampaignStep]
     cells: Sequence[Cell]
     text: str
 
@@ -221,9 +221,9 @@ def _doubled(document: yamlfile.Document, place: Location, items: Sequence[str])
             yield document.fault((*place, index), f"'{item}' stands twice")
 
 
-def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> Step:
+def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> CampaignStep:
     entry, place = file.steps[index], ("steps", index)
-    return Step(
+    return CampaignStep(
         name=entry.name,
         document=document,
         place=place,
@@ -238,7 +238,7 @@ def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: P
     )
 
 
-def _varied(step: Step, change: Variation, place: Location) -> Step:
+def _varied(step: CampaignStep, change: Variation, place: Location) -> CampaignStep:
     kept = {setting: at for setting, at in step.settings.items() if setting.partition("=")[0] not in change.set}
     return replace(
         step,
@@ -270,7 +270,7 @@ def _from(folder: Path, name: str) -> str:
     return str(folder / name) if name.endswith((".yaml", ".yml")) else name
 
 
-def _in_order(file: CampaignFile, steps: Mapping[str, Step], seed: int) -> list[Cell]:
+def _in_order(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) -> list[Cell]:
     cells = [
         Cell(step.name, actuator, condition, repeat)
         for step in steps.values()

@@ -19,7 +19,7 @@ from leactl.runner import locks
 from leactl.runner.acceptance import judge
 from leactl.runner.campaign import folder as place
 from leactl.runner.campaign.campaignfile import Campaign
-from leactl.runner.campaign.entries import Entry, previews
+from leactl.runner.campaign.entries import CampaignEntry, previews
 from leactl.runner.campaign.journal import Finished, Journal, save
 from leactl.runner.operators import at_the_terminal
 from leactl.runner.session import Outcome, Preview, Request
@@ -33,7 +33,7 @@ Perform = Callable[[Request, str], Outcome]
 
 
 @dataclass(frozen=True)
-class Manner:
+class CampaignOptions:
     """How a campaign is conducted."""
 
     perform: Perform
@@ -59,7 +59,7 @@ class Ended:
         return [f"{key}: {text}" for key, one in self.journal.finished.items() for text in one.unmet]
 
 
-def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: Manner) -> Ended:
+def conduct(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, manner: CampaignOptions) -> Ended:
     """Make what is not finished; what ended a run too soon is in the answer.
 
     Raises
@@ -99,10 +99,10 @@ class _Conductor:
     def __init__(
         self,
         total: int,
-        pending: Sequence[Entry],
+        pending: Sequence[CampaignEntry],
         expected: Mapping[tuple[str, str], Preview],
         folder: Path,
-        manner: Manner,
+        manner: CampaignOptions,
         journal: Journal,
     ) -> None:
         self.journal = journal
@@ -126,7 +126,7 @@ class _Conductor:
             self._cool(entry, check)
             self._make(entry, self._heading(index), self._lasts[index])
 
-    def _make(self, entry: Entry, heading: str, bench_s: float) -> None:
+    def _make(self, entry: CampaignEntry, heading: str, bench_s: float) -> None:
         self._manner.tell(f"{heading}: {entry.cell}")
         request = replace(entry.request, run_id=new_run_id(entry.request.plan.name, datetime.now(UTC)))
         self._note(self.journal.begun(entry.cell.key, request.run_id))
@@ -161,7 +161,7 @@ class _Conductor:
         bench_s = sum(one.bench_s for one in done)
         return sum(one.wall_s for one in done) / bench_s if bench_s > 0 else math.nan
 
-    def _mount(self, entry: Entry, check: Callable[[], None]) -> None:
+    def _mount(self, entry: CampaignEntry, check: Callable[[], None]) -> None:
         """See to it that what a run needs is mounted; nobody has to touch an emulated bench.
 
         Raises
@@ -183,7 +183,7 @@ class _Conductor:
         if entry.asks_within and not self._manner.attended:
             raise Stopped(f"protocol '{entry.request.plan.name}' asks the operator, and stdin is no terminal")
 
-    def _cool(self, entry: Entry, check: Callable[[], None]) -> None:
+    def _cool(self, entry: CampaignEntry, check: Callable[[], None]) -> None:
         """Wait until the windings allow a run; where no wait is enough, the run itself is refused."""
         if entry.request.in_process:
             return
@@ -194,7 +194,7 @@ class _Conductor:
                 check()
                 time.sleep(LOOK_EVERY_S)
 
-    def _windings(self, entry: Entry, cold: bool = False) -> Windings:
+    def _windings(self, entry: CampaignEntry, cold: bool = False) -> Windings:
         request = entry.request
         return Windings(request.bench, request.devices, request.actuator, request.in_process, cold)
 

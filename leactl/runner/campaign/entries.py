@@ -9,7 +9,7 @@ from pathlib import Path
 from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError
 from leactl.protocol.plan import Prompt
-from leactl.runner.campaign.campaignfile import Campaign, Step
+from leactl.runner.campaign.campaignfile import Campaign, CampaignStep
 from leactl.runner.campaign.order import Cell, drawn
 from leactl.runner.request import prepare
 from leactl.runner.session import Preview, Request, preview
@@ -19,13 +19,13 @@ DIGITS = 16  # of a digest
 
 
 @dataclass(frozen=True)
-class Entry:
+class CampaignEntry:
     """One run that a campaign asks for."""
 
     cell: Cell
     request: Request
     digest: str  # of all that determines what the run is
-    step: Step
+    step: CampaignStep
 
     @property
     def mounted(self) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ class Conditions:
     buses: Sequence[str] = ()
 
 
-def entries_of(campaign: Campaign, conditions: Conditions) -> list[Entry]:
+def entries_of(campaign: Campaign, conditions: Conditions) -> list[CampaignEntry]:
     """Every run of a campaign in its order, checked as `leactl run` checks it.
 
     Raises
@@ -82,7 +82,7 @@ def entries_of(campaign: Campaign, conditions: Conditions) -> list[Entry]:
     ]
 
 
-def _prepared(step: Step, condition: str, told: Conditions) -> Request:
+def _prepared(step: CampaignStep, condition: str, told: Conditions) -> Request:
     made = prepare(
         step.protocol,
         step.bench,
@@ -98,7 +98,7 @@ def _prepared(step: Step, condition: str, told: Conditions) -> Request:
     return replace(made, insert_cooldown=step.insert_cooldown)
 
 
-def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: Step) -> Entry:
+def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep) -> CampaignEntry:
     # repeats on an emulated bench would otherwise be the same to the last digit
     seed = drawn(f"{campaign.seed}/{cell.key}") if prepared.in_process else None
     determines = {
@@ -118,10 +118,12 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: Step) -> Ent
         "repeat": str(cell.repeat),
         "digest": digest,
     }
-    return Entry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step)
+    return CampaignEntry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step)
 
 
-def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None) -> Mapping[tuple[str, str], Preview]:
+def previews(
+    entries: Sequence[CampaignEntry], check: Callable[[], None] = lambda: None
+) -> Mapping[tuple[str, str], Preview]:
     """What each step takes under each condition: everything that `leactl run` would refuse is refused here.
 
     Parameters
@@ -137,7 +139,7 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
     """
     by_step: dict[tuple[str, str], Preview] = {}
     faults: dict[str, None] = {}
-    first: dict[tuple[str, str], Entry] = {}
+    first: dict[tuple[str, str], CampaignEntry] = {}
     for entry in entries:
         first.setdefault((entry.cell.step, entry.cell.condition), entry)
     for place, entry in first.items():
@@ -152,7 +154,7 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
     return by_step
 
 
-def _check_disk(entries: Sequence[Entry], by_step: Mapping[tuple[str, str], Preview]) -> None:
+def _check_disk(entries: Sequence[CampaignEntry], by_step: Mapping[tuple[str, str], Preview]) -> None:
     """Room for every run, once, and for the second copy of the largest while it is closed."""
     if not entries:
         return

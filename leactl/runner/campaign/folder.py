@@ -9,9 +9,9 @@ from leactl.errors import InputError
 from leactl.runfile.publish import move_without_overwriting
 from leactl.runner import locks
 from leactl.runner.campaign.campaignfile import Campaign
-from leactl.runner.campaign.entries import Entry
+from leactl.runner.campaign.entries import CampaignEntry
 from leactl.runner.campaign.journal import NAME, Journal, fresh, read
-from leactl.runner.campaign.standing import UNFINISHED, RunFile, Standing, files_in, standing
+from leactl.runner.campaign.standing import UNFINISHED, CampaignProgress, RunFile, files_in, standing
 
 LOCK = ".campaign.lock"
 MOST_NAMED = 3
@@ -53,7 +53,7 @@ def busy(folder: Path) -> bool:
     return False
 
 
-def found(campaign: Campaign, entries: Sequence[Entry], folder: Path) -> tuple[Journal, Standing]:
+def found(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path) -> tuple[Journal, CampaignProgress]:
     """The journal of the folder, a new one where there is none, and how far the campaign is by its run files.
 
     Raises
@@ -66,8 +66,8 @@ def found(campaign: Campaign, entries: Sequence[Entry], folder: Path) -> tuple[J
 
 
 def to_go_on(
-    campaign: Campaign, entries: Sequence[Entry], folder: Path, accept_changes: bool, redo_lost: bool
-) -> tuple[Journal, Standing]:
+    campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, accept_changes: bool, redo_lost: bool
+) -> tuple[Journal, CampaignProgress]:
     """As `found`, where nothing stands against going on; see `refuse_changed` and `refuse_lost`.
 
     Raises
@@ -81,7 +81,9 @@ def to_go_on(
     return journal, now
 
 
-def refuse_changed(campaign: Campaign, journal: Journal, now: Standing, runs: Mapping[str, str], accept: bool) -> None:
+def refuse_changed(
+    campaign: Campaign, journal: Journal, now: CampaignProgress, runs: Mapping[str, str], accept: bool
+) -> None:
     """Refuse to go on with another campaign than the one that was begun.
 
     Parameters
@@ -112,7 +114,7 @@ def refuse_changed(campaign: Campaign, journal: Journal, now: Standing, runs: Ma
         )
 
 
-def refuse_lost(now: Standing) -> None:
+def refuse_lost(now: CampaignProgress) -> None:
     """Refuse to go on where finished runs have lost their files.
 
     Raises

@@ -31,7 +31,7 @@ class Finished(Block):
     unmet: tuple[str, ...] = ()  # acceptance limits of its protocol
 
 
-class Underway(Block):
+class RunBegun(Block):
     """The run that was begun last, by the name that its file has."""
 
     key: str
@@ -48,11 +48,11 @@ class Journal(Block):
     seed: int
     runs: dict[str, str]  # every run in its order, and the digest of what it is to be
     finished: dict[str, Finished] = {}
-    underway: Underway | None = None
+    underway: RunBegun | None = None
 
     def begun(self, key: str, run_id: str) -> "Journal":
         """The journal as a run begins."""
-        return self.model_copy(update={"underway": Underway(key=key, run_id=run_id)})
+        return self.model_copy(update={"underway": RunBegun(key=key, run_id=run_id)})
 
     def ended(self, key: str, finished: Finished) -> "Journal":
         """The journal as a run has come to its end."""

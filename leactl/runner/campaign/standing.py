@@ -39,7 +39,7 @@ class RunFile:
 
 
 @dataclass(frozen=True)
-class Standing:
+class CampaignProgress:
     """How far a campaign is."""
 
     finished: Mapping[str, RunFile]  # by key
@@ -54,7 +54,7 @@ class Standing:
         return [key for key, file in self.finished.items() if known.get(key) != file.run_id]
 
 
-def standing(name: str, runs: Mapping[str, str], journal: Journal, files: Sequence[RunFile]) -> Standing:
+def standing(name: str, runs: Mapping[str, str], journal: Journal, files: Sequence[RunFile]) -> CampaignProgress:
     """Judge the files of a folder by the journal and by what is to be made.
 
     Parameters
@@ -85,7 +85,7 @@ def standing(name: str, runs: Mapping[str, str], journal: Journal, files: Sequen
         for file in files
         if file.run_id not in promised and not file.whole and (file in ours or file.run_id == begun)
     ]
-    return Standing(finished, lost, damaged, unfinished, changed)
+    return CampaignProgress(finished, lost, damaged, unfinished, changed)
 
 
 def _fate(file: RunFile | None, key: str) -> str:

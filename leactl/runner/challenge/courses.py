@@ -26,7 +26,7 @@ INSTANT_S = 1e-7  # over which a velocity is taken
 
 
 @dataclass(frozen=True)
-class Course:
+class ChallengeCourse:
     """What happens, and what of the rotor is read."""
 
     kind: str
@@ -39,7 +39,7 @@ class Course:
 
 def course(
     genes: Array, motor: Motor, settings: GuardSettings, interval: float, seconds: float, reading: str
-) -> Course:
+) -> ChallengeCourse:
     """The course of some genes, as one of `READINGS` tells it."""
     kind = KINDS[int(genes[0] * len(KINDS))]
     cycles, parts = max(int(seconds / interval), 8), max(4, math.ceil(interval / FINE_S))
@@ -57,7 +57,7 @@ def course(
     angles = moves(ends)
     velocities = (moves(ends + INSTANT_S) - moves(ends - INSTANT_S)) / (2.0 * INSTANT_S)
     told = _read(reading, genes, motor, interval, angles, velocities)
-    return Course(kind, interval, currents, moves(fine).reshape(cycles, parts), *told)
+    return ChallengeCourse(kind, interval, currents, moves(fine).reshape(cycles, parts), *told)
 
 
 def _motion(

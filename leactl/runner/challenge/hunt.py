@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.model.motor import Motor
-from leactl.runner.challenge.courses import GENES, Course, course
+from leactl.runner.challenge.courses import GENES, ChallengeCourse, course
 from leactl.runner.challenge.optimisers import OPTIMISERS
 from leactl.runner.challenge.phases import PARAMETERS, Phases, turned
 from leactl.safety.thermal.box import Box
@@ -131,7 +131,7 @@ def attempted(
     return Attempt(told.kind, genes, over, peak, tripped)
 
 
-def _parts(told: Course) -> Iterator[tuple[int, int]]:
+def _parts(told: ChallengeCourse) -> Iterator[tuple[int, int]]:
     """First and last of the cycles that the plant goes through at once."""
     each = max(1, round(PART_S / told.interval))
     for first in range(0, len(told.currents), each):

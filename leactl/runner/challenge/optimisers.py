@@ -15,7 +15,7 @@ COLD_K = -1e3  # over its bound, of a course that has warmed nothing
 MISSING = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
 
 
-class Tried(Protocol):
+class TriedGenes(Protocol):
     """What became of some genes."""
 
     @property
@@ -26,12 +26,12 @@ class Tried(Protocol):
     def over_k(self) -> float: ...  # noqa: D102 (K over the bound)
 
 
-Proposals = Generator[Array, Tried, None]
+Proposals = Generator[Array, TriedGenes, None]
 
 
 def by_changes(count: int, random: np.random.Generator) -> Proposals:
     """Draw some of so many genes, then change the nearest of each kind of course a little, and draw now and then."""
-    by_kind: dict[str, list[Tried]] = {}
+    by_kind: dict[str, list[TriedGenes]] = {}
     tried = 0
     while True:
         genes = random.random(count)
@@ -64,7 +64,7 @@ def by_cma(count: int, random: np.random.Generator) -> Proposals:
     except ImportError:
         raise InputError(MISSING) from None
     while True:
-        drawn: list[Tried] = []
+        drawn: list[TriedGenes] = []
         for _ in range(FIRST):
             drawn.append((yield random.random(count)))  # noqa: PERF401 (a comprehension cannot yield)
         start = max(drawn, key=lambda one: one.over_k).genes

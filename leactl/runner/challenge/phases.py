@@ -6,7 +6,7 @@ Heat of each cycle stands at the angles that the rotor passes in it, for every c
 import numpy as np
 import numpy.typing as npt
 
-from leactl.runner.challenge.courses import Course
+from leactl.runner.challenge.courses import ChallengeCourse
 from leactl.safety.thermal.box import Box
 
 Array = npt.NDArray[np.float64]
@@ -69,6 +69,6 @@ class Phases:
         self.state = np.concatenate([phases, housing], axis=1)
 
 
-def turned(course: Course, pole_pairs: int) -> npt.NDArray[np.complex128]:
+def turned(course: ChallengeCourse, pole_pairs: int) -> npt.NDArray[np.complex128]:
     """Mean of e^(2j theta) over the angles that are passed in each cycle."""
     return np.asarray(np.exp(2j * pole_pairs * course.passed).mean(axis=1), np.complex128)

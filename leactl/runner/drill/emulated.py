@@ -18,7 +18,7 @@ from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.driver import registry
 from leactl.emulation.bench.emulated_bench import observed
-from leactl.emulation.faults.drilling import Rehearsal, rehearsals
+from leactl.emulation.faults.drilling import FaultRehearsal, rehearsals
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
@@ -27,13 +27,13 @@ from leactl.runner.drill.finding import (
     CAUGHT,
     DeviceEnd,
     Drilled,
-    Finding,
+    DrillFinding,
     PlannedDrill,
     PlannedRehearsal,
     Tell,
     of_the_end,
 )
-from leactl.runner.drill.plant import Plant
+from leactl.runner.drill.plant import DrillPlant
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import Outcome, execute, rehearse
@@ -51,7 +51,7 @@ class _Ended:
     """One run and what its plant shows."""
 
     outcome: Outcome
-    plant: Plant
+    plant: DrillPlant
     ends: Mapping[str, DeviceEnd]
     file_faults: list[str]
 
@@ -128,7 +128,7 @@ class EmulatedDrill:
             check()
         return Drilled(self._file.name, True, findings, self._left_out)
 
-    def _without_fault(self) -> tuple[Finding, float]:
+    def _without_fault(self) -> tuple[DrillFinding, float]:
         """A run in which nothing goes wrong, and the moment of the bench's time at which something may."""
         ended = self._run(NOTHING, [])
         faults = [*of_the_end(ended.outcome, ["complete"], ended.ends), *ended.file_faults]
@@ -140,12 +140,12 @@ class EmulatedDrill:
             moment = round(ended.plant.began + held.start + BEFORE_S + 0.5 * CYCLE_S, 6)
         return self._finding(NOTHING, "", {}, "nothing", None, ended, None, faults), moment
 
-    def _stopped(self, moment: float) -> Finding:
+    def _stopped(self, moment: float) -> DrillFinding:
         ended = self._run(STOP, [], stop_at=moment)
         faults = [*of_the_end(ended.outcome, ["stopped"], ended.ends), *ended.file_faults]
         return self._finding(STOP, "", {}, "the stop request", CYCLE_S, ended, moment, faults)
 
-    def _rehearsed(self, item: Rehearsal, moment: float, number: int) -> Finding:
+    def _rehearsed(self, item: FaultRehearsal, moment: float, number: int) -> DrillFinding:
         ended = self._run(f"{number:02d}-{item.fault}", [dict(item.entry) | {"at_s": moment}])
         drill = item.drill
         faults = of_the_end(ended.outcome, CAUGHT, ended.ends, item.on if drill.stays_on else "")
@@ -173,12 +173,12 @@ class EmulatedDrill:
         moment: float | None,
         faults: list[str],
         notes: list[str] | None = None,
-    ) -> Finding:
+    ) -> DrillFinding:
         outcome, plant = ended.outcome, ended.plant
         noticed = moment is not None and outcome.status != "complete"
         since = moment or 0.0
         zero = plant.without_power
-        return Finding(
+        return DrillFinding(
             name,
             on,
             parameters,
@@ -201,7 +201,7 @@ class EmulatedDrill:
         data = data | {"emulated": {**data["emulated"], "faults": faults}}
         written.write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True), encoding="utf-8")
         request = prepare_by_hand("drill", self._steps, str(written), self._setup, self._directory, realtime=False)
-        plant = Plant()
+        plant = DrillPlant()
 
         def begin(_progress: object) -> nullcontext[None]:
             plant.began = plant.bench.time.now()

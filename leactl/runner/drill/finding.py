@@ -44,7 +44,7 @@ class DeviceEnd:
 
 
 @dataclass(frozen=True)
-class Finding:
+class DrillFinding:
     """One rehearsal."""
 
     name: str  # of the fault, or of what a person does
@@ -73,7 +73,7 @@ class Drilled:
 
     bench: str
     emulated: bool
-    findings: Sequence[Finding]
+    findings: Sequence[DrillFinding]
     left_out: Mapping[str, str] = field(default_factory=dict)  # what was not rehearsed, and why
 
     @property

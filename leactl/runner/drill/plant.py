@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from leactl.emulation.bench.emulated_bench import EmulatedBench
 
 
-class Plant:
+class DrillPlant:
     """The emulated bench of one run: when each cycle began, and since when no drive has had power."""
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ from leactl.runner.drill.finding import (
     CAUGHT,
     DeviceEnd,
     Drilled,
-    Finding,
+    DrillFinding,
     PlannedDrill,
     PlannedRehearsal,
     of_the_end,
@@ -56,7 +56,7 @@ class _Exercise(NamedTuple):
     explained: str
     by_a_person: bool
     steps: Sequence[str]  # of its run
-    rehearse: Callable[[], Finding]
+    rehearse: Callable[[], DrillFinding]
 
 
 class RealDrill:
@@ -104,7 +104,7 @@ class RealDrill:
         ------
         Stopped, SafetyTrip, DeviceError, RecordingFailed : as of any run.
         """
-        findings: list[Finding] = []
+        findings: list[DrillFinding] = []
         left_out = self._left_out()
         for exercise in self._exercises():
             if exercise.name in left_out:
@@ -173,7 +173,7 @@ class RealDrill:
     def _moving(self, hold_s: float) -> list[str]:
         return by_hand.motion_steps(self._setup, self._roles, self._velocity, self._current, hold_s)
 
-    def _stop(self) -> Finding:
+    def _stop(self) -> DrillFinding:
         cycles: list[float] = []
         asked: list[float] = []
 
@@ -188,13 +188,13 @@ class RealDrill:
         took = safe_at - asked[0] if asked else None
         return self._finding(STOP, "", "the stop request", SAFE_STATE_S, outcome, ["stopped"], took)
 
-    def _key(self) -> Finding:
+    def _key(self) -> DrillFinding:
         with keyboard(shown=True) as keys:
             what = f"Press space or q now: {PATIENCE_S:g} s are left."
             outcome, _safe_at = self._run(self._moving(PATIENCE_S), [keys.pressed], what, KEY_PRESSED)
         return self._finding(KEY, "", "the operator's key", None, outcome, ["stopped"], None)
 
-    def _unplugged(self) -> Finding:
+    def _unplugged(self) -> DrillFinding:
         what = f"Unplug {self._sensor} now: {PATIENCE_S:g} s are left."
         outcome, _safe_at = self._run(by_hand.reading_steps(PATIENCE_S), [], what)
         return self._finding(UNPLUGGED, self._sensor, "an interlock or the device itself", None, outcome, CAUGHT, None)
@@ -237,7 +237,7 @@ class RealDrill:
         outcome: Outcome,
         wanted: Sequence[str],
         took: float | None,
-    ) -> Finding:
+    ) -> DrillFinding:
         ends = {device: DeviceEnd(end.safe, end.detail, None) for device, end in outcome.safe.items()}
         if name == UNPLUGGED:  # which cannot confirm anything, and has no power to take away
             ends.pop(on, None)
@@ -247,7 +247,7 @@ class RealDrill:
         faults += [f"run file: {text}" for text in verify(outcome.path)]
         held = latch.tripped(self._bench)
         notes = [f"the bench is latched: leactl bench reset {self._bench}"] if held else []
-        return Finding(
+        return DrillFinding(
             name,
             on,
             {},

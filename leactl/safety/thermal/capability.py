@@ -34,7 +34,7 @@ class Carried:
 
 
 @dataclass(frozen=True)
-class Held:
+class ContinuousLimits:
     """What may be carried for ever in one kind of motion."""
 
     motion: str
@@ -79,7 +79,7 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     return Carried(*(at_limit(box, box.limit(math.inf, ambient), ambient, hottest) for box in _boxes(motor)))
 
 
-def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
+def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[ContinuousLimits]:
     """Continuous current and torque turning slowly, standing, and at these speeds [rad/s]; ambient in degC.
 
     Raises
@@ -89,7 +89,7 @@ def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[He
     kinds = [("slowly", TURNING, 0.0), ("standing", STANDING, 0.0)]
     kinds += [(f"{speed:g} rad/s", TURNING, speed) for speed in speeds]
     currents = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in kinds]
-    return [Held(name, speed, current, torque(motor, current)) for name, speed, current in currents]
+    return [ContinuousLimits(name, speed, current, torque(motor, current)) for name, speed, current in currents]
 
 
 def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak]:

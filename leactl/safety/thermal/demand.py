@@ -34,7 +34,7 @@ CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 
 
 @dataclass(frozen=True)
-class State:
+class PlanState:
     """One action with the modes and setpoints that hold in it."""
 
     name: str
@@ -50,7 +50,7 @@ class State:
         return all(isinstance(profile, Sought) or profile.low == profile.high for profile in self.setpoints.values())
 
     @property
-    def ends(self) -> "list[State]":
+    def ends(self) -> "list[PlanState]":
         """The state with every setpoint that is still to be chosen at either of its ends; itself where none is."""
         sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, Sought)}
         if not sought:
@@ -64,7 +64,7 @@ class State:
         return any(isinstance(profile, Samples) for profile in self.setpoints.values())
 
 
-def states(plan: Plan) -> Iterator[State]:
+def states(plan: Plan) -> Iterator[PlanState]:
     """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
     modes: dict[str, Mode] = {}
     setpoints: dict[str, SetpointProfile] = {}
@@ -81,7 +81,7 @@ def states(plan: Plan) -> Iterator[State]:
         shortest = duration
         if isinstance(action, Segment) and action.until is not None:
             shortest = min(duration, action.settle_s + action.until.window_s)
-        yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v}, shortest)
+        yield PlanState(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v}, shortest)
         if isinstance(action, Segment):
             setpoints |= {
                 role: profile if isinstance(profile, Sought) else Constant(profile.at(action.duration_s))
@@ -96,34 +96,34 @@ def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldTorque:
     """Bounds of the torque with which a drive holds its shaft [N*m], and the setpoint at which it does."""
 
     low: float
     high: float
     told: float
 
-    def strained(self, balance: float, least: float, most: float) -> "Held":
+    def strained(self, balance: float, least: float, most: float) -> "HeldTorque":
         """Of a shaft at rest, where the other drive asks for `balance` and friction carries from `least` to `most`.
 
         A torque stays as it is while friction can carry the difference, and follows at that distance where it cannot.
         """
         low = min(balance + least, max(self.low, balance - most))
         high = max(balance - least, min(self.high, balance + most))
-        return Held(low, high, self.told)
+        return HeldTorque(low, high, self.told)
 
-    def joined(self, other: "Held") -> "Held":
+    def joined(self, other: "HeldTorque") -> "HeldTorque":
         """Bounds that hold whichever of the two has come to be; none, where they hold the shaft elsewhere."""
         if self.told != other.told:
-            return Held(-math.inf, math.inf, self.told)
-        return Held(min(self.low, other.low), max(self.high, other.high), self.told)
+            return HeldTorque(-math.inf, math.inf, self.told)
+        return HeldTorque(min(self.low, other.low), max(self.high, other.high), self.told)
 
 
-def either(held: Mapping[int, Held], other: Mapping[int, Held]) -> dict[int, Held]:
+def either(held: Mapping[int, HeldTorque], other: Mapping[int, HeldTorque]) -> dict[int, HeldTorque]:
     """Bounds by place among the roles, whichever of two courses was taken."""
     both = {place: held[place].joined(other[place]) for place in held.keys() & other.keys()}
     alone = {**other, **held}
-    return {place: both.get(place, Held(-math.inf, math.inf, one.told)) for place, one in alone.items()}
+    return {place: both.get(place, HeldTorque(-math.inf, math.inf, one.told)) for place, one in alone.items()}
 
 
 class Demand:
@@ -131,9 +131,9 @@ class Demand:
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings) -> None:
         self._motors, self._settings, self._roles = dict(motors), settings, tuple(motors)
-        self.held: Mapping[int, Held] = {}  # by place among the roles, as the latest moment left them
+        self.held: Mapping[int, HeldTorque] = {}  # by place among the roles, as the latest moment left them
 
-    def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
+    def heats(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Square currents at these moments, electrical speeds at the least and speeds at the most [rad/s] of all roles.
 
         The next call goes on from the last of these moments.
@@ -141,11 +141,13 @@ class Demand:
         squares, turned, speeds, self.held = self._followed(plan, state, at)
         return squares, turned, speeds
 
-    def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
+    def squares(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """The same for moments that are only looked ahead to."""
         return self._followed(plan, state, at)[:3]
 
-    def _followed(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array, dict[int, Held]]:
+    def _followed(
+        self, plan: Plan, state: PlanState, at: Sequence[float]
+    ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
         """Square currents, both speeds and strains; of each actuator the worst of the ends of what is not chosen yet.
 
         No setpoint between the ends asks for more: a role's own current is largest at one of them, and the bounds of
@@ -159,12 +161,12 @@ class Demand:
         return squares, turned, speeds, helds
 
     def _followed_at(
-        self, plan: Plan, state: State, at: Sequence[float]
-    ) -> tuple[Array, Array, Array, dict[int, Held]]:
+        self, plan: Plan, state: PlanState, at: Sequence[float]
+    ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
-        helds: dict[int, Held] = {}
+        helds: dict[int, HeldTorque] = {}
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [state.setpoints[role].at(t) for t in at]
@@ -185,13 +187,13 @@ class Demand:
     def _held_torques(
         self,
         plan: Plan,
-        state: State,
+        state: PlanState,
         place: int,
         currents: Array,
         at: Sequence[float],
         speeds: Array,
         accelerations: Array,
-    ) -> tuple[Array, Held]:
+    ) -> tuple[Array, HeldTorque]:
         """What a drive that follows a speed or an angle needs at the most: the other's torque, friction and inertia.
 
         Friction helps to hold what drives a shaft onward and adds to what drives it back. One that hardly turns may
@@ -212,22 +214,22 @@ class Demand:
                     driving += motor.torque_constant * currents[k]
         turning = np.sign(velocities) * (np.abs(velocities) >= TURNING_RAD_S)
         resting = velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(told), profile.low == profile.high)
-        held = self.held.get(place, Held(-most, most, 0.0))  # engaged at no current
+        held = self.held.get(place, HeldTorque(-most, most, 0.0))  # engaged at no current
         if mode is Mode.ANGLE and held.told != told[0]:
-            held = Held(-math.inf, math.inf, told[0])
+            held = HeldTorque(-math.inf, math.inf, told[0])
         torques = np.empty(len(told))
         for n, (balance, low) in enumerate(zip((-driving).tolist(), least.tolist(), strict=True)):
             if turning[n]:
                 ends = balance + turning[n] * low, balance + turning[n] * most
-                held = Held(min(ends), max(ends), told[n])
+                held = HeldTorque(min(ends), max(ends), told[n])
             elif resting[n]:
                 held = held.strained(balance, low, most)
             else:
-                held = Held(balance - most, balance + most, told[n])
+                held = HeldTorque(balance - most, balance + most, told[n])
             torques[n] = max(abs(held.low), abs(held.high))
         return torques + inertia, held
 
-    def _speeds(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array]:
+    def _speeds(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array]:
         """Of each role: the speed at the most, and the speed that it keeps at the least."""
         count = len(self._roles)
         if plan.setup in ("locked", "heated"):
@@ -248,7 +250,7 @@ class Demand:
             most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
         return most, least
 
-    def _accelerations(self, plan: Plan, state: State, at: Sequence[float]) -> Array:
+    def _accelerations(self, plan: Plan, state: PlanState, at: Sequence[float]) -> Array:
         """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
         accelerations = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):

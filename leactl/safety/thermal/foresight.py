@@ -16,7 +16,7 @@ from leactl.model.motor import Motor
 from leactl.protocol.plan import EndWhen, Plan, Segment, When
 from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.demand import Demand, Held, State, either, states
+from leactl.safety.thermal.demand import Demand, HeldTorque, PlanState, either, states
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
 from leactl.safety.thermal.turning import LED_LOOSE, detour, fastest
 
@@ -146,7 +146,7 @@ class Foresight:
         slow = self._turning_from * self._interval > 1.0
         return Forecast(peaks, passing, ROUND_HZ * math.ceil(self._turning_from / ROUND_HZ) if slow else None)
 
-    def _pieces(self, plan: Plan, state: State) -> Iterator["_Piece"]:
+    def _pieces(self, plan: Plan, state: PlanState) -> Iterator["_Piece"]:
         """Heat of one action, step by step: no less than the guard will find, which takes steps of its own.
 
         The guard's steps around the ends of an action see its currents change, those in between do not.
@@ -246,14 +246,14 @@ class _Before(NamedTuple):
     """How everything stands before actions that may be left out."""
 
     state: Array
-    held: Mapping[int, Held]
+    held: Mapping[int, HeldTorque]
 
 
 class _Mark(NamedTuple):
     """How everything stands as an action begins."""
 
     state: Array
-    held: Mapping[int, Held]
+    held: Mapping[int, HeldTorque]
     time: float  # s
     peaks: Mapping[str, float]  # degC, until then
     opened: tuple[_Before, ...]  # of each condition that the action is under

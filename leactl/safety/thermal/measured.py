@@ -7,7 +7,7 @@ bound shows that the actuator lies outside its tolerances, or that its air is bl
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
-from leactl.driver.contract import Block, Row, StreamSpec
+from leactl.driver.contract import Row, SampleBlock, StreamSpec
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
@@ -31,7 +31,7 @@ class Leads:
         self._guard.leads[place] = max(told.values())
 
 
-class Measured:
+class MeasuredStreams:
     """Streams that measure windings, housings, and the current through the leads and the voltage at them."""
 
     def __init__(
@@ -54,7 +54,7 @@ class Measured:
         for look in self._looks.get(row.stream, ()):
             look(row)
 
-    def look_through(self, block: Block) -> None:
+    def look_through(self, block: SampleBlock) -> None:
         """Hold many rows against the guard, where their stream measures anything for it."""
         if block.stream in self._looks:
             for row in block.rows():

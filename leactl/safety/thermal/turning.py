@@ -127,7 +127,7 @@ def top(velocities: Sequence[float], most_speed: float) -> float:
     return speed if math.isfinite(speed) else most_speed
 
 
-class Motion(NamedTuple):
+class SensedMotion(NamedTuple):
     """How a rotor's two sensors told of its motion over some cycles, in the mean [rad/s]."""
 
     apart: float  # speed by the velocity and by the angle
@@ -146,7 +146,7 @@ class Rotor:
         self.lost = True  # whether the path by the velocity has a gap in the latest span, or at its beginning
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
-        self.motion: Motion | None = None  # in the latest span, where it was looked at and all of it is known
+        self.motion: SensedMotion | None = None  # in the latest span, where it was looked at and all of it is known
 
     def unlooked_at(self, square: float, velocities: Sequence[float], duration: float) -> Span:
         """A span of so little heat [A^2 s] that it may all be loose, and late: the work is saved."""
@@ -210,9 +210,9 @@ class Rotor:
         return np.asarray(both[1:], np.float64)
 
 
-def _motion(by_angle: Array, by_velocity: Array) -> Motion:
+def _motion(by_angle: Array, by_velocity: Array) -> SensedMotion:
     unsteady = float(np.abs(np.diff(by_angle)).mean()) if len(by_angle) > 1 else math.inf
-    return Motion(float(np.abs(by_velocity - by_angle).mean()), float(np.abs(by_angle).mean()), unsteady)
+    return SensedMotion(float(np.abs(by_velocity - by_angle).mean()), float(np.abs(by_angle).mean()), unsteady)
 
 
 def evenly(middle: Array, passed: Array) -> npt.NDArray[np.complex128]:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from leactl.driver.contract import DriverSettings, Shown
+from leactl.driver.contract import DriverSettings, MeasurableRange
 from leactl.quantities import ROLES, UNITS
 
 CONVERSION, CONFIG = 0x00, 0x01  # registers
@@ -95,12 +95,12 @@ class Ads1115Settings(DriverSettings):
         """The I2C address."""
         return self.address
 
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[MeasurableRange]:
         """Measurable range of each input."""
         ranges = []
         for index, item in enumerate(self.inputs):
             low, high = sorted(item.value_of(volts) for volts in item.window_V)
-            ranges.append(Shown(("inputs", index), item.quantity, low, high))
+            ranges.append(MeasurableRange(("inputs", index), item.quantity, low, high))
         return ranges
 
     @field_validator("inputs")

@@ -9,7 +9,7 @@ STEP_V: Final = 0.1
 RATED: Final = 0.15  # share of its rating by which a model's own limits may differ
 
 
-class Rating(NamedTuple):
+class SupplyRating(NamedTuple):
     """Highest voltage and current of one model, and its step of current."""
 
     voltage: float  # V
@@ -18,14 +18,14 @@ class Rating(NamedTuple):
 
 
 RATINGS: Final = {
-    "1685B": Rating(60.0, 5.0, 0.01),
-    "1687B": Rating(36.0, 10.0, 0.1),
-    "1688B": Rating(18.0, 20.0, 0.1),
+    "1685B": SupplyRating(60.0, 5.0, 0.01),
+    "1687B": SupplyRating(36.0, 10.0, 0.1),
+    "1688B": SupplyRating(18.0, 20.0, 0.1),
 }
 HIGHEST: Final = max(one.voltage for one in RATINGS.values()), max(one.current for one in RATINGS.values())
 
 
-def is_near(most: LevelCounts, rating: Rating) -> bool:
+def is_near(most: LevelCounts, rating: SupplyRating) -> bool:
     """Whether a supply that tells these limits can be of the model with this rating."""
     volts, amperes = most.volts * STEP_V, most.amperes * rating.step_A
     return abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from leactl.driver.contract import DriverSettings
-from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, Rating
+from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, SupplyRating
 
 Least = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
@@ -34,6 +34,6 @@ class Bk1688bSettings(DriverSettings):
         return self
 
     @property
-    def rating(self) -> Rating:
+    def rating(self) -> SupplyRating:
         """Rating of the model."""
         return RATINGS[self.model]

@@ -9,7 +9,7 @@ from leactl_plugins.elmo.fault_names import motor_fault
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_serial.interpreter import SPOILS, Interpreter
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
-from leactl_plugins.elmo_serial.status import Status
+from leactl_plugins.elmo_serial.status import StatusRegister
 
 COUNTS_OF_32_BITS = (-0x80000000, 0x80000000)
 READINGS = ("IQ", "VX", "PX", "SR")
@@ -63,7 +63,7 @@ class SerialCommissioning:
         version = replies.text("VR") if "VR" in replies else ""
         return identity_of(version, replies.text("SN[4]") if "SN[4]" in replies else "")
 
-    def check_status(self) -> Status:
+    def check_status(self) -> StatusRegister:
         """Check that the drive is off, has no fault, and runs its program.
 
         Raises
@@ -72,7 +72,7 @@ class SerialCommissioning:
         DeviceError : it is still on, or runs no program that would stop it without the host.
         """
         replies = self._interpreter.ask("SR", "MF", within_s=self._answer_s)
-        status, bits = Status(replies.whole("SR")), replies.whole("MF")
+        status, bits = StatusRegister(replies.whole("SR")), replies.whole("MF")
         if status.motor_on:
             raise DeviceError(f"{self._name}: is not off after MO=0: {status}")
         if status.faulty and not self._settings.reset_fault_at_start:

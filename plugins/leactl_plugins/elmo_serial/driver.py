@@ -33,7 +33,7 @@ from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Inter
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.probe import ElmoSerialProbe
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
-from leactl_plugins.elmo_serial.status import Status, left_operation
+from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 
 CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
 FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
@@ -93,7 +93,7 @@ class ElmoSerial(EngagingDrive):
         self._position = CountedPosition(*COUNTS_OF_32_BITS)
         self._exchange_s, self._patience_s = math.inf, settings.answer_timeout_s
         self._record = _Record()
-        self._status = Status(0)
+        self._status = StatusRegister(0)
         self._forgiven = False  # the latched fault that it was met with, until it is switched on
         self._safe = False  # it has confirmed so, and nothing was asked of it since
         self._supervised = False  # since the last exchange, so that the next one may be a sign of life
@@ -122,7 +122,7 @@ class ElmoSerial(EngagingDrive):
                     reason = str(error)
                 self._start_afresh(until)
                 continue
-            status = Status(replies.whole("SR"))
+            status = StatusRegister(replies.whole("SR"))
             if not status.motor_on and replies.whole("MO") == 0:
                 self._status, self._safe = status, True
                 break
@@ -421,7 +421,7 @@ class ElmoSerial(EngagingDrive):
 
     def _take_in(self, replies: Replies, now: float) -> None:
         """Evaluate a complete exchange; its readings go into the row if it belongs to this cycle."""
-        status = Status(replies.whole("SR"))
+        status = StatusRegister(replies.whole("SR"))
         self._heard = now
         try:
             replies.check()
@@ -471,7 +471,7 @@ class ElmoSerial(EngagingDrive):
         if word != DEMANDS[CURRENT]:
             self._moving = int(sent)
 
-    def _see(self, status: Status, now: float) -> None:
+    def _see(self, status: StatusRegister, now: float) -> None:
         """Evaluate the status of the drive."""
         record, before = self._record, self.engaged
         self._status = status
@@ -497,7 +497,7 @@ class ElmoSerial(EngagingDrive):
         elif self._was_on:
             self._asks_why = True
 
-    def _try_dead_man(self, status: Status) -> None:
+    def _try_dead_man(self, status: StatusRegister) -> None:
         """Test the drive's program before any demand: it has to switch the drive off while the host is silent.
 
         Raises

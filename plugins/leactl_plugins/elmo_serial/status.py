@@ -10,7 +10,7 @@ MOTION_SHIFT, MOTION_BITS = 14, 0x3
 UNIT_MODES = {1: "torque", 2: "speed", 3: "stepper", 4: "dual loop", 5: "position"}
 
 
-class Status(NamedTuple):
+class StatusRegister(NamedTuple):
     """Value of the status register SR."""
 
     register: int
@@ -46,7 +46,7 @@ class Status(NamedTuple):
         return f"motor {'on' if self.motor_on else 'off'}, {mode}, {program}, SR 0x{self.register:X}"
 
 
-def left_operation(status: Status, bits: int) -> str:
+def left_operation(status: StatusRegister, bits: int) -> str:
     """Reason why a drive is out of operation, by SR and MF."""
     if status.faulty or bits:
         return motor_fault(bits)

@@ -8,7 +8,7 @@ from leactl.driver.conversation import Unreadable
 ON, CONSTANT_VOLTAGE = 0x40, 0x01
 
 
-class Status(NamedTuple):
+class SupplyStatus(NamedTuple):
     """The bits on which all firmwares agree."""
 
     on: bool
@@ -59,7 +59,7 @@ def set_thousandths(answer: bytes) -> int:
     return thousandths(answer[:5] if len(answer) == 6 else answer)
 
 
-def status(answer: bytes) -> Status:
+def status(answer: bytes) -> SupplyStatus:
     """Parse the one byte of the state.
 
     Raises
@@ -68,7 +68,7 @@ def status(answer: bytes) -> Status:
     """
     if len(answer) != 1:
         raise Unreadable(f"{_shown(answer)} where one byte was expected")
-    return Status(bool(answer[0] & ON), not answer[0] & CONSTANT_VOLTAGE)
+    return SupplyStatus(bool(answer[0] & ON), not answer[0] & CONSTANT_VOLTAGE)
 
 
 def identity(answer: bytes) -> KoradIdentity:

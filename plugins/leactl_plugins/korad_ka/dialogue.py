@@ -13,7 +13,7 @@ from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.korad_ka import answers
-from leactl_plugins.korad_ka.answers import KoradIdentity, Status
+from leactl_plugins.korad_ka.answers import KoradIdentity, SupplyStatus
 from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, model_of
 from leactl_plugins.korad_ka.settings import KoradKaSettings
 
@@ -45,10 +45,10 @@ class Levels(NamedTuple):
         return f"{self.volts * STEP_V:.2f} V and {self.amperes * STEP_A:.3f} A"
 
 
-class Output(NamedTuple):
+class OutputState(NamedTuple):
     """State of the output and measured values."""
 
-    status: Status
+    status: SupplyStatus
     voltage: float  # V
     current: float  # A
     time: float  # s, middle of the queries for voltage and current
@@ -198,14 +198,14 @@ class KoradDialogue:
         fault = self._panel or (self._astray(output) if on else "")
         return SupplyReading(output.time, output.voltage, output.current, on, mode, fault)
 
-    def _astray(self, output: Output) -> str:
+    def _astray(self, output: OutputState) -> str:
         levels = self._held.volts * STEP_V, self._held.amperes * STEP_A
         measured = output.voltage, output.current
         if not self._regulation.is_lost(measured, levels, output.status.limited, output.seen):
             return ""
         return f"out of regulation, {output.voltage:.2f} V and {output.current:.3f} A; {self._held} are set"
 
-    def _is_on(self, output: Output) -> bool:
+    def _is_on(self, output: OutputState) -> bool:
         off_v, off_a = self._settings.off_voltage_V, self._settings.off_current_A
         return output.status.on or output.voltage > off_v or output.current > off_a
 
@@ -214,14 +214,14 @@ class KoradDialogue:
         amperes: int = yield from ask(SET_AMPERES)
         return Levels(volts, amperes)
 
-    def _output(self) -> Script[Output]:
-        state: Status = yield from ask(STATUS)
+    def _output(self) -> Script[OutputState]:
+        state: SupplyStatus = yield from ask(STATUS)
         volts = yield VOLTS
         amperes = yield AMPERES
         assert volts is not None
         assert amperes is not None
         middle = (volts.asked + amperes.seen) / 2
-        return Output(state, volts.value * STEP_V, amperes.value * STEP_A, middle, amperes.seen)
+        return OutputState(state, volts.value * STEP_V, amperes.value * STEP_A, middle, amperes.seen)
 
 
 def identity_of(met: KoradIdentity) -> Identity:

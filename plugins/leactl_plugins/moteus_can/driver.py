@@ -18,7 +18,7 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.moteus_can import configuration as conf
 from leactl_plugins.moteus_can.configuration import Configuration
-from leactl_plugins.moteus_can.exchange import Exchange, query
+from leactl_plugins.moteus_can.exchange import ControllerExchange, query
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, parse, write
 from leactl_plugins.moteus_can.probe import WHO, MoteusProbe, identity_of
 from leactl_plugins.moteus_can.registers import (
@@ -89,7 +89,7 @@ class MoteusCan(Driver):
         self._identity = Identity()
         self._timeout_mode_as_met: float | None = None  # given back at the end
         self._safe = False  # it has confirmed so, and nothing was asked of it since
-        self._exchange = Exchange(port, self._to)
+        self._exchange = ControllerExchange(port, self._to)
         self._answer: dict[int, float] = {}  # the last one
         self._heard_until = -math.inf
         self.reported_mode: int | None = None  # since the mode to follow changed last; None until it reports one

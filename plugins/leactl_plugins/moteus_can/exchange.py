@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from leactl.driver.answers import Irregular
 from leactl.driver.can_port import CanPort
-from leactl_plugins.moteus_can.multiplex import Reply, Resolution, padded, read, write
+from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, padded, read, write
 from leactl_plugins.moteus_can.registers import MODES, Register
 
 NUMBER = Register.PWM_PHASE_A
@@ -33,7 +33,7 @@ def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
     return RegisterQuery(asked, frozenset((NUMBER, *registers)))
 
 
-class Exchange:
+class ControllerExchange:
     """The questions to one controller, and its answers."""
 
     def __init__(self, port: CanPort, identifier: int) -> None:
@@ -75,7 +75,7 @@ class Exchange:
         self.irregular.lost += 1
         self._unanswered[self._number] = True
 
-    def takes(self, reply: Reply, data: bytes) -> bool:
+    def takes(self, reply: ControllerReply, data: bytes) -> bool:
         """Whether a reply is the answer to the last question; it is counted where it is not."""
         number = reply.values.get(NUMBER, math.nan)
         if self.came[0] or number != self._number:
@@ -119,7 +119,7 @@ class Exchange:
             if number == self._answered and data != self._answered_by:
                 self.second_controller = True
 
-    def _fault_of(self, reply: Reply) -> str:
+    def _fault_of(self, reply: ControllerReply) -> str:
         """Why a reply cannot be the answer although it has the number; empty where it can."""
         values = reply.values
         if reply.errors:

@@ -34,7 +34,7 @@ LAYOUTS = tuple(struct.Struct(form) for form in ("<b", "<h", "<i", "<f"))  # by 
 NAN_CODES = (-128, -32768, -2147483648)  # of a physical value, by resolution
 
 
-class Reply(NamedTuple):
+class ControllerReply(NamedTuple):
     """What one frame of a controller says."""
 
     values: dict[int, float]  # by register, in the maker's units; NaN where the controller says that it has none
@@ -119,7 +119,7 @@ def _packed(register: int, value: float, resolution: Resolution) -> bytes:
     return LAYOUTS[resolution].pack(round(counts))
 
 
-def parse(data: bytes) -> Reply:
+def parse(data: bytes) -> ControllerReply:
     """Take a controller's frame apart.
 
     Raises
@@ -151,7 +151,7 @@ def parse(data: bytes) -> Reply:
         offset = end + 1
     if offset > end:
         raise ValueError(f"ends within a subframe, at byte {end}")
-    return Reply(values, errors, text)
+    return ControllerReply(values, errors, text)
 
 
 def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) -> int:

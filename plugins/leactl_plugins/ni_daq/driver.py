@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Block, Confirmation, Driver, Identity, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Identity, SampleBlock, StreamSpec
 from leactl.driver.far_end import BuslessEmulator, Physics
 from leactl.errors import DeviceError, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -134,7 +134,7 @@ class NiDaq(Driver):
         )
         return (StreamSpec(self.name, channels, settings.rate_Hz, ends=settings.samples is not None),)
 
-    def take(self) -> Sequence[Block]:
+    def take(self) -> Sequence[SampleBlock]:
         """Samples of the last 20 ms; the first call starts the sample clock; never waits.
 
         Raises
@@ -144,7 +144,7 @@ class NiDaq(Driver):
         task, now = self._task, self._clock.now()
         if task is None or self._ended or now < self._due:
             return ()
-        blocks: list[Block] = []
+        blocks: list[SampleBlock] = []
         try:
             if not self._running:
                 self._begin(task)
@@ -175,7 +175,7 @@ class NiDaq(Driver):
         self._heard = self._clock.now()
         self._due = self._heard + READ_EVERY_S
 
-    def _stamped(self, task: Acquisition) -> list[Block]:
+    def _stamped(self, task: Acquisition) -> list[SampleBlock]:
         import numpy as np
 
         volts = task.read()
@@ -219,11 +219,11 @@ class NiDaq(Driver):
             values[:, index] = item.sign * item.scale_per_V * volts[index]
         return values
 
-    def _block(self, times: "NDArray[np.float64]", values: "NDArray[np.float64]") -> Block:
+    def _block(self, times: "NDArray[np.float64]", values: "NDArray[np.float64]") -> SampleBlock:
         self._last = float(times[-1])
-        return Block(self.name, times, values)
+        return SampleBlock(self.name, times, values)
 
-    def _resume(self, error: DaqmxError) -> list[Block]:
+    def _resume(self, error: DaqmxError) -> list[SampleBlock]:
         """Restart after an overrun; each lost sample becomes a NaN."""
         import numpy as np
 

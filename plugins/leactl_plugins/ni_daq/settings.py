@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from leactl.driver.contract import DriverSettings, Shown
+from leactl.driver.contract import DriverSettings, MeasurableRange
 from leactl.driver.far_end import PAIRS
 
 MOST_SAMPLES = 200_000_000  # of a finite acquisition, which its buffer holds
@@ -48,11 +48,11 @@ class NiDaqSettings(DriverSettings):
         """Samples of each input in a finite acquisition; None if it has no end."""
         return None if self.duration_s is None else max(1, round(self.duration_s * self.rate_Hz))
 
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[MeasurableRange]:
         """Measurable range of each input."""
         places = enumerate(self.inputs)
         ends = [(index, item, item.range_V * item.scale_per_V) for index, item in places]
-        return [Shown(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
+        return [MeasurableRange(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
 
     @field_validator("inputs")
     @classmethod

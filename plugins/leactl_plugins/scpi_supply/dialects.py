@@ -42,7 +42,7 @@ class Protection(NamedTuple):
     tripped: str
 
 
-class Demand(NamedTuple):
+class RequiredAnswer(NamedTuple):
     """What the instrument must answer before the output is used, so that it and others do not act on each other."""
 
     question: Query
@@ -66,7 +66,7 @@ class ScpiDialect(NamedTuple):
     reading: re.Pattern[str]  # what is answered to a measurement, to the last digit
     remote: str = "SYST:REM"  # empty: there is no such command
     local: str = "SYST:LOC"
-    demands: tuple[Demand, ...] = ()
+    demands: tuple[RequiredAnswer, ...] = ()
     select: Level | None = None  # this output is the one that a command acts on whose end, and channel list, is lost
     set_range: str = ""  # empty: the family has no ranges that can be set
     decimals: int = 4  # of a level
@@ -114,17 +114,17 @@ def _e36300(model: str, output: int) -> ScpiDialect:
     at = f"(@{output})"
     together = "its outputs are switched or set together: " + INDEPENDENT
     demands = [
-        Demand(
+        RequiredAnswer(
             Query(f"CURR:PROT:STAT? {at}", answers.word),
             ("0",),
             f"{OVER_CURRENT} is on, and would trip as soon as the output regulates its current: switch it off at the"
             " instrument",
         ),
-        Demand(Query("OUTP:COUP:CHAN?", answers.word), ("NONE",), together),
-        Demand(Query("OUTP:TRAC?", answers.word), ("0",), together),
+        RequiredAnswer(Query("OUTP:COUP:CHAN?", answers.word), ("NONE",), together),
+        RequiredAnswer(Query("OUTP:TRAC?", answers.word), ("0",), together),
     ]
     if model != "E36311A":  # whose outputs cannot be paired
-        demands.append(Demand(Query("OUTP:PAIR?", answers.word), ("OFF",), together))
+        demands.append(RequiredAnswer(Query("OUTP:PAIR?", answers.word), ("OFF",), together))
     return ScpiDialect(
         Level(f"VOLT {{}},{at}", f"VOLT? {at}"),
         Level(f"CURR {{}},{at}", f"CURR? {at}"),
@@ -157,19 +157,19 @@ def _dp800(model: str, output: int) -> ScpiDialect:
         )
         for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
     )
-    demands: tuple[Demand, ...] = ()
+    demands: tuple[RequiredAnswer, ...] = ()
     if output:
         pair = TRACKING.get(model, ())
         demands = (
             *(
-                Demand(
+                RequiredAnswer(
                     Query(f"OUTP:TRAC? CH{number}", answers.word),
                     ("OFF", "NONE"),
                     f"the voltages of outputs {pair[0]} and {pair[1]} follow each other: {INDEPENDENT}",
                 )
                 for number in (pair if output in pair else ())
             ),
-            Demand(
+            RequiredAnswer(
                 Query("SYST:ONOFFSYNC?", answers.word),
                 ("OFF",),
                 "its outputs are switched together: " + INDEPENDENT,
@@ -214,7 +214,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
         remote="",
         local="",
         demands=(
-            Demand(
+            RequiredAnswer(
                 Query(status, answers.status_outputs),
                 ("independent",),
                 "its outputs are in series or in parallel: " + INDEPENDENT,

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
 from leactl.driver.batch import RecordSettings
-from leactl.driver.contract import Shown
+from leactl.driver.contract import MeasurableRange
 from leactl.tables.number_format import DetectedFormat
 from leactl.units import known_units
 
@@ -95,10 +95,10 @@ class ThermalCsvSettings(DetectedFormat, RecordSettings):
             raise ValueError("skip_lines, index_column and frame_size are of frames; the regions are columns")
         return self
 
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[MeasurableRange]:
         """Every region with an infinite range, because a record that comes after the run cannot trip a limit."""
         return [
-            Shown(("regions", name, "quantity"), region.quantity, -math.inf, math.inf)
+            MeasurableRange(("regions", name, "quantity"), region.quantity, -math.inf, math.inf)
             for name, region in self.regions.items()
         ]
 

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import pytest
 
 from leactl.runner.campaign.campaignfile import load
-from leactl.runner.campaign.conduct import Manner, conduct
+from leactl.runner.campaign.conduct import CampaignOptions, conduct
 from leactl.runner.campaign.entries import Conditions, entries_of
 from leactl.runner.operators import granted
 from leactl.runner.session import execute
@@ -61,7 +61,9 @@ class Bench:
             last = stop_at is not None and len(self.begun) == stop_at
             return execute(request, granted, lambda _progress: nullcontext(), [lambda: "enough" if last else ""])
 
-        return conduct(campaign, entries, self.folder, Manner(perform, self.told.append, attended=False, **manner))
+        return conduct(
+            campaign, entries, self.folder, CampaignOptions(perform, self.told.append, attended=False, **manner)
+        )
 
     def file_of(self, key):
         """The file of a finished run, by the journal."""

@@ -3,7 +3,15 @@
 import numpy as np
 from scipy.linalg import expm
 
-from leactl.emulation.plant.exact.regime import STATES, Array, Plant, Regime, electric, equations, net_torque_row
+from leactl.emulation.plant.exact.regime import (
+    STATES,
+    Array,
+    Regime,
+    RigParameters,
+    electric,
+    equations,
+    net_torque_row,
+)
 
 TICK = 0.02 / 640  # s
 FINE_LEVEL = 3  # up to 0.25 ms margins are looked at every tick, above it every 0.25 ms: 11 times a shaft period
@@ -13,7 +21,7 @@ TOP_LEVEL = 10  # 32 ms
 class Propagator:
     """The matrices of one regime, made when first asked for."""
 
-    def __init__(self, plant: Plant, regime: Regime) -> None:
+    def __init__(self, plant: RigParameters, regime: Regime) -> None:
         self._generator, self.margins, self.switches = equations(plant, regime)
         self._electric = tuple(electric(plant, regime, k) for k in (0, 1))
         self._plant, self._regime = plant, regime

@@ -59,7 +59,7 @@ class Electric(NamedTuple):
     voltage: Array
 
 
-class Plant(NamedTuple):
+class RigParameters(NamedTuple):
     """The parameters of both actuators and the bench, with what the current sensors make of their currents."""
 
     actuators: tuple[ActuatorParameters, ActuatorParameters]
@@ -79,7 +79,7 @@ def _unit(index: int, value: float = 1.0) -> Array:
     return row
 
 
-def equations(plant: Plant, regime: Regime) -> tuple[Array, Array, list[Switch]]:
+def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[Switch]]:
     """Generator of the augmented state, margin rows, and the switch that each margin guards."""
     generator = np.zeros((SIZE, SIZE))
     margins: list[tuple[Array, Switch]] = []
@@ -117,14 +117,14 @@ def equations(plant: Plant, regime: Regime) -> tuple[Array, Array, list[Switch]]
     return generator, rows, [switch for _, switch in margins]
 
 
-def shaft_damping(plant: Plant) -> float:
+def shaft_damping(plant: RigParameters) -> float:
     """Damping of the shaft [N*m*s/rad] from its share of critical."""
     first, second = (actuator.rotor_inertia for actuator in plant.actuators)
     reduced = first * second / (first + second)
     return 2.0 * plant.bench.shaft_damping_ratio * math.sqrt(plant.bench.shaft_stiffness * reduced)
 
 
-def net_torque_row(plant: Plant, regime: Regime, k: int) -> Array:
+def net_torque_row(plant: RigParameters, regime: Regime, k: int) -> Array:
     """Row of the torque on a rotor at standstill, friction apart."""
     own = list(regime.actuators)
     own[k] = own[k]._replace(slip=0)
@@ -133,7 +133,7 @@ def net_torque_row(plant: Plant, regime: Regime, k: int) -> Array:
     return np.asarray(_unit(ONE, plant.actuators[k].coulomb_friction) - upper)
 
 
-def electric(plant: Plant, regime: Regime, k: int) -> Electric:
+def electric(plant: RigParameters, regime: Regime, k: int) -> Electric:
     """What the drive of one actuator computes in this regime: each row takes the limits above it as they bind."""
     x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
     setpoint = _unit(STATES + k * INPUTS + SETPOINT)
@@ -155,7 +155,7 @@ def electric(plant: Plant, regime: Regime, k: int) -> Electric:
     return Electric(speed, current, drop + emf + inductance_rate * (limited_current - sensed))
 
 
-def _drive(plant: Plant, regime: Regime, k: int, generator: Array) -> list[tuple[Array, Switch]]:
+def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> list[tuple[Array, Switch]]:
     """Write the rows of current and servo integral, and give the margins of the drive's limits."""
     x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
     if own.mode == "off":

@@ -30,15 +30,15 @@ from leactl.emulation.plant.exact.regime import (
     VELOCITY,
     ActuatorRegime,
     Array,
-    Plant,
     Regime,
+    RigParameters,
     Switch,
     electric,
 )
 from leactl.emulation.plant.exact.rig_phases import HottestPhase, RigPhases, refuse_idle_settings
 from leactl.emulation.plant.noise import Noise
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.plant.thermal import ThermalNetwork
+from leactl.emulation.plant.thermal import ExactThermalNetwork
 from leactl.errors import InputError
 
 MODES = ("off", "current", "velocity", "angle")
@@ -58,7 +58,7 @@ class Actuator:
 
     def __init__(self, rig: "Rig", place: int, parameters: ActuatorParameters, ambient: float) -> None:
         self.parameters = parameters
-        self.thermal = ThermalNetwork(parameters.thermal, ambient)
+        self.thermal = ExactThermalNetwork(parameters.thermal, ambient)
         self.mode = "off"
         self.setpoint = 0.0
         self._rig, self._place, self._first = rig, place, place * PER_ACTUATOR
@@ -149,7 +149,7 @@ class Rig:
         refuse_idle_settings(self.bench, first, second)
         offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
         gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
-        self._plant = Plant((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
+        self._plant = RigParameters((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
         self._torques = [
             [effect for effect in self.effects if effect.adds_torque and effect.role == role] for role in ROLES
         ]

@@ -12,7 +12,7 @@ import numpy as np
 from leactl.emulation.plant.exact.regime import ANGLE, CURRENT, PER_ACTUATOR, Array
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters, PhaseParameters
 from leactl.emulation.plant.phases import PhaseNetwork, lead_squares, turning_squares
-from leactl.emulation.plant.thermal import ThermalNetwork
+from leactl.emulation.plant.thermal import ExactThermalNetwork
 from leactl.errors import InputError
 
 HELD_S = 0.01  # heat is gathered this long while nobody asks: 45 A at rest warm a phase by 0.5 K
@@ -34,17 +34,17 @@ class HottestPhase(NamedTuple):
     highest: float  # degC, since the rig was made
 
 
-class Heated(Protocol):
+class HeatedActuator(Protocol):
     """An actuator, by what its phases act on."""
 
     parameters: ActuatorParameters
-    thermal: ThermalNetwork
+    thermal: ExactThermalNetwork
 
 
 class RigPhases:
     """Test and load actuator as two lanes of one network, which their two nodes show the means of."""
 
-    def __init__(self, pair: Sequence[Heated], ambient: float) -> None:
+    def __init__(self, pair: Sequence[HeatedActuator], ambient: float) -> None:
         actuators = [actuator.parameters for actuator in pair]
         self.network = PhaseNetwork(actuators, [ambient] * len(pair))
         self._shown = [actuator.thermal for actuator in pair]

@@ -12,7 +12,7 @@ SAMPLE = 1.0  # s
 SUBSTEPS = 5  # of 0.2 s: Heun's error is then below 2e-4 of the winding's 6 s
 
 
-class Heated(NamedTuple):
+class HeatedRun(NamedTuple):
     """One heated run, a row a second."""
 
     current: Array  # A, through two leads
@@ -21,14 +21,14 @@ class Heated(NamedTuple):
     housing: Array
 
 
-def heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[Heated]:
+def heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[HeatedRun]:
     """Run every lane to the end of its currents."""
     order = in_groups(lanes)
     by_lane = dict(zip(order, _heat([lanes[k] for k in order], [currents[k] for k in order]), strict=True))
     return [by_lane[k] for k in range(len(lanes))]
 
 
-def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[Heated]:
+def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[HeatedRun]:
     bound = bind(lanes)
     thermal = ThermalLanes(lanes, bound)
     cold = column(lanes, lambda lane: lane.test.phase_resistance)
@@ -57,6 +57,6 @@ def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[Heated]:
             # two phases in series take the current
             thermal.step(now, step, 2.0 * resistance(now) * current**2, still, still)
     return [
-        Heated(own, voltage[: len(own), k], seen[: len(own), 0, k], seen[: len(own), 1, k])
+        HeatedRun(own, voltage[: len(own), k], seen[: len(own), 0, k], seen[: len(own), 1, k])
         for k, own in enumerate(currents)
     ]

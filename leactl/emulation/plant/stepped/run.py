@@ -17,7 +17,7 @@ COMMAND_STEP = 0.002  # A, resolution of the drives' current command
 
 
 @dataclass(frozen=True)
-class Program:
+class DriveReferences:
     """What the drives of one run are asked for, a row a millisecond."""
 
     current: Array  # A, of the test drive where it does not hold a velocity
@@ -31,7 +31,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Signals:
+class DriveSignals:
     """What the drives had in one run, noise of the velocity apart free of noise; a row a millisecond."""
 
     reference: Single
@@ -61,7 +61,7 @@ class _Block(NamedTuple):
     load_velocity: Array
 
 
-def simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signals]:
+def simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
     """Run every lane to the end of its program."""
     order = in_groups(lanes)
     signals = _simulate([lanes[k] for k in order], [programs[k] for k in order])
@@ -69,7 +69,7 @@ def simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signals
     return [by_lane[k] for k in range(len(lanes))]
 
 
-def _simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signals]:
+def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
     plant = SteppedPlant(lanes)
     servo = _Servo(lanes, programs)
     lengths = [len(program.current) for program in programs]
@@ -94,13 +94,13 @@ def _simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signal
     for k, length in enumerate(lengths):
         ticks = -(-length // CAMERA_TICKS)
         kept[k]["winding"], kept[k]["housing"] = camera[:ticks, 0, k].copy(), camera[:ticks, 1, k].copy()
-    return [Signals(**own) for own in kept]
+    return [DriveSignals(**own) for own in kept]
 
 
 class _Servo:
     """Velocity servos of the lanes that have one; the others pass their current reference on."""
 
-    def __init__(self, lanes: Sequence[Lane], programs: Sequence[Program]) -> None:
+    def __init__(self, lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> None:
         self._held = np.array([[program.servo == role for program in programs] for role in ("test", "load")])
         self._passes = ~self._held[0]
         per_acceleration = np.array(
@@ -131,7 +131,7 @@ class _Servo:
         return command
 
 
-def _part(programs: Sequence[Program], start: int) -> Array:
+def _part(programs: Sequence[DriveReferences], start: int) -> Array:
     """Current and velocity references of one block; programs that have ended ask for nothing."""
     wanted = np.zeros((2, BLOCK, len(programs)))
     for k, program in enumerate(programs):

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leactl.emulation.plant.stepped.heating import Heated
+from leactl.emulation.plant.stepped.heating import HeatedRun
 from leactl.emulation.plant.stepped.lanes import Array, Lane
-from leactl.emulation.plant.stepped.run import CAMERA_TICKS, Signals
+from leactl.emulation.plant.stepped.run import CAMERA_TICKS, DriveSignals
 
 ENCODER_COUNTS = 40000  # a turn
 RESOLUTION = {
@@ -43,7 +43,7 @@ class Sensors:
         self._lane, self._spread = lane, spread
         self._generator = np.random.default_rng([seed, 2])
 
-    def loop(self, signals: Signals) -> dict[str, Array]:
+    def loop(self, signals: DriveSignals) -> dict[str, Array]:
         """Channels of the drives' stream at 1 kHz, by name."""
         setup = self._lane.setup
         time = np.arange(1, len(signals.angle) + 1, dtype=np.float64) * 1e-3
@@ -70,12 +70,12 @@ class Sensors:
             channels["load_velocity"] = self._exact("velocity", signals.load_velocity)
         return channels
 
-    def camera(self, signals: Signals) -> dict[str, Array]:
+    def camera(self, signals: DriveSignals) -> dict[str, Array]:
         """Channels of the camera at 10 Hz beside the drives."""
         time = np.arange(len(signals.winding), dtype=np.float64) * 1e-3 * CAMERA_TICKS + 1e-3
         return {"time": time, **self._temperatures(signals.winding, signals.housing)}
 
-    def heated(self, run: Heated) -> tuple[dict[str, Array], dict[str, Array]]:
+    def heated(self, run: HeatedRun) -> tuple[dict[str, Array], dict[str, Array]]:
         """Channels of camera and supply in a heated run, a row a second."""
         time = np.arange(len(run.current), dtype=np.float64)
         supply = {
