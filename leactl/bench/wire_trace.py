@@ -4,8 +4,10 @@ A trace is text. Each line has the time of the bench's clock [s], the bus or dev
 the call (docs/reference/wire-traces.md). The last line of a run that died may be incomplete and is not read.
 """
 
+import copy
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -83,40 +85,49 @@ class WireTrace:
             refuse_existing(taken)
         try:
             self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
-            if logged:
-                import can
-
-                self._can_log = self._files.enter_context(can.Logger(path))
         except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        if logged:
+            import can
+
+            try:
+                self._can_log = self._files.enter_context(can.Logger(path))
+            except OSError as error:
+                self._files.close()
+                self.path.unlink()  # else it would stand in the way of the next attempt
+                raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._text.write(f"{HEAD}\n")
 
     def __enter__(self) -> "WireTrace":
         return self
 
     def __exit__(self, *_exception: object) -> None:
-        with self._never_in_the_way():
+        with self._errors_to_fault():
             self._files.close()
 
     def write(self, owner: str, kind: str, text: str) -> None:
         """Add a line."""
         if self.fault:
             return
-        with self._never_in_the_way():
+        with self._errors_to_fault():
             now = self.now()
             self._text.write(f"{now!r} {owner} {kind} {text}\n")  # to the last bit: drivers compare times
             if now - self._flushed >= FLUSH_S:
                 self._flushed = now
                 self._text.flush()
 
+    def failed(self, owner: str, error: Exception, transfer: str = "") -> None:
+        """Add the line of a transfer that failed; a line break within the error's text becomes `\\n`."""
+        self.write(owner, FAILED, transfer + str(error).replace("\\", "\\\\").replace("\n", "\\n"))
+
     def frame(self, owner: str, kind: str, message: "can.Message") -> None:
         """Add a CAN frame."""
         if not self.fault:
-            with self._never_in_the_way():
+            with self._errors_to_fault():
                 self._add_frame(owner, kind, message)
 
     @contextmanager
-    def _never_in_the_way(self) -> Iterator[None]:
+    def _errors_to_fault(self) -> Iterator[None]:
         """Store an error of the trace, such as a full disk, in `fault`; it must not delay the stop of a drive."""
         try:
             yield
@@ -128,22 +139,9 @@ class WireTrace:
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
-        import can
-
-        self._can_log(
-            can.Message(
-                timestamp=self.now(),
-                arbitration_id=message.arbitration_id,
-                is_extended_id=message.is_extended_id,
-                is_error_frame=message.is_error_frame,
-                is_remote_frame=message.is_remote_frame,
-                is_fd=message.is_fd,
-                bitrate_switch=message.bitrate_switch,
-                data=message.data,
-                channel=owner,
-                is_rx=kind == HEARD,
-            )
-        )
+        logged = copy.copy(message)
+        logged.timestamp, logged.channel, logged.is_rx = self.now(), owner, kind == HEARD
+        self._can_log(logged)
 
     def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wrap a function: it adds a line when it is called and when it ends, unless another traced call made it."""
@@ -151,7 +149,7 @@ class WireTrace:
         def call(*arguments: Any) -> Any:
             if self._depth.get(owner, 0):
                 return function(*arguments)
-            with self._never_in_the_way():
+            with self._errors_to_fault():
                 self.write(owner, CALLED, f"{name} {json.dumps(arguments)}")
             self._depth[owner] = 1
             try:
@@ -161,7 +159,7 @@ class WireTrace:
                 raise
             finally:
                 self._depth[owner] = 0
-            with self._never_in_the_way():
+            with self._errors_to_fault():
                 values = function.__self__.values if name == "end_cycle" else result  # type: ignore[attr-defined]
                 self.write(owner, ENDED, outcome_text(values))
             return result
@@ -170,7 +168,10 @@ class WireTrace:
 
 
 def frame_text(message: "can.Message") -> str:
-    """A CAN frame as text: identifier and data in hex; x, e and r mark extended, error and remote frames."""
+    """A CAN frame as text: identifier and data in hex, then its marks.
+
+    x marks an extended, e an error, r a remote frame; F one of CAN FD, B data at the faster bit rate.
+    """
     marks = ("x" if message.is_extended_id else "") + ("e" if message.is_error_frame else "")
     marks += ("r" if message.is_remote_frame else "") + ("F" if message.is_fd else "")
     marks += "B" if message.bitrate_switch else ""
@@ -214,7 +215,7 @@ class TracedWiring:
             try:
                 line = connect()
             except OSError as error:
-                self._trace.write(name, FAILED, f"{CONNECT}{error}")
+                self._trace.failed(name, error, CONNECT)
                 raise
             return TracedLine(line, name, self._trace)
 
@@ -245,7 +246,7 @@ class TracedLine:
         try:
             read = self._line.read(timeout)
         except OSError as error:
-            self._trace.write(self._name, FAILED, str(error))
+            self._trace.failed(self._name, error)
             raise
         if read:
             self._trace.write(self._name, HEARD, read.hex())
@@ -256,7 +257,7 @@ class TracedLine:
         try:
             taken = self._line.write(data)
         except OSError as error:
-            self._trace.write(self._name, FAILED, str(error))
+            self._trace.failed(self._name, error)
             raise
         refused = f"{NOT_TAKEN}{data[taken:].hex()}" if taken < len(data) else ""
         self._trace.write(self._name, SENT, f"{data[:taken].hex()}{refused}")
@@ -275,7 +276,7 @@ class TracedCan:
         try:
             self._bus.send(message)
         except Exception as error:
-            self._trace.write(self._name, FAILED, str(error))
+            self._trace.failed(self._name, error)
             raise
         self._trace.frame(self._name, SENT, message)
 
@@ -284,7 +285,7 @@ class TracedCan:
         try:
             message = self._bus.recv(timeout)
         except Exception as error:
-            self._trace.write(self._name, FAILED, str(error))
+            self._trace.failed(self._name, error)
             raise
         if message is not None:
             self._trace.frame(self._name, HEARD, message)
@@ -348,6 +349,8 @@ def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
         if not math.isfinite(seconds) or kind not in KINDS or not owner:
             expected = f"seconds, a bus or a device, and one of {' '.join(KINDS)} were expected"
             raise InputError(f"{path}:{number}  '{line[:40]}': {expected}")
+        if kind == FAILED:
+            text = re.sub(r"\\(.)", lambda escaped: "\n" if escaped[1] == "n" else escaped[1], text)
         yield TraceLine(number, seconds, owner, kind, text)
 
 

@@ -14,7 +14,7 @@ from leactl_plugins.elmo_serial.driver import ElmoSerial
 
 from leactl.bench import benchfile
 from leactl.bench.wire_replay import ReplayWiring, replay
-from leactl.bench.wire_trace import HEAD, KINDS, TraceLine, WireTrace, frame_text, read_trace
+from leactl.bench.wire_trace import HEAD, KINDS, TracedCan, TraceLine, WireTrace, frame_text, read_trace
 from leactl.errors import InputError
 from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
@@ -133,6 +133,41 @@ def test_can_frames_go_to_a_log_of_pythons_where_the_name_says_so(traced, suffix
     assert {line.owner for line in beside if line.kind in "<>"} == {"i2c1"}
     with pytest.raises(InputError, match="holds no frame of can0; a trace that can be replayed has a name"):
         replayed(log.with_suffix(".trace"), bench)
+
+
+def test_an_error_of_several_lines_is_one_line_of_the_trace_and_is_read_as_it_was(tmp_path):
+    text = "Bus light\nbus heavy \\\\n of C:\\\\new\n"
+
+    class Broken:
+        def shutdown(self): ...
+
+        def send(self, message):
+            raise can.CanError(text)
+
+    with WireTrace(tmp_path / "run.trace") as trace, suppress(can.CanError):
+        TracedCan(Broken(), "can0", trace).send(can.Message(arbitration_id=1))
+    (line,) = read_trace(tmp_path / "run.trace")
+    assert (line.owner, line.kind, line.text) == ("can0", "!", text)
+
+
+def test_a_log_of_frames_that_cannot_be_made_leaves_no_trace_in_the_way(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patched, pytest.raises(InputError, match=r"run\.asc: cannot be written: Permission"):
+        patched.setattr(can, "Logger", refuse)
+        WireTrace(tmp_path / "run.asc")
+    assert list(tmp_path.iterdir()) == []
+    with WireTrace(tmp_path / "run.asc"):
+        pass
+
+
+def test_a_remote_frame_keeps_its_length_in_a_log_of_frames(tmp_path):
+    with WireTrace(tmp_path / "run.asc") as trace:
+        trace.frame("can0", "<", can.Message(arbitration_id=0x701, is_extended_id=False, is_remote_frame=True, dlc=5))
+    with can.LogReader(tmp_path / "run.asc") as log:
+        (frame,) = log
+    assert (frame.arbitration_id, frame.is_remote_frame, frame.dlc) == (0x701, True, 5)
 
 
 def test_a_file_that_is_there_is_not_overwritten(traced):
