@@ -1,8 +1,7 @@
 """Checks of a driver's class against the contract: units in the names of settings, and the required methods."""
 
 import inspect
-from types import UnionType
-from typing import Any
+from typing import Any, get_args
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
 from leactl.driver.probe import CanProbe, I2cProbe, LineProbe
@@ -59,12 +58,11 @@ def faults_of(driver: type[Driver]) -> list[str]:
         faults.append("identity does not answer an Identity")
     if hasattr(driver, "switch_on") and driver.stop_now is Driver.stop_now:
         faults.append("a power supply must have a stop_now: what it feeds is cut before any device is waited for")
-    if not inspect.getdoc(driver):
+    if not driver.__doc__:  # `inspect.getdoc` would give the one of `Driver`
         faults.append("the class has no docstring")
     return faults
 
 
 def _is_number(annotation: Any) -> bool:
-    if isinstance(annotation, UnionType):
-        return any(_is_number(part) for part in annotation.__args__)
-    return annotation is float
+    """Whether a setting may be a float; `annotation` may be a union, or `Annotated`."""
+    return annotation is float or any(_is_number(part) for part in get_args(annotation))

@@ -1,8 +1,10 @@
 """The registry and the conformance suite, over every registered driver and over a broken one."""
 
 import json
+from typing import Annotated
 
 import pytest
+from pydantic import Field
 
 from leactl.driver import conformance, registry
 from leactl.driver.contract import Driver
@@ -18,6 +20,7 @@ def test_every_registered_driver_keeps_the_contract(name):
 def test_a_driver_that_breaks_the_contract_is_told_how():
     class Settings(registry.load("ads1115").Settings):
         gain: float = 1.0
+        weight: Annotated[float, Field(gt=0.0)] | None = None
 
     class Careless(Driver):
         transport = "telepathy"
@@ -29,7 +32,14 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
 
     Careless.Settings = Settings
     faults = "; ".join(conformance.faults_of(Careless))
-    for words in ("telepathy", "gain is a number", "has no __init__, open", "Confirmation"):
+    for words in (
+        "telepathy",
+        "gain is a number",
+        "weight is a number",
+        "has no __init__, open",
+        "Confirmation",
+        "no docstring",
+    ):
         assert words in faults
 
 
