@@ -33,6 +33,13 @@ def writer(folder, parameters=PARAMETERS, instruments=INSTRUMENTS):
     return opened
 
 
+def test_a_channel_whose_name_would_make_a_group_of_the_file_is_refused(tmp_path):
+    streams = {"loop": [STREAMS["loop"][0]._replace(name="a/b"), *STREAMS["loop"][1:]]}
+    with pytest.raises(InputError, match="streams/loop/a/b: not a usable name"):
+        RunWriter(tmp_path, info(), streams)
+    assert list(tmp_path.iterdir()) == []
+
+
 def described(path):
     with Run.open(path) as run:
         return run.parameters, run.instruments

@@ -1,6 +1,8 @@
 """A format is a file: found by its folder or entry point, and nothing else knows its name."""
 
+import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile.importing.importer import import_runs
 from leactl.runfile.importing.sources import registry
-from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, MissingColumn
 from leactl.runfile.importing.sources.trees import TreeSource
 from leactl.runfile.read.reader import Run
 
@@ -29,6 +31,27 @@ class HexSource(TreeSource):
 def open_hex(path, request):
     values = np.frombuffer(bytes.fromhex(path.read_text()), "<f8")
     return HexSource(path, {"t": np.arange(len(values)) * 0.01, "q": values, "w": values})
+
+
+def test_keys_with_dots_are_one_name_in_records_and_groups():
+    records = [{"motor.current": 1.0, "t": 0.0}, {"motor.current": 2.0, "t": 0.1}]
+    source = TreeSource(Path("log.json"), {"rows": records, "left.knee": {"q": [1.0, 2.0, 3.0]}})
+    columns = {table.records: [column.name for column in table.columns] for table in source.tables()}
+    assert columns == {"rows": ["motor.current", "t"], "left.knee": ["q"]}
+    for place, names in columns.items():
+        for name in names:
+            assert len(source.column(name, place)) == len(source.column(names[-1], place))
+    np.testing.assert_array_equal(source.column("motor.current", "rows"), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "records", "text"),
+    [("x[0]", None, "x has no item 0; it is an array of shape ()"), (-1, "m", "m has no column -1")],
+)
+def test_an_item_that_is_not_there_is_told_with_what_is(name, records, text):
+    source = TreeSource(Path("log.npz"), {"x": np.array(1.0), "m": np.zeros((4, 2))})
+    with pytest.raises(MissingColumn, match=re.escape(text)):
+        source.column(name, records)
 
 
 def point(name, load):

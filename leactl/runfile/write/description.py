@@ -69,6 +69,7 @@ def faults_of_channel(channel_path: str, spec: ChannelSpec) -> list[str]:
     faults = []
     if (
         any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in channel_path.split("/"))
+        or "/" in spec.name  # it would be a group of its own in the file
         or spec.name == "time"
     ):
         faults.append(f"{channel_path}: not a usable name for a channel")

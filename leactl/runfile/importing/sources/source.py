@@ -32,7 +32,7 @@ def as_float(value: Any) -> float:
 
     Raises
     ------
-    Lacking : a whole number of more than 308 digits, as JSON may hold.
+    MissingColumn : a whole number of more than 308 digits, as JSON may hold.
     """
     try:
         return float(value)

@@ -75,17 +75,17 @@ class TreeSource:
 
     def _indexed(self, base: Any, index: int, records: str | None) -> Any:
         where = records or "the file"
-        if isinstance(base, np.ndarray) and base.ndim == 2 and index < base.shape[1]:
+        if isinstance(base, np.ndarray) and base.ndim == 2 and 0 <= index < base.shape[1]:
             return base[:, index]
-        if isinstance(base, list) and base and all(isinstance(row, list) and len(row) > index for row in base):
+        if isinstance(base, list) and base and all(isinstance(row, list) and 0 <= index < len(row) for row in base):
             return [row[index] for row in base]
         raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str) -> Any:
-        if isinstance(node, dict) and path in node:
-            return node[path]
         path_so_far = ""
         for match in _STEP.finditer(path):
+            if _has_key(node, rest := path[match.start() :]):  # names of the file may have dots of their own
+                return self._child(node, rest, path_so_far)
             key: str | int = match[1] if match[1] is not None else int(match[2])
             node = self._child(node, key, path_so_far)
             path_so_far = path[: match.end()]
@@ -94,7 +94,7 @@ class TreeSource:
     def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
         where = parent_path or "the file"
         if isinstance(key, int):
-            if isinstance(node, list | np.ndarray) and key < len(node):
+            if isinstance(node, list | np.ndarray) and np.ndim(node) and key < len(node):
                 return node[key]
             raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
         if isinstance(node, dict):
@@ -127,6 +127,13 @@ class TreeSource:
                     raise InputError(f"{self.place(name, row)}: {lacking}") from None
             return np.frombuffer(numbers, np.float64)
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(node)} where a column of numbers was expected")
+
+
+def _has_key(node: Any, key: str) -> bool:
+    """Whether a group, or any of a list of records, has this key."""
+    if isinstance(node, list):
+        return any(isinstance(item, dict) and key in item for item in node)
+    return isinstance(node, dict) and key in node
 
 
 def _described(value: Any) -> str:
