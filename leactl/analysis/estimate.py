@@ -80,6 +80,11 @@ class Plot:
     bands: tuple[Band, ...] = ()  # of a map, lowest first, empty ones among them
 
 
+def plotted(count: int, most: int) -> slice:
+    """Return the slice that takes every n-th of `count` points, the smallest n that leaves `most` or fewer."""
+    return slice(None, None, max(1, math.ceil(count / most)))
+
+
 @dataclass(frozen=True)
 class Covariance:
     """Joint covariance of estimates, in their units; NaN where one has none."""

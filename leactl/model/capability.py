@@ -66,6 +66,8 @@ def hottest_rise(winding: Winding, current: float, ambient: float, duration: flo
     warmer = 1.0 + winding.resistance_coefficient * (ambient - winding.reference_temperature)
     rates = (np.diag(winding.resistance_coefficient * heat) - flows) / capacitances[:, None]
     driven = heat * warmer / capacitances
+    if not (np.isfinite(rates).all() and np.isfinite(driven).all()):
+        return float("nan")
     if np.isinf(duration):
         stable = np.max(np.linalg.eigvals(rates).real) < 0.0
         return float(min(np.linalg.solve(-rates, driven)[0], BURNT)) if stable else BURNT

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, plotted
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
@@ -122,12 +122,10 @@ def analyze(
     )
     notes += [*ambient.notes, *late_change.notes, *calibration_notes(gains, "the resistances and not on the rise")]
     notes[:0] = unit_notes(runs, results[:1], ["line_voltage"], ["line_current"])
-    every = max(1, len(heating.time) // MOST_POINTS)
-    kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
-    shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
-    return Result(
-        "winding-rise", (str(run.path),), results, tuple(notes), (Plot("time [s]", "rise [K]", (shown,), ()),)
-    )
+    shown = plotted(len(heating.time), MOST_POINTS)
+    kelvin = (heating.resistance[shown] / cold.value - 1.0) * per_ratio
+    rise = Series(str(run.path), tuple(heating.time[shown].tolist()), tuple(kelvin.tolist()))
+    return Result("winding-rise", (str(run.path),), results, tuple(notes), (Plot("time [s]", "rise [K]", (rise,), ()),))
 
 
 def heating_of(run: Run) -> HeatedResistance:

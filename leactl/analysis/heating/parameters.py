@@ -190,16 +190,23 @@ def thermal_parameters(
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
     """Relative standard uncertainty of the mean heat by the noise of the supply's readings."""
-    heat = np.concatenate([record.supply.heat[record.supply.on] for record in records])
-    noise = math.sqrt(float(np.mean((heat[2:] - 2.0 * heat[1:-1] + heat[:-2]) ** 2)) / 6.0)
+    heats = [record.supply.heat[record.supply.on] for record in records]
+    bends = np.concatenate([np.diff(heat, 2) for heat in heats])  # within records: from one to the next the level jumps
+    heat = np.concatenate(heats)
+    noise = math.sqrt(float(np.mean(bends**2)) / 6.0)
     return noise / math.sqrt(len(heat)) / float(np.mean(heat))
 
 
 def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
     """Relative standard uncertainty of the supply's readings by their resolution, where no noise averages it out.
 
-    Readings that are the same throughout do not show their step, and count as exact.
+    It is the largest of all records, since one rounding does not make up for another. Readings that are the same
+    throughout a record do not show their step, and count as exact.
     """
-    values = np.concatenate([np.abs(getattr(record.supply, name)[record.supply.on]) for record in records])
-    step = float(np.min(np.diff(np.unique(values)), initial=np.inf))
-    return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step < np.inf else 0.0
+
+    def of_record(record: HeatingRecord) -> float:
+        values = np.abs(getattr(record.supply, name)[record.supply.on])
+        step = float(np.min(np.diff(np.unique(values)), initial=np.inf))
+        return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step < np.inf else 0.0
+
+    return max(map(of_record, records))
