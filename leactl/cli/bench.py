@@ -48,7 +48,7 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("bench reset mine.yaml"))
 def reset(
     bench: str = typer.Argument(
-        help="The bench's name as the trip told it, or a path to a .yaml.", autocompletion=benches
+        help="The bench's name as in the message of the trip, or a path to a .yaml.", autocompletion=benches
     ),
     yes: bool = typer.Option(False, "--yes", help="Do not ask."),
     as_json: bool = AS_JSON,
@@ -69,7 +69,7 @@ def reset(
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
-    list(runs_underway.lost(name))  # what the run that the trip tells of left behind would latch the bench again
+    list(runs_underway.lost(name))  # removes what the run of the trip left behind, which would latch the bench again
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")

@@ -79,10 +79,10 @@ def status(
 ) -> None:
     """Show which runs of a campaign are finished, which are left, and what is wrong with its folder."""
     from leactl.report.campaign import campaign_state_text
-    from leactl.runner.campaign.folder import busy, found
+    from leactl.runner.campaign.folder import busy, journal_and_progress
 
     campaign, folder, entries = _read(name, variant, seed, out)
-    journal, now = found(campaign, entries, folder)
+    journal, now = journal_and_progress(campaign, entries, folder)
     body = {
         "campaign": campaign.name,
         "variant": campaign.variant,
@@ -137,13 +137,13 @@ def run(
     from leactl.report.outputs import check_folder
     from leactl.runner.campaign.conduct import CampaignOptions, conduct
     from leactl.runner.campaign.entries import previews
-    from leactl.runner.campaign.folder import to_go_on
+    from leactl.runner.campaign.folder import resumable
     from leactl.runner.signals import to_the_end
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
         check_folder(folder)
-        _journal, now = to_go_on(campaign, entries, folder, accept_changes, redo_lost)
+        _journal, now = resumable(campaign, entries, folder, accept_changes, redo_lost)
         expected = previews(entries)
         rows = [
             _about(entry)

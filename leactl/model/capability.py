@@ -14,8 +14,8 @@ from leactl.model.thermal_network import Conductances
 
 Array = npt.NDArray[np.float64]
 TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the heat in the hottest phase
-FOR_EVER = np.inf  # s
-BURNT = 1e6  # K
+STEADY_STATE = np.inf  # s
+RUNAWAY_RISE = 1e6  # K
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,16 @@ class Winding:
 
 
 def current_held(winding: Winding, rise: float, ambient: float, duration: float, share: float = TURNING) -> float:
-    """Current [A] that takes the hottest phase just so far above the ambient in a duration from there.
+    """Return the constant q-axis current [A] that heats the hottest phase from ambient by `rise` in `duration`.
 
     Parameters
     ----------
     rise : of the hottest phase at the end [K].
     ambient : degC, of the air and of the actuator at the beginning.
-    duration : s, `FOR_EVER` for the continuous current.
+    duration : s, `STEADY_STATE` for the continuous current.
     share : of the copper heat in the hottest phase, `TURNING` to `STANDING`.
 
-    NaN where a rise above zero is no rise, or the winding has parameters that no number comes of.
+    NaN if `rise` is not positive, or if a parameter of the winding is NaN.
     """
     from scipy.optimize import brentq
 
@@ -54,7 +54,7 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
 
 
 def hottest_rise(winding: Winding, current: float, ambient: float, duration: float, share: float) -> float:
-    """How far the hottest phase has risen [K] after a constant current from ambient; `BURNT` where it runs away."""
+    """Return the rise [K] of the hottest phase after a constant current; `RUNAWAY_RISE` if it runs away."""
     from scipy.linalg import expm
 
     n = winding.network
@@ -70,9 +70,9 @@ def hottest_rise(winding: Winding, current: float, ambient: float, duration: flo
         return float("nan")
     if np.isinf(duration):
         stable = np.max(np.linalg.eigvals(rates).real) < 0.0
-        return float(min(np.linalg.solve(-rates, driven)[0], BURNT)) if stable else BURNT
+        return float(min(np.linalg.solve(-rates, driven)[0], RUNAWAY_RISE)) if stable else RUNAWAY_RISE
     whole = np.zeros((4, 4))
     whole[:3, :3], whole[:3, 3] = rates, driven
     with np.errstate(over="ignore", invalid="ignore"):
         hottest = float(expm(whole * duration)[0, 3])
-    return min(hottest, BURNT) if np.isfinite(hottest) else BURNT  # beyond all numbers: it runs away
+    return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE  # beyond all numbers: it runs away

@@ -39,9 +39,9 @@ class ThermalSheet(Block):
 
     @property
     def to_ambient(self) -> float | None:
-        """Resistance from winding to ambient in the end [K/W].
+        """Steady-state resistance from winding to ambient [K/W]; None if the path through the housing is not known.
 
-        A path from the winding straight to the air that is not known is left out, which makes the winding no cooler.
+        A direct path from winding to air that is not known counts as insulating: the winding gets no cooler by that.
         """
         if self.winding_housing_resistance is None or self.housing_ambient_resistance is None:
             return None
@@ -97,7 +97,7 @@ class MotorLimits(LimitsSheet):
 
 
 class Body(Block):
-    """Mass and size, of what may be: a figure in g or mm is told from one in kg or m."""
+    """Mass [kg] and size [m]; a length above 10 m or a density above tungsten's is refused as probably mm or g."""
 
     mass: Positive | None = None  # kg
     outer_diameter: Length | None = None  # m
@@ -142,7 +142,7 @@ class Control(Block):
 
 
 class Bearings(Block):
-    """Bearings on flexures around a large rotor, each pushed against its race by the bending of its own."""
+    """Bearings on flexures around a large rotor; the bending of each flexure preloads its bearing."""
 
     each_side: Annotated[int, Field(strict=True, ge=1, le=1000)]
     static_radial_load: Positive  # N, that one bearing takes

@@ -24,7 +24,7 @@ from leactl.runner.progress import Progress
 STDOUT = Path("-")
 MOST_QUEUED = 10_000  # lines
 SAMPLES_PER_S = 20  # of every channel's newest value; their mean is written each second
-END_WAIT_S = 1.0  # how long the end of a run waits for a slow reader
+END_WAIT_S = 1.0  # for a slow reader at the end of a run; twice that for one that blocks
 
 
 class EventLines:
@@ -145,7 +145,7 @@ class EventLines:
                 self._queue("values", {"wall_s": wall_s, "means": means})
 
     def _write_queued(self) -> bool:
-        """Write what waits as far as the reader takes it; whether that is all."""
+        """Write queued lines until the output would block; return whether the queue is empty."""
         while self._queued:
             first = self._queued[0]
             try:

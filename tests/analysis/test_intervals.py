@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.statistics.intervals import half_width, rounding_limit, rounding_of, step_of
+from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_of
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,6 @@ def test_noise_of_half_a_step_leaves_nothing_of_its_rounding():
 
 
 def test_a_step_is_what_all_readings_are_multiples_apart():
-    assert step_of(np.array([0.1, 0.4, 0.2, np.nan, 0.1])) == pytest.approx(0.1)
-    assert step_of(np.random.default_rng(1).normal(size=100)) == 0.0
-    assert step_of(np.full(5, 2.0)) == 0.0
+    assert quantisation_step(np.array([0.1, 0.4, 0.2, np.nan, 0.1])) == pytest.approx(0.1)
+    assert quantisation_step(np.random.default_rng(1).normal(size=100)) == 0.0
+    assert quantisation_step(np.full(5, 2.0)) == 0.0

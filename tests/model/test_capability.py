@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.model.capability import FOR_EVER, Winding, current_held
+from leactl.model.capability import STEADY_STATE, Winding, current_held
 from leactl.model.thermal_network import Conductances
 
 WINDING = Winding(Conductances(0.2, 1.0, 0.5, 100.0, 300.0), 0.1, 0.004, 25.0)
 
 
-@pytest.mark.parametrize("duration", [60.0, FOR_EVER])
+@pytest.mark.parametrize("duration", [60.0, STEADY_STATE])
 @pytest.mark.parametrize("name", ["phase_resistance", "resistance_coefficient"])
 def test_a_winding_without_a_number_carries_no_number(duration, name):
     assert math.isfinite(current_held(WINDING, 80.0, 25.0, duration))
@@ -21,6 +21,6 @@ def test_a_winding_without_a_number_carries_no_number(duration, name):
 
 def test_a_current_held_for_long_is_the_one_held_for_ever():
     assert current_held(WINDING, 80.0, 25.0, 1e5) == pytest.approx(
-        current_held(WINDING, 80.0, 25.0, FOR_EVER), rel=1e-6
+        current_held(WINDING, 80.0, 25.0, STEADY_STATE), rel=1e-6
     )
-    assert current_held(WINDING, 80.0, 25.0, FOR_EVER) < current_held(WINDING, 80.0, 25.0, 60.0) < np.inf
+    assert current_held(WINDING, 80.0, 25.0, STEADY_STATE) < current_held(WINDING, 80.0, 25.0, 60.0) < np.inf

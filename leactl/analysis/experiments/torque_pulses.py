@@ -202,7 +202,7 @@ def torque_at_peak(bent: SaturationCurve, unit: str, relative_std: float) -> Est
     remainder = bent.line.slope("remainder") if "remainder" in bent.line.slopes else 0.0
     value = unsaturated * (1.0 - loss) + 0.5 * remainder
     hidden = 0.5 * abs(remainder) + abs(trend_of_sticking(bent))
-    std = math.sqrt(fit.variance * float(torque_gradient @ fit.unscaled @ torque_gradient))
+    std = math.sqrt(fit.variance * float(torque_gradient @ fit.unscaled_covariance @ torque_gradient))
     scattered = math.hypot(std, relative_std * value)
     half = t_quantile(fit.dof * (scattered / std) ** 4 if std > 1e-9 * scattered else math.inf) * scattered + hidden
     total_std = math.hypot(scattered, hidden / math.sqrt(3.0))
@@ -223,7 +223,7 @@ def loss_at_peak(bent: SaturationCurve, current_std: float) -> Estimate:
     """Estimate the share of the torque that is missing at the peak; a gain error of the current changes it too."""
     fit = bent.line.fit
     value, gradient = bent.loss(bent.peak)
-    fit_std = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+    fit_std = math.sqrt(fit.variance * float(gradient @ fit.unscaled_covariance @ gradient))
     gain_effect = current_std * (bent.loss(1.01 * bent.peak)[0] - bent.loss(0.99 * bent.peak)[0]) / 0.02
     std = math.hypot(fit_std, gain_effect)
     half = math.hypot(t_quantile(fit.dof) * fit_std, t_quantile(math.inf) * gain_effect)
@@ -237,7 +237,9 @@ def straight_up_to(bent: SaturationCurve) -> Noted[Estimate]:
     losses, halves = np.empty_like(currents), np.empty_like(currents)
     for index, current in enumerate(currents):
         losses[index], gradient = bent.loss(float(current))
-        halves[index] = t_quantile(fit.dof) * math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+        halves[index] = t_quantile(fit.dof) * math.sqrt(
+            fit.variance * float(gradient @ fit.unscaled_covariance @ gradient)
+        )
 
     def first(values: Array) -> float:
         past = np.flatnonzero(values >= STRAIGHT_LOSS)

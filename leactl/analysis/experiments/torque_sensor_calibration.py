@@ -18,7 +18,7 @@ from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series,
 from leactl.analysis.experiments.torque_constant import TORQUE
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
-from leactl.analysis.statistics.intervals import half_width, step_of
+from leactl.analysis.statistics.intervals import half_width, quantisation_step
 from leactl.analysis.statistics.linefit import LineFit, fit_lines, fit_notes, paths_of, setpoint_groups
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.errors import InputError, NotIdentifiable
@@ -265,7 +265,7 @@ def budget(
         notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
     departures = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
     zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
-    steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
+    steps = [quantisation_step(run.channel(TORQUE).values) / factor for run in runs]
     parts = [
         BudgetComponent("repeatability", repeat, dof or math.inf),
         BudgetComponent("sensitivity", highest * slope_std / factor, line.fit.dof),

@@ -22,7 +22,7 @@ from leactl.analysis.run_model import rotor_inertia_of_model
 from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, groups_of, repeats_of
 from leactl.analysis.signals.drag import VELOCITY
 from leactl.analysis.signals.levels import CURRENT_HOLDS, HoldMeans, gather_means
-from leactl.analysis.statistics.intervals import step_of
+from leactl.analysis.statistics.intervals import quantisation_step
 from leactl.analysis.statistics.linefit import DRIFTS_BELOW, paths_of, setup_notes
 from leactl.analysis.statistics.regression import (
     Array,
@@ -223,7 +223,7 @@ def zero_std(runs: Sequence[Run]) -> Noted[float]:
             notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
             continue
         noise = float(np.median(np.abs(np.diff(rest)))) / (NORMAL_QUARTILE * math.sqrt(2.0))
-        stds.append(max(noise, step_of(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
+        stds.append(max(noise, quantisation_step(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
     return Noted(max(stds, default=0.0), tuple(notes))
 
 
@@ -277,7 +277,7 @@ def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
     shift = (speed + current / fall) * holds.setpoint / mean
-    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
+    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.p_value > DRIFTS_BELOW:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
     if abs(moved) < corner.high - corner.low:

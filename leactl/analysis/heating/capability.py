@@ -7,7 +7,7 @@ they are those of the actuator that was heated.
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE
-from leactl.model.capability import FOR_EVER, STANDING, TURNING, Winding, current_held
+from leactl.model.capability import STANDING, STEADY_STATE, TURNING, Winding, current_held
 
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 MOTIONS = {"": TURNING, "_standing": STANDING}
@@ -22,8 +22,8 @@ def current_capability(
     """
     estimates = []
     for motion, share in MOTIONS.items():
-        for duration in (FOR_EVER, *PEAKS_S):
-            kind = "continuous_current" if duration == FOR_EVER else f"peak_current_{duration:g}s"
+        for duration in (STEADY_STATE, *PEAKS_S):
+            kind = "continuous_current" if duration == STEADY_STATE else f"peak_current_{duration:g}s"
 
             def current(moved: FittedParameters, duration: float = duration, share: float = share) -> float:
                 cold = phase_of_line * float(moved.point[5])

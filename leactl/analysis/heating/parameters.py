@@ -2,7 +2,8 @@
 
 Four things make the covariance: noise, drift of the residuals, calibration of camera and supply, and the resolution
 of the supply. A gain of the camera scales all thermal resistances, and the capacitances by its inverse; so does an
-error of the heat. Nothing in the record shows either, so they come from what is told of the instruments.
+error of the heat. Nothing in the record shows either, so they come from the stated uncertainties of the
+instruments.
 """
 
 import math

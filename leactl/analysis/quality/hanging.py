@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.quality.repeated_readings import FEWEST, IMPROBABLE, NOISY, rows
+from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS, IMPROBABLE, MOST_EQUAL_SHARE, rows
 from leactl.analysis.quality.saturation import noise_shows
 
 Array = npt.NDArray[np.float64]
@@ -47,14 +47,16 @@ def longest_repeat(values: Array) -> RepeatedReading | None:
 
 def hangs(values: Array, repeat: RepeatedReading) -> bool:
     """Whether a row of equal readings is longer than the noise of the other readings would leave by chance."""
-    if repeat.length < max(FEWEST, LASTING * len(values)):
+    if repeat.length < max(FEWEST_REPEATS, LASTING * len(values)):
         return False
     others = np.delete(values, slice(repeat.first, repeat.last + 1))
     others = others[np.isfinite(others)]
-    if len(others) < FEWEST or not noise_shows(others, staying=False):
+    if len(others) < FEWEST_REPEATS or not noise_shows(others, staying=False):
         return False
     share = float(np.mean(np.diff(others) == 0.0))
-    return share <= NOISY and (share == 0.0 or repeat.length >= math.ceil(math.log(IMPROBABLE) / math.log(share)))
+    return share <= MOST_EQUAL_SHARE and (
+        share == 0.0 or repeat.length >= math.ceil(math.log(IMPROBABLE) / math.log(share))
+    )
 
 
 def stands_while_other_moves(repeat: RepeatedReading, other: Array) -> bool:

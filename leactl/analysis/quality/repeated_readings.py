@@ -15,9 +15,9 @@ from leactl.analysis.quality.saturation import noise_shows
 from leactl.analysis.signals.levels import Hold, span
 from leactl.runfile.read.reader import Channel
 
-NOISY = 0.4  # share of readings equal to the one before, above which the resolution, 1.5 times the noise, hides it
+MOST_EQUAL_SHARE = 0.4  # of readings equal to the one before: a resolution of 1.5 times the noise; above, all stay
 IMPROBABLE = 1e-9  # probability that noise alone makes a row of equal readings this long
-FEWEST = 5  # readings in such a row
+FEWEST_REPEATS = 5  # equal readings in such a row
 
 
 def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
@@ -29,11 +29,13 @@ def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]
     settled = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
     shares = [float(np.mean(values[1:] == values[:-1])) for values in settled if len(values) > 1]
     share = float(np.median(shares)) if shares else 1.0
-    if share > NOISY and noise_shows(channel.values, staying=False):  # it may hang in most of the record
+    if share > MOST_EQUAL_SHARE and noise_shows(channel.values, staying=False):  # it may hang in most of the record
         share = float(np.mean(rows(channel.values)[1] > 1))
-    if share > NOISY:
+    if share > MOST_EQUAL_SHARE:
         return channel, 0
-    shortest_row = max(FEWEST, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST
+    shortest_row = (
+        max(FEWEST_REPEATS, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST_REPEATS
+    )
     repeated = repeats(channel.values, shortest_row)
     if channel.quantity != "torque":  # a shaft that stands and a drive that is off read nothing again and again
         repeated &= channel.values != 0.0

@@ -67,7 +67,7 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
             f"{error_prefix}: no frequency at which the coherence of every level is {LEAST_COHERENCE:g} or more"
         )
     for level, response in responses.items():
-        refuse_swapped(response, known[level], f"{error_prefix}: at {level:.3g}")
+        refuse_swapped_sign(response, known[level], f"{error_prefix}: at {level:.3g}")
     half_power = bandwidth_of(method, levels, responses, known)
     bandwidth = half_power.value
     notes += half_power.notes
@@ -107,12 +107,12 @@ def known_frequencies(response: Response, resolved: float, level: float) -> Note
     return Noted(known, notes)
 
 
-def refuse_swapped(response: Response, known: Mask, error_prefix: str) -> None:
-    """Refuse a response that goes against its reference where it should follow it best.
+def refuse_swapped_sign(response: Response, known: Mask, error_prefix: str) -> None:
+    """Refuse a response that opposes its reference at its four lowest coherent frequencies, by the mean real part.
 
     Raises
     ------
-    NotIdentifiable : the response goes against its reference.
+    NotIdentifiable : it does; a sign is swapped.
     """
     lowest = np.flatnonzero(known)[:4]
     if np.mean(response.value[lowest].real) < 0.0:

@@ -71,20 +71,20 @@ def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> floa
 def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> LevelCrossing:
     """Return when the response passes a level, by a cubic through the bins around it where they lie smoothly enough.
 
-    Otherwise the straight line is taken, and the limit is the earliest or latest time that the bend of the response
-    allows between the two bins.
+    Otherwise by the exponential through three samples, else by the straight line. The limit is how far the curve that
+    is taken may lie from the straight line; of the straight line, how far the bin towards which the response bends.
     """
     straight = straight_crossing(curve, index, level)
     around = slice(index - 1, index + 3)
     time = np.concatenate([[-curve.interval], curve.time])[around]
     values = np.concatenate([[0.0], curve.value])[around]
     rise, bends = float(values[2] - values[1]), np.diff(values, 2)
-    bent = float(np.max(np.abs(bends))) / rise
-    if len(bends) == 2 and bent < MOST_BEND:
+    relative_bend = float(np.max(np.abs(bends))) / rise
+    if len(bends) == 2 and relative_bend < MOST_BEND:
         polynomial = np.polynomial.Polynomial.fit(time, values - level, 3)
         roots = [float(root.real) for root in polynomial.roots() if not root.imag and time[1] <= root.real <= time[2]]
         nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
-        return LevelCrossing(nearest, bent * abs(nearest - straight))
+        return LevelCrossing(nearest, relative_bend * abs(nearest - straight))
     if (relaxed := _exponential_crossing(curve, index, level)) is not None:
         return LevelCrossing(relaxed, abs(relaxed - straight))
     sooner = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
@@ -95,7 +95,7 @@ def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> Le
 def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> float | None:
     """Return when a response of few samples passes a level [s], by the exponential through three samples.
 
-    None where fewer than three samples are on the way, or where the response does not slow down.
+    None where three even samples from below 90 % on are missing, or where the response does not slow down.
     """
     first = index - 1 if curve.value[index - 1] > LOW else index
     time, values = curve.time[first : first + 3], curve.value[first : first + 3]
@@ -105,10 +105,10 @@ def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> 
         or not np.allclose(np.diff(time), curve.interval, rtol=MOST_UNEVEN_INTERVAL)
     ):
         return None
-    ways = np.diff(values)
-    if not 0.0 < ways[1] < ways[0]:
+    increments = np.diff(values)
+    if not 0.0 < increments[1] < increments[0]:
         return None
-    ratio = float(ways[1] / ways[0])
-    gap = float(ways[0]) / (1.0 - ratio)
-    passed = math.log(1.0 - (level - float(values[0])) / gap) / math.log(ratio)
-    return float(np.clip(time[0] + passed * curve.interval, curve.time[index - 1], curve.time[index]))
+    ratio = float(increments[1] / increments[0])
+    gap = float(increments[0]) / (1.0 - ratio)
+    samples = math.log(1.0 - (level - float(values[0])) / gap) / math.log(ratio)
+    return float(np.clip(time[0] + samples * curve.interval, curve.time[index - 1], curve.time[index]))

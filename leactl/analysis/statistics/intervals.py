@@ -1,6 +1,6 @@
-"""Half widths of 95 % intervals where an error is not all normal: steps of a reading, a tolerance, a quartz's limits.
+"""Half widths of 95 % intervals for sums of normal and uniform errors: quantisation, tolerances, clock limits.
 
-What is evenly spread between limits never leaves them, so that 1.96 of its standard deviations would hold it always
+A uniform error never exceeds its limits, and 1.96 of its standard deviations are 1.13 limits: too wide for 95 %
 (JCGM 101:2008, propagation of distributions; GUM G.1.5).
 """
 
@@ -13,7 +13,7 @@ from leactl.analysis.statistics.regression import CONFIDENCE, t_quantile
 
 Array = npt.NDArray[np.float64]
 
-ON_STEPS = 0.05  # of a step, by which a reading may miss the grid of steps
+MOST_OFF_GRID = 0.05  # of a step, by which a reading may lie off the grid of steps
 OFFSETS = 128  # offsets of the grid of steps that are tried, evenly over one step
 
 
@@ -75,8 +75,8 @@ def rounding_of(readings: Array, step: float) -> float:
     return step / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * float(np.std(finite)) / step) ** 2)
 
 
-def step_of(readings: Array) -> float:
-    """Return the step of which all readings are multiples apart; 0 where there is none."""
+def quantisation_step(readings: Array) -> float:
+    """Return the quantisation step: the smallest difference, if all are multiples of it; 0 if they are not."""
     values = np.unique(readings[np.isfinite(readings)])
     steps = np.diff(values)
     steps_above_rounding = steps[steps > 1e-9 * float(np.max(np.abs(values), initial=0.0))]
@@ -84,4 +84,4 @@ def step_of(readings: Array) -> float:
         return 0.0
     step = float(steps_above_rounding.min())
     multiples = (values - values[0]) / step
-    return step if float(np.max(np.abs(multiples - np.round(multiples)))) < ON_STEPS else 0.0
+    return step if float(np.max(np.abs(multiples - np.round(multiples)))) < MOST_OFF_GRID else 0.0

@@ -101,7 +101,7 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, pla
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
     fit = least_squares(design, response, instruments, place)
     follows_setpoints = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
-    if follows_setpoints is not None and follows_setpoints.probability > FOLLOWS_BELOW:
+    if follows_setpoints is not None and follows_setpoints.p_value > FOLLOWS_BELOW:
         raise NotIdentifiable(
             f"{place}: the means of {len(levels)} holds do not follow their setpoints by more than chance; levels "
             "further apart are needed"
@@ -159,7 +159,7 @@ def drift_notes(line: LineFit, units: str) -> list[str]:
         )
         if (
             drift_test is None
-            or drift_test.probability > DRIFTS_BELOW
+            or drift_test.p_value > DRIFTS_BELOW
             or abs(drift) < WORTH * float(np.ptp(line.fit.explained))
         ):
             continue

@@ -34,7 +34,7 @@ class LeastSquaresFit:
     """A least-squares fit: response = design @ coefficients + residuals."""
 
     coefficients: Array
-    unscaled: Array  # covariance of the coefficients at unit variance
+    unscaled_covariance: Array  # covariance of the coefficients at unit variance
     projected: Array  # the part of the design that its instruments explain; the residuals are orthogonal to it
     residuals: Array
     variance: float  # of one point, in the response's unit squared
@@ -48,7 +48,7 @@ class LeastSquaresFit:
 
     def combined(self, weights: Array) -> tuple[float, float]:
         """Value and standard error of a linear combination of the coefficients."""
-        variance = self.variance * float(weights @ self.unscaled @ weights)
+        variance = self.variance * float(weights @ self.unscaled_covariance @ weights)
         return float(weights @ self.coefficients), math.sqrt(max(variance, 0.0))
 
     def estimate(self, name: str, units: str, weights: Array, relative_std: float = 0.0) -> Estimate:
@@ -68,14 +68,14 @@ class LeastSquaresFit:
 class PartialFTest:
     """F test of columns that a design lacks, such as one for each group of repeats."""
 
-    probability: float  # of as much from scatter alone
-    variance: float  # of one point, judged by the group means
+    p_value: float  # probability that scatter alone explains as much
+    mean_square: float  # of the response that the extra columns explain, per degree of freedom
     dof: float
 
     @property
     def clear(self) -> bool:
         """Whether the extra columns explain more than scatter does."""
-        return self.probability < DEPARTS_BELOW
+        return self.p_value < DEPARTS_BELOW
 
 
 def least_squares(design: Array, response: Array, instruments: Array, place: str) -> LeastSquaresFit:
@@ -115,7 +115,7 @@ def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest
     """Test whether further columns explain more of the response than scatter (partial F test).
 
     With one further column for each level it is the test of lack of fit. None where the points leave no degree of
-    freedom, or where the design fits exactly.
+    freedom, where the design fits exactly, or where the extra columns are combinations of those of the design.
     """
     points, unknowns = design.shape
     full = np.hstack([design, extra])
@@ -128,10 +128,10 @@ def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest
         return None
     from scipy.special import fdtrc
 
-    lack, scatter = (square_without - square_with) / (rank - unknowns), square_with / (points - rank)
-    ratio = lack / scatter if scatter > 0.0 else math.inf
-    probability = float(fdtrc(rank - unknowns, points - rank, ratio)) if math.isfinite(ratio) else 0.0
-    return PartialFTest(probability, lack, rank - unknowns)
+    mean_square, scatter = (square_without - square_with) / (rank - unknowns), square_with / (points - rank)
+    ratio = mean_square / scatter if scatter > 0.0 else math.inf
+    p_value = float(fdtrc(rank - unknowns, points - rank, ratio)) if math.isfinite(ratio) else 0.0
+    return PartialFTest(p_value, mean_square, rank - unknowns)
 
 
 def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquaresFit:
@@ -141,19 +141,19 @@ def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquare
     what belongs to a run is the same in all its levels: more repeats do not average it out. The fit stays as it is
     where the groups plainly show mere scatter.
     """
-    if groups is None or groups.probability > POOLED_ABOVE or groups.variance <= fit.variance:
+    if groups is None or groups.p_value > POOLED_ABOVE or groups.mean_square <= fit.variance:
         return fit
-    return replace(fit, variance=groups.variance, dof=groups.dof)
+    return replace(fit, variance=groups.mean_square, dof=groups.dof)
 
 
-def scatter_over_noise(fit: LeastSquaresFit, expected: Array) -> float:
+def scatter_over_noise(fit: LeastSquaresFit, point_stds: Array) -> float:
     """Ratio of the scatter about the fit to the standard errors of the points; 0 unless it is clearly above one.
 
     Clearly: more than twice, and with a probability under 0.001 by chi squared.
     """
     from scipy.special import chdtrc
 
-    residual_square, noise_variance = float(fit.residuals @ fit.residuals), float(np.mean(expected**2))
+    residual_square, noise_variance = float(fit.residuals @ fit.residuals), float(np.mean(point_stds**2))
     dof = len(fit.residuals) - len(fit.coefficients)
     if noise_variance <= 0.0:
         return 0.0

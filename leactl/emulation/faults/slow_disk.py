@@ -10,7 +10,7 @@ class SlowDisk(LastingFault):
 
     example = "{fault: slow_disk, at_s: 2, delay_s: 3}"
     where_served = "the file is that of the run's own process"
-    not_drilled = "it is nothing to the bench: rows reach the disk later, by the wall clock"
+    not_drilled = "it does not affect the bench: rows reach the disk later, by the wall clock"
 
     delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
 

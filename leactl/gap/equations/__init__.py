@@ -13,8 +13,8 @@ from leactl.model.nominal import Model
 
 __all__ = ["Equation", "equations"]
 
-DRIVEN = (electrical.voltage, electrical.current, electrical.bus)
-MOVED = (
+ELECTRICAL_EQUATIONS = (electrical.voltage, electrical.current, electrical.bus)
+MECHANICAL_EQUATIONS = (
     mechanical.coupled,
     mechanical.both,
     mechanical.held_still,
@@ -23,19 +23,19 @@ MOVED = (
     twist.coupled,
     twist.locked,
 )
-FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
+DECIMATION_FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
 
 
 def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> Equation | None:
-    """Balance of a free rotor, at the highest rate at which its encoder's counts do not drown its acceleration.
+    """Return a free rotor's torque balance at the highest rate at which encoder noise does not mask acceleration.
 
-    At the log's own rate where none helps, as for a shaft that hardly accelerates, and for a chain of rests.
+    The log's own rate is kept for creeping motion, and where decimation does not help or leaves too few rows.
     """
     logged = mechanical.free(record, fast)
     if logged is None or not mechanical.is_loud(record, logged) or "creep" in fast.extra:
         return logged
     assert record.fast is not None
-    for factor in FACTORS:
+    for factor in DECIMATION_FACTORS:
         slower = replace(record, fast=decimated(record.fast, factor))
         signals = fast_signals(slower, fast.model, slow)
         assert signals is not None
@@ -49,23 +49,23 @@ def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> Equation 
 
 
 def equations(record: Record, model: Model) -> list[Equation]:
-    """Every equation that a run has the channels for, without what effects of its nominal do."""
+    """Build every equation that the run's channels allow; `record.nominal_effects` subtracts its effects from them."""
     built: list[Equation] = []
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
     if fast is not None:
         complete(record, fast)
-        every = [*(build(record, fast) for build in DRIVEN), free_rotor(record, fast, slow)]
-        every += [build(record, fast) for build in MOVED]
-        built += [equation for equation in every if equation is not None]
-        if (own := axis.axis(record, fast)) is not None:
-            built = [equation for equation in built if equation.name != "free_torque"] + [own]
+        candidates = [*(build(record, fast) for build in ELECTRICAL_EQUATIONS), free_rotor(record, fast, slow)]
+        candidates += [build(record, fast) for build in MECHANICAL_EQUATIONS]
+        built += [equation for equation in candidates if equation is not None]
+        if (axis_balance := axis.axis(record, fast)) is not None:
+            built = [equation for equation in built if equation.name != "free_torque"] + [axis_balance]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
         if fed_by_voltage(record, model) is not None:
-            # each test of a voltage is a kind by itself: one run's own noise would let it fit that run and no other
+            # each test of a voltage is a kind by itself: its own noise would let it fit that run and no other
             built = [replace(equation, kind=VOLTAGE) for equation in built]
     if slow is not None and record.slow is not None and not record.slow.aside:
-        line = electrical.line_voltage(record, slow)
-        built += ([line] if line is not None else []) + thermal.temperatures(record, slow)
+        line_voltage = electrical.line_voltage(record, slow)
+        built += ([line_voltage] if line_voltage is not None else []) + thermal.temperatures(record, slow)
     return built if record.nominal_effects is None else record.nominal_effects(built)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from leactl.gap.search.evidence import rows_per_independent
 from leactl.gap.search.regression import Candidate
 from leactl.gap.servo.fit import SETTLED, FittedServo, MeasuredServoRuns, cost, fit
-from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
+from leactl.gap.servo.limits import DRIVE, acts, drive_starts, to_effect_parameters, to_fit_parameters
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
 from leactl.gap.servo.simulation import Parameters, parts_of, table
@@ -249,7 +249,9 @@ def effects_of(model: Model) -> Parameters:
         if "phase" in values:
             amplitude, phase = values.pop("amplitude"), values.pop("phase")
             values |= {"cos": amplitude * math.cos(phase), "sin": -amplitude * math.sin(phase)}
-        parameters |= {f"{entry.effect}.{name}": value for name, value in as_fitted(entry.effect, values).items()}
+        parameters |= {
+            f"{entry.effect}.{name}": value for name, value in to_fit_parameters(entry.effect, values).items()
+        }
     return parameters
 
 
@@ -342,7 +344,7 @@ def parameters_of(effect: str, fitted: FittedServo, stds: Mapping[str, float]) -
         if name.startswith(f"{effect}.")
     }
     if effect in DRIVE:
-        return as_told(effect, parameters)
+        return to_effect_parameters(effect, parameters)
     if "cos" not in parameters:
         return parameters
     (cosine, one), (sine, other) = parameters.pop("cos"), parameters.pop("sin")

@@ -1,7 +1,4 @@
-"""What a servo's drive does to its reference and to its error: a limited profile, a dead band.
-
-Where fits of them begin, when they are there at all, and how their parameters are told.
-"""
+"""Speed limit, acceleration limit and dead band of a servo's drive: where fits begin, tests, conversions."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,15 +13,17 @@ from leactl.gap.servo.simulation import FINEST, Parameters
 
 Array = npt.NDArray[np.float64]
 DRIVE = frozenset({"reference_rate_limit", "servo_dead_band"})
-SPEEDS = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # of the highest speed of the axis, that limits are tried at
-RAMPS = (0.01, 1.0, 3.0, 10.0, 30.0)  # times a third of the servo's own time to that speed, the same of accelerations
-BANDS = (3.0, 6.0, 12.0, 25.0, 50.0)  # counts of the encoder, that dead bands are tried at
-REACH, TOP = 4, 0.99  # samples that a speed is taken over, and the quantile that counts as the highest
-MET = 0.8  # of the highest speed of the axis over a limit, from which on it met that
-LONGER = 2.0  # samples that a set-point takes to the axis' highest speed, from which on its acceleration is limited
-KEPT = 2  # of the first base's grid, one less of the next
-WIDER = 2.0  # counts of the encoder, from which on a band is one: a controller counts its own error
-SHOWN = 2.0  # standard errors, above which a ramp shows
+SPEED_LIMIT_SHARES = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # of the top speed: limits from which fits begin
+ACCELERATION_GRID = (0.01, 1.0, 3.0, 10.0, 30.0)  # inverse accelerations, in `runs.sizes[SLUGGISHNESS]` [s^2/rad]
+DEAD_BAND_COUNTS = (3.0, 6.0, 12.0, 25.0, 50.0)  # widths in counts of the encoder, from which fits begin
+SPEED_SPAN = 4  # samples over which a speed is taken, so that counts of the encoder make little of it
+TOP_QUANTILE = 0.99  # of the speeds, that counts as the top speed
+LEAST_SPEED_RATIO = 0.8  # top speed over the speed limit, above which the limit acts
+LEAST_REFERENCE_RATIO = 0.8  # fastest change of the reference over the top speed, above which limits are tried
+LEAST_RAMP_SAMPLES = 2.0  # samples to the top speed at the acceleration limit, above which that limit acts
+STARTS_OF_FIRST_BASE = 2  # best points of its grid; one less of each further base
+LEAST_BAND_COUNTS = 2.0  # encoder counts; a narrower dead band is the controller's own quantisation
+LEAST_STDS = 2.0  # an inverse limit over its standard error; below, there is no limit
 
 
 def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list[Parameters]]:
@@ -35,53 +34,61 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     top = top_speed(runs)
     if top <= 0.0:
         return {}
-    ramps = runs.sizes[SLUGGISHNESS] * np.array(RAMPS)
-    profiles = [{SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEEDS for ramp in ramps]
-    bands = [{"servo_dead_band.band": counts * max(runs.count, FINEST)} for counts in BANDS]
+    ramps = runs.sizes[SLUGGISHNESS] * np.array(ACCELERATION_GRID)
+    profiles = [
+        {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEED_LIMIT_SHARES for ramp in ramps
+    ]
+    bands = [{"servo_dead_band.band": counts * max(runs.count, FINEST)} for counts in DEAD_BAND_COUNTS]
     asked = np.abs(np.diff(runs.reference, axis=1)) / runs.interval
     grids = {"servo_dead_band": bands} | (
-        {"reference_rate_limit": profiles} if float(np.max(asked)) > MET * top else {}
+        {"reference_rate_limit": profiles} if float(np.max(asked)) > LEAST_REFERENCE_RATIO * top else {}
     )
-    against, starts = MeasuredServoRuns(runs), {}
+    measured, starts = MeasuredServoRuns(runs), {}
     for effect, grid in grids.items():
         points = [base | point for base in bases for point in grid]
-        costs = np.nan_to_num([cost(error) for error in against.of(points)], nan=np.inf).reshape(len(bases), -1)
-        best = [place * len(grid) + k for place, own in enumerate(costs) for k in np.argsort(own)[: KEPT - place]]
-        starts[effect] = [points[place] for place in best]
+        costs = np.nan_to_num([cost(error) for error in measured.of(points)], nan=np.inf).reshape(len(bases), -1)
+        starts[effect] = [
+            points[base * len(grid) + k]
+            for base, base_costs in enumerate(costs)
+            for k in np.argsort(base_costs)[: max(STARTS_OF_FIRST_BASE - base, 0)]
+        ]
     return starts
 
 
 def acts(effect: str, parameters: Parameters, runs: ServoRuns) -> bool:
-    """Whether what a drive was found to do is there: a limit that the axis meets, a band wider than two counts."""
+    """Whether a fitted effect acts: the axis reaches the limit, or the dead band is two encoder counts or wider."""
     if effect == "servo_dead_band":
-        return parameters.get("servo_dead_band.band", 0.0) >= WIDER * runs.count
+        return parameters.get("servo_dead_band.band", 0.0) >= LEAST_BAND_COUNTS * runs.count
     if effect != "reference_rate_limit":
         return True
     top = top_speed(runs)
     slow, idle = parameters.get(SLOWNESS, 0.0), parameters.get(SLUGGISHNESS, 0.0)
-    return slow * top > MET or idle * top > LONGER * runs.interval
+    return slow * top > LEAST_SPEED_RATIO or idle * top > LEAST_RAMP_SAMPLES * runs.interval
 
 
 def top_speed(runs: ServoRuns) -> float:
-    """The highest speed [rad/s] of the axis but for what its encoder's counts make of it."""
-    far = np.abs(runs.angle[:, REACH:] - runs.angle[:, :-REACH]) / (REACH * runs.interval)
-    return float(np.quantile(far[runs.measured[:, REACH:] & runs.measured[:, :-REACH]], TOP))
+    """Return the 99 % quantile of the axis' speed [rad/s], taken over four samples to suppress quantisation."""
+    far = np.abs(runs.angle[:, SPEED_SPAN:] - runs.angle[:, :-SPEED_SPAN]) / (SPEED_SPAN * runs.interval)
+    return float(np.quantile(far[runs.measured[:, SPEED_SPAN:] & runs.measured[:, :-SPEED_SPAN]], TOP_QUANTILE))
 
 
-def as_fitted(effect: str, told: Mapping[str, float]) -> dict[str, float]:
-    """Parameters of an effect as a simulation has them; a limit of zero is none."""
+def to_fit_parameters(effect: str, defined: Mapping[str, float]) -> dict[str, float]:
+    """Convert an effect's parameters to the simulation's: limits become inverse limits, and 0 (no limit) stays 0."""
     if effect != "reference_rate_limit":
-        return dict(told)
+        return dict(defined)
     names = {"speed": "slowness", "acceleration": "sluggishness"}
-    return {names[name]: 1.0 / value if value > 0.0 else 0.0 for name, value in told.items()}
+    return {names[name]: 1.0 / value if value > 0.0 else 0.0 for name, value in defined.items()}
 
 
-def as_told(effect: str, fitted: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Parameters of an effect by the names of its definition, with standard errors, from those of a fit."""
+def to_effect_parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Convert fitted parameters, each with its standard error, to those that the effect's definition names.
+
+    An inverse limit that is not significant becomes 0, no limit.
+    """
     if effect != "reference_rate_limit":
         return dict(fitted)
     parameters = {}
     for name, (value, std) in {"speed": fitted["slowness"], "acceleration": fitted["sluggishness"]}.items():
-        shows = value > SHOWN * std and math.isfinite(1.0 / max(value, 1e-300))
+        shows = value > LEAST_STDS * std and math.isfinite(1.0 / max(value, 1e-300))
         parameters[name] = (1.0 / value, std / value**2) if shows else (0.0, 0.0)
     return parameters

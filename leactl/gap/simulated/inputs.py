@@ -19,13 +19,13 @@ OUTERMOST_FIRST = ("angle_reference", "velocity_reference", "torque_reference", 
 """Setpoints; of a cascade of loops the inner ones are answers of the machine."""
 MEASURED = ("q_axis_current", "q_axis_voltage", "line_current")
 """Inputs of a run that logs no setpoint, the first that it has."""
-FEWEST = 10  # samples, below which a channel says nothing
-SURE = 6.0  # standard deviations of both runs' noise, that no sample of a long run goes beyond
-WIDEST = 0.05  # of a command's range, that a tolerance may be
-REGULATED = 0.02  # of a measured input's range: a simulator is fed with what was asked for, or with what flowed
-ROUNDING = 1e-5  # of a command's range: single precision on its way through a file
+FEWEST_SAMPLES = 10  # finite ones, below which a channel is not compared
+NOISE_STDS = 6.0  # of both runs' noise, beyond which no sample of a long run lies by chance
+MOST_TOLERANCE = 0.05  # of a command's range
+MEASURED_TOLERANCE = 0.02  # of a measured input's range: the simulator may be driven by the setpoint instead
+ROUNDING = 1e-5  # of a command's range: single precision in a file
 OFFSETS = 61  # times within the reach, at which the other run is looked at
-COVERED = 0.98  # of a real run's time, that a simulated one lasts at least
+LEAST_DURATION = 0.98  # of the real run's
 
 
 @dataclass(frozen=True)
@@ -51,26 +51,26 @@ class RunCommand:
 
 
 def commands_of(run: Run) -> dict[tuple[str, str], RunCommand]:
-    """The commands of a run by quantity and role: of each role the outermost setpoint, else what was measured."""
+    """Return commands by (quantity, role): each role's outermost setpoint; if none is logged, a measured input."""
     begin = min((float(run.time(name)[0]) for name in run.streams if run.rows[name]), default=0.0)
     roles = {spec.role for specs in run.streams.values() for spec in specs}
-    found = {}
+    commands = {}
     for role in sorted(roles):
         for quantity in OUTERMOST_FIRST:
             if (command := _command(run.channels(quantity, role), begin)) is not None:
-                found[quantity, role] = command
+                commands[quantity, role] = command
                 break
-    if not found:
+    if not commands:
         for quantity in MEASURED:
             if (command := _command(run.channels(quantity), begin)) is not None:
                 return {(quantity, "test"): command}
-    return found
+    return commands
 
 
 def _command(channels: Sequence[Channel], begin: float) -> RunCommand | None:
     for channel in channels:
         good = np.isfinite(channel.values)
-        if good.sum() >= FEWEST:
+        if good.sum() >= FEWEST_SAMPLES:
             return RunCommand(channel.time[good] - begin, channel.values[good], channel.units)
     return None
 
@@ -86,8 +86,8 @@ def mismatch(real: Run, simulated: Run) -> Mismatch | None:
         names = [", ".join(f"{quantity} of {role}" for quantity, role in some) or "none" for some in (ours, theirs)]
         return Mismatch(1.0, f"logs other commands ({names[1]}) than {real.path} ({names[0]})")
     for key in common:
-        if (found := _difference(key, ours[key], theirs[key], real)) is not None:
-            return found
+        if (difference := _difference(key, ours[key], theirs[key], real)) is not None:
+            return difference
     return None
 
 
@@ -96,11 +96,11 @@ def _difference(key: tuple[str, str], ours: RunCommand, theirs: RunCommand, real
     if ours.units != theirs.units:
         return Mismatch(1.0, f"{name} is in {theirs.units}, {real.path} has it in {ours.units}")
     lasts, needed = float(theirs.time[-1]), float(ours.time[-1])
-    if lasts < COVERED * needed:
+    if lasts < LEAST_DURATION * needed:
         return Mismatch(1.0, f"{name} ends after {lasts:.6g} s; {real.path} takes {needed:.6g} s")
     tolerance = tolerance_of(ours.values, theirs.values)
     if key[0] in MEASURED:
-        tolerance = max(tolerance, REGULATED * float(np.ptp(ours.values)))
+        tolerance = max(tolerance, MEASURED_TOLERANCE * float(np.ptp(ours.values)))
     reach = LATEST * max(ours.interval, theirs.interval)
     inside = ours.time <= lasts
     beyond = outside(ours.time[inside], ours.values[inside], theirs, reach) > tolerance
@@ -117,17 +117,17 @@ def _difference(key: tuple[str, str], ours: RunCommand, theirs: RunCommand, real
 
 
 def tolerance_of(ours: Array, theirs: Array) -> float:
-    """What two logs of one command may differ by: their noise, their steps and single precision."""
+    """Return the largest difference allowed between two logs of one command: noise, quantisation, float32 rounding."""
     span = float(max(np.ptp(ours), np.ptp(theirs), np.max(np.abs(ours)), np.max(np.abs(theirs))))
     quanta = quantum_of(ours), quantum_of(theirs)
     noise = float(np.hypot(noise_of(ours, 0.0), noise_of(theirs, 0.0)))
     # a command that takes a few levels has steps, and no quantum: rounding is finer than a twentieth of the range
-    rounded = 0.5 * sum(quantum for quantum in quanta if quantum < WIDEST * span)
-    return min(SURE * noise + rounded, WIDEST * span) + ROUNDING * span
+    rounded = 0.5 * sum(quantum for quantum in quanta if quantum < MOST_TOLERANCE * span)
+    return min(NOISE_STDS * noise + rounded, MOST_TOLERANCE * span) + ROUNDING * span
 
 
 def outside(time: Array, values: Array, other: RunCommand, reach: float) -> Array:
-    """How far values lie outside the range that another command has within a reach [s] of the same time."""
+    """Return how far values lie outside the range of another command within `reach` [s] of the same time."""
     low, high = np.full(len(time), np.inf), np.full(len(time), -np.inf)
     for offset in np.linspace(-reach, reach, OFFSETS):
         seen = np.interp(time + offset, other.time, other.values)

@@ -35,7 +35,7 @@ class RunInfo:
 
 
 def new_run_id(protocol: str, when: datetime) -> str:
-    """A new run identifier that sorts by time and does not repeat: `20261120T101530Z-torque-constant-7f3a`."""
+    """A new run identifier, sorted by time, random in its last digits: `20261120T101530Z-torque-constant-7f3a`."""
     slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
     return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from leactl.analysis.quality.gate import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
-from leactl.analysis.quality.repeated_readings import FEWEST
+from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, StatementVerdict
 from leactl.runner.session import Request
@@ -103,7 +103,7 @@ def _channel(channel: Channel, request: Request) -> Statement:
     entries = request.bench.interlocks.of(quantity, role)
     verdict, why = StatementVerdict.OK, ""
     missing = 1.0 - len(values) / len(channel)
-    stands, span = len(values) >= FEWEST and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
+    stands, span = len(values) >= FEWEST_REPEATS and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
     if mean < low or mean > high:
         verdict, why = StatementVerdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():

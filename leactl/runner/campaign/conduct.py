@@ -69,7 +69,7 @@ def conduct(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, 
     """
     with place.held(folder), ExitStack() as benches, between_runs() as check:
         runs = {entry.cell.key: entry.digest for entry in entries}
-        journal, now = place.to_go_on(campaign, entries, folder, manner.accept_changes, manner.redo_lost)
+        journal, now = place.resumable(campaign, entries, folder, manner.accept_changes, manner.redo_lost)
         pending = [entry for entry in entries if entry.cell.key not in now.finished]
         real = {entry.request.bench.name: entry.request.bench for entry in pending if not entry.request.in_process}
         for name, bench in sorted(real.items()):

@@ -31,8 +31,8 @@ def held(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror or error}; choose another --out") from None
     with locks.locked(folder / LOCK, f"{folder}: the campaign is conducted already"):
-        for left in folder.glob(f".{NAME}.*.tmp"):  # by a kill while the journal was replaced
-            left.unlink()
+        for remnant in folder.glob(f".{NAME}.*.tmp"):  # of a kill while the journal was replaced
+            remnant.unlink()
         yield
 
 
@@ -53,8 +53,10 @@ def busy(folder: Path) -> bool:
     return False
 
 
-def found(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path) -> tuple[Journal, CampaignProgress]:
-    """The journal of the folder, a new one where there is none, and how far the campaign is by its run files.
+def journal_and_progress(
+    campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path
+) -> tuple[Journal, CampaignProgress]:
+    """Return the folder's journal, or a new unsaved one, and the progress that the run files in the folder prove.
 
     Raises
     ------
@@ -65,24 +67,24 @@ def found(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path) ->
     return journal, standing(campaign.name, runs, journal, files_in(folder))
 
 
-def to_go_on(
+def resumable(
     campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, accept_changes: bool, redo_lost: bool
 ) -> tuple[Journal, CampaignProgress]:
-    """As `found`, where nothing stands against going on; see `refuse_changed` and `refuse_lost`.
+    """Return journal and progress of a campaign that may go on; see `refuse_changed` and `refuse_lost`.
 
     Raises
     ------
-    InputError : something does.
+    InputError : a journal that is damaged or not of this campaign, changed runs, or finished runs whose files are lost.
     """
-    journal, now = found(campaign, entries, folder)
-    refuse_changed(campaign, journal, now, {entry.cell.key: entry.digest for entry in entries}, accept_changes)
+    journal, progress = journal_and_progress(campaign, entries, folder)
+    refuse_changed(campaign, journal, progress, {entry.cell.key: entry.digest for entry in entries}, accept_changes)
     if not redo_lost:
-        refuse_lost(now)
-    return journal, now
+        refuse_lost(progress)
+    return journal, progress
 
 
 def refuse_changed(
-    campaign: Campaign, journal: Journal, now: CampaignProgress, runs: Mapping[str, str], accept: bool
+    campaign: Campaign, journal: Journal, progress: CampaignProgress, runs: Mapping[str, str], accept: bool
 ) -> None:
     """Refuse to go on with another campaign than the one that was begun.
 
@@ -95,37 +97,37 @@ def refuse_changed(
     ------
     InputError : with what was changed.
     """
-    if now.changed:
+    if progress.changed:
         raise InputError(
-            f"campaign '{campaign.name}': {_named(now.changed)} finished, and campaign, protocol or bench now say"
+            f"campaign '{campaign.name}': {_named(progress.changed)} finished, and campaign, protocol or bench now say"
             " otherwise; change them back, or choose another --out"
         )
-    was = journal.runs
+    begun = journal.runs
     changes = {
-        "added": runs.keys() - was.keys(),
-        "taken out": was.keys() - runs.keys(),
-        "changed": {key for key in runs.keys() & was.keys() if runs[key] != was[key]},
+        "added": runs.keys() - begun.keys(),
+        "taken out": begun.keys() - runs.keys(),
+        "changed": {key for key in runs.keys() & begun.keys() if runs[key] != begun[key]},
     }
-    told = [f"{len(keys)} {how}" for how, keys in changes.items() if keys]
-    if told and not accept:
+    counts = [f"{len(keys)} {how}" for how, keys in changes.items() if keys]
+    if counts and not accept:
         raise InputError(
-            f"campaign '{campaign.name}' was changed after its start: {', '.join(told)} of {len(runs)} runs, none of"
+            f"campaign '{campaign.name}' was changed after its start: {', '.join(counts)} of {len(runs)} runs, none of"
             " them finished; --accept-changes goes on with it as it is now"
         )
 
 
-def refuse_lost(now: CampaignProgress) -> None:
+def refuse_lost(progress: CampaignProgress) -> None:
     """Refuse to go on where finished runs have lost their files.
 
     Raises
     ------
     InputError : one line for each.
     """
-    if now.lost:
+    if progress.lost:
         raise InputError(
             [
                 f"{key} was finished, and {fate}; put its file back, or --redo-lost makes the run again"
-                for key, fate in now.lost.items()
+                for key, fate in progress.lost.items()
             ]
         )
 

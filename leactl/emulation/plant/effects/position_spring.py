@@ -8,7 +8,7 @@ import numpy as np
 from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
-SLIPS = 25.0  # rad, a few turns from the rest, by which a cable that is wound up has slipped by half
+SLIP_ANGLE = 25.0  # rad from rest (four turns), at which slip halves the torque of Hooke's law
 
 
 @dataclass(frozen=True)
@@ -22,4 +22,4 @@ class PlantPositionSpring(PlantEffect):
     def torque(self, angle: Value, velocity: Value) -> Value:
         """Hooke's law near the rest; further on the cable slips on its drum."""
         away = angle - self.rest_angle
-        return -self.stiffness * away / (1.0 + np.abs(away) / SLIPS)
+        return -self.stiffness * away / (1.0 + np.abs(away) / SLIP_ANGLE)
