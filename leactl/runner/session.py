@@ -554,7 +554,11 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
         request.bench.interlocks,
         torque_models={role: TorqueModel.of(windings.motors[role]) for role in sensed},
         voltage_needs={
-            role: VoltageNeed(motor.back_emf_constant, motor.resistance(request.bench.limits.winding_temperature_degC))
+            role: VoltageNeed(
+                motor.back_emf_constant,
+                motor.resistance(request.bench.limits.winding_temperature_degC),
+                motor.winding,
+            )
             for role, motor in windings.motors.items()
         },
     )

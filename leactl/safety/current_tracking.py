@@ -8,6 +8,7 @@ from collections import deque
 from typing import NamedTuple
 
 from leactl.driver.contract import MotionDevice
+from leactl.model.winding import WindingType, voltage_ceiling
 from leactl.safety.cross_checks import APART_CYCLES
 from leactl.safety.interlocks import CurrentDisagreement
 from leactl.safety.limits import Limits
@@ -22,6 +23,7 @@ class VoltageNeed(NamedTuple):
 
     back_emf_constant: float = 0.0
     resistance: float = 0.0
+    winding: WindingType = "wye"
 
     def of(self, current: float, velocity: float) -> float:
         """The most that a current may need at a speed [V]."""
@@ -48,7 +50,7 @@ class CurrentTracking:
         self._role, self._motion, self._trip, self._need = role, motion, trip, need
         self._share, self._for_s = settings.share_percent / 100.0, settings.for_s
         self._floor = settings.floor_A or FLOOR * limits.current_A
-        self._available = limits.bus_voltage_low_V / math.sqrt(2.0)  # on the q axis, by space vector modulation
+        self._available = voltage_ceiling(limits.bus_voltage_low_V, need.winding)
         self._demands: deque[float] = deque(maxlen=APART_CYCLES + 1)
         self.since, self._cycles = math.nan, 0  # when the disagreement began that goes on
         self.turn_to(judges=False)

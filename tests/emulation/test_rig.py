@@ -185,6 +185,35 @@ def test_voltage_never_passes_the_ceiling():
     assert steady == pytest.approx(-ceiling, rel=1e-4)
 
 
+def as_delta(parameters):
+    """The delta with the leads of a wye: 3/2 of what two leads show in place of 1/2, sqrt(3) times the constants."""
+    root = math.sqrt(3.0)
+    return replace(
+        parameters,
+        winding="delta",
+        phase_resistance=3.0 * parameters.phase_resistance,
+        phase_inductance=3.0 * parameters.phase_inductance,
+        torque_constant=root * parameters.torque_constant,
+        back_emf_constant=root * parameters.back_emf_constant,
+    )
+
+
+@pytest.mark.parametrize("make", [Rig, SteppedRig])
+def test_a_delta_runs_as_fast_as_the_wye_with_its_leads(make):
+    bench = BenchParameters(peak_current=45.0 * math.sqrt(3.0))
+    rigs = {
+        name: make("free", parameters, bench=bench) for name, parameters in (("wye", LEA), ("delta", as_delta(LEA)))
+    }
+    for name, rig in rigs.items():
+        rig.actuators["test"].command("current", 20.0 / (math.sqrt(3.0) if name == "delta" else 1.0))
+        run(rig, 2.0, 0.01)
+    wye, delta = (rig.actuators["test"] for rig in rigs.values())
+    assert wye.voltage == pytest.approx(29.6 / math.sqrt(2.0), rel=1e-3)  # both are at their ceilings
+    assert delta.voltage == pytest.approx(math.sqrt(3.0) * wye.voltage, rel=1e-6)
+    assert delta.velocity_true == pytest.approx(wye.velocity_true, rel=1e-6)
+    assert delta.current == pytest.approx(wye.current / math.sqrt(3.0), rel=1e-4)
+
+
 def test_heated_rig_settles_at_the_closed_form():
     rig = Rig("heated")
     rig.heater_current = 5.0

@@ -105,17 +105,20 @@ def exchange(tracking, reading, demand, velocity, now):
         tracking.since = math.nan
 
 
-def test_a_demand_that_the_voltage_cannot_drive_is_judged_again_where_the_shaft_slows_down():
-    need = VoltageNeed(back_emf_constant=0.49, resistance=0.4)  # 14.1 V at the least: 20 A up to 12 rad/s
+@pytest.mark.parametrize("root", [1.0, math.sqrt(3.0)], ids=["wye", "delta"])
+def test_a_demand_that_the_voltage_cannot_drive_is_judged_again_where_the_shaft_slows_down(root):
+    """The delta has the leads of the wye: the same speeds excuse the same currents through them."""
+    winding = "delta" if root > 1.0 else "wye"
+    need = VoltageNeed(0.49 * root, 0.4 * root**2, winding)  # 14.1 V at the least: 20 A of the wye up to 12 rad/s
     found, trips = tracking(need)
     for cycle in range(500):
-        exchange(found, 2.0, 20.0, 20.0, 0.001 * cycle)
+        exchange(found, 2.0 / root, 20.0 / root, 13.0, 0.001 * cycle)
     assert not trips
     for cycle in range(500, 745):
-        exchange(found, 2.0, 20.0, 10.0, 0.001 * cycle)
+        exchange(found, 2.0 / root, 20.0 / root, 12.0, 0.001 * cycle)
     assert not trips
     for cycle in range(745, 752):
-        exchange(found, 2.0, 20.0, 10.0, 0.001 * cycle)
+        exchange(found, 2.0 / root, 20.0 / root, 12.0, 0.001 * cycle)
     assert trips
 
 

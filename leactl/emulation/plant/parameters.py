@@ -133,6 +133,14 @@ class ActuatorParameters(Checked):
         if self.winding not in ("wye", "delta"):
             raise InputError(f"winding: found {self.winding!r}, expected wye or delta")
 
+    @property
+    def lead_amplitude(self) -> float:
+        """Amplitude of the voltage between two leads over the power-invariant q-axis voltage.
+
+        A phase has sqrt(2/3) of it; two leads of a delta hold one phase, those of a wye the difference of two.
+        """
+        return math.sqrt(2.0 / 3.0) if self.winding == "delta" else math.sqrt(2.0)
+
     def resistance(self, temperature: float) -> float:
         """Phase resistance at a winding temperature [ohm]."""
         rise = temperature - self.reference_temperature

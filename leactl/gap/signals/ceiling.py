@@ -5,9 +5,10 @@ import numpy.typing as npt
 
 from leactl.gap.signals.record import Clocked
 from leactl.model.nominal import Model
+from leactl.model.winding import voltage_ceiling
 
 Array = npt.NDArray[np.float64]
-CEILING = 0.96  # of the largest q-axis voltage, bus voltage over sqrt(2), from which a drive may not hold its current
+CEILING = 0.96  # of the largest q-axis voltage, from which a drive may not hold its current
 
 
 def at_ceiling(clock: Clocked, model: Model) -> npt.NDArray[np.bool_]:
@@ -19,7 +20,7 @@ def at_ceiling(clock: Clocked, model: Model) -> npt.NDArray[np.bool_]:
         return np.zeros(len(clock.time), np.bool_)
     logged = clock.get("bus_voltage", "bench")
     there = bus if logged is None else np.fmin(logged, bus)  # a supply that gives way lowers the ceiling
-    return np.asarray(np.abs(volts) > CEILING * there / np.sqrt(2.0), np.bool_)
+    return np.asarray(np.abs(volts) > CEILING * voltage_ceiling(1.0, model.winding) * there, np.bool_)
 
 
 def demanded(clock: Clocked, model: Model) -> Array | None:

@@ -67,10 +67,9 @@ class RigParameters(NamedTuple):
     current_gains: tuple[float, float] = (1.0, 1.0)
     current_offsets: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def voltage_ceiling(self) -> float:
-        """Highest q-axis voltage [V]."""
-        return self.bench.bus_voltage / math.sqrt(2.0)
+    def voltage_ceiling(self, k: int) -> float:
+        """Highest q-axis voltage [V] of one actuator: between two leads its amplitude is that of the bus."""
+        return self.bench.bus_voltage / self.actuators[k].lead_amplitude
 
 
 def _unit(index: int, value: float = 1.0) -> Array:
@@ -166,9 +165,9 @@ def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> li
         margins += _limit(computed.speed_setpoint, bench.speed_limit, own.speed, k, "speed")
     if own.mode != "current" or bench.setpoint_lead:
         margins += _limit(computed.current_setpoint, bench.peak_current, own.current, k, "current")
-    margins += _limit(computed.voltage, plant.voltage_ceiling, own.voltage, k, "voltage")
+    margins += _limit(computed.voltage, plant.voltage_ceiling(k), own.voltage, k, "voltage")
 
-    voltage = _unit(ONE, own.voltage * plant.voltage_ceiling) if own.voltage else computed.voltage
+    voltage = _unit(ONE, own.voltage * plant.voltage_ceiling(k)) if own.voltage else computed.voltage
     drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
     emf = _unit(x + VELOCITY, parameters.back_emf_constant)
     generator[x + CURRENT] = (voltage - drop - emf) / parameters.phase_inductance

@@ -235,7 +235,7 @@ class Rig:
     def voltage(self, k: int) -> float:
         """Q-axis voltage at the terminals of one actuator [V]."""
         self._correct()
-        ceiling = self._plant.voltage_ceiling
+        ceiling = self._plant.voltage_ceiling(k)
         own = self._regime.actuators[k]
         if own.voltage:
             return own.voltage * ceiling
@@ -295,7 +295,7 @@ class Rig:
             own = own._replace(current=self._side(row, self.bench.peak_current))
             regime = self._with(k, own)
             row = electric(self._plant, regime, k).voltage
-            own = own._replace(voltage=self._side(row, self._plant.voltage_ceiling))
+            own = own._replace(voltage=self._side(row, self._plant.voltage_ceiling(k)))
             regime = self._with(k, own)
         self._enter(regime)
 

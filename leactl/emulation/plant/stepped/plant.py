@@ -70,6 +70,7 @@ class SteppedPlant:
         ratio = column(lanes, lambda lane: lane.bench.shaft_damping_ratio)
         self._stiffness, self._shaft_damping = stiffness, 2.0 * ratio * np.sqrt(stiffness * reduced)
         self._source = column(lanes, lambda lane: lane.bench.bus_voltage)
+        self._lead_amplitude = rows(lanes, lambda p: p.lead_amplitude)
         self.current_offset, self.current_gain = np.zeros(inertia.shape), np.ones(inertia.shape)
         for own in bound["sense_current"]:
             zero = own.effect.sense_current(0.0)
@@ -178,7 +179,7 @@ class SteppedPlant:
         needed = self._resistance * most + self._emf * np.abs(self.velocity) + self._loop * self._inductance * jump
         # 2 V: what acceleration within the millisecond, and a delayed reference, may add
         delayed = 0.0 if not self._reference_paths else math.inf
-        return bool((needed + 2.0 + delayed > self.bus_voltage / math.sqrt(2.0)).any())
+        return bool((needed + 2.0 + delayed > self.bus_voltage / self._lead_amplitude).any())
 
     def _followed(self) -> Array:
         """Currents in the middle of each sub-step of this millisecond, of loops that no ceiling holds."""
@@ -236,7 +237,7 @@ class SteppedPlant:
 
     def _limit_voltage(self) -> None:
         """Take from the change of current what the ceiling does not allow."""
-        ceiling = self.bus_voltage / math.sqrt(2.0)
+        ceiling = self.bus_voltage / self._lead_amplitude
         per_step = self._inductance / STEP + 0.5 * self._resistance
         velocity = self.velocity + 0.5 * self._mobility * self._net  # half way, by the last step's torque
         needed = self._resistance * self.current + self._emf * velocity + per_step * self._change
