@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.effects import library
 from leactl.errors import InputError
-from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter, Verdict
+from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.null import beside, compare, confirmed_beside_others, measure
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
@@ -29,6 +29,7 @@ from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
 from leactl.gap.signals.setpoints import marked, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
+from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
 from leactl.gap.verdict.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.verdict.picture import pictured, pictured_by_replays
@@ -39,9 +40,6 @@ from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
-NAMED = 0.01  # probability above which an effect stands among the causes
-EFFECT = 0.5  # probability above which the verdict is an effect
-UNKNOWN = 0.5  # probability that something unexplained acts, above which the verdict is that where no effect is named
 OUTWEIGHED = 0.2  # of what a set explains, that it may leave beyond noise where something unexplained acts
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
 COURSE, ALIKE = 64, 0.95  # points of a course, and the cosine from which two are one; a ramp and a step have 0.87
@@ -220,7 +218,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     elif outweighed(evidence, beside_sound, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
-    named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
+    named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
@@ -264,7 +262,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         left = (surprise.note,)
         rest = describe(evidence, standing, surprise.channel, case.held_out, near)
     return DiagnosisResult(
-        verdict(causes, surprise.probability, calibrates),
+        verdict_of(causes, surprise.probability, calibrates),
         surprise.probability,
         located,
         applied.fitted.calibration,
@@ -387,7 +385,7 @@ def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
     return tuple(
         kept.get(cause.effect, cause)
         for cause in causes
-        if cause.effect in kept or cause.probability < EFFECT or kept.keys() & set(cause.indistinguishable_from)
+        if cause.effect in kept or cause.probability < NAMED or kept.keys() & set(cause.indistinguishable_from)
     )
 
 
@@ -410,7 +408,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
         )
     for item in judged:
         for rival, probability in item.rivals:
-            if probability < NAMED or rival.effect in causes:
+            if probability < LISTED or rival.effect in causes:
                 continue
             others = [c for c in result.hypothesis if c != item.finding.candidate]
             parameters = alone(evidence, others, rival.candidate)
@@ -421,7 +419,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
     members = {item.finding.effect for item in judged}
     readings = {item.finding.effect for item in judged if of_a_reading(evidence, item.finding.candidate)}
     # what is sure beyond a hundredth ranks by how much of the gap it takes
-    told = [cause for cause in causes.values() if cause.probability >= NAMED]
+    told = [cause for cause in causes.values() if cause.probability >= LISTED]
     ranks = {
         c.effect: (-round(c.probability, 2), c.effect in readings, c.effect not in members, -c.share) for c in told
     }
@@ -438,15 +436,6 @@ def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> 
     """Parameters of an effect in the place of another."""
     fit: Fit = evidence.normal().fit([*others, candidate])
     return effect_parameters(evidence, fit, candidate)
-
-
-def verdict(causes: Sequence[Cause], surprise: float, calibrates: bool) -> Verdict:
-    """What the diagnosis comes to in one word."""
-    if any(cause.probability >= EFFECT for cause in causes):
-        return "effect"
-    if surprise >= UNKNOWN:
-        return "unknown"
-    return "calibration" if calibrates else "none"
 
 
 def gained(evidence: Evidence, result: EffectSet) -> bool:

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from leactl.gap.diagnose import diagnose, read_case
+from leactl.gap.verdict.decision import NAMED
 
 CASES = Path(__file__).parents[3] / "shared" / "gap-cases"
-NAMED = 0.5
 SINCE = {  # causes that the vocabulary lacked when the labels were written
     "a load on an elastic transmission, no encoder behind it": "joint_elasticity",
     "a cable that pulls back towards where the run began": "position_spring",

@@ -24,6 +24,7 @@ from leactl.analysis.voltage_waves.pole_pairs import waves_per_turn, whole_pole_
 from leactl.analysis.voltage_waves.turning_holds import TurningHold, turning_holds
 from leactl.analysis.voltage_waves.wave_means import CommonUncertainties, constant_of, drift_of
 from leactl.errors import NotIdentifiable
+from leactl.model.winding import FRAMES, WindingType
 from leactl.runfile.read.reader import Run
 
 RESULTS = {
@@ -51,10 +52,6 @@ RESULTS = {
     "harmonic_13_phase": "rad",
 }
 
-Q_AXIS_OVER_LINE = {
-    "wye": 1.0 / math.sqrt(2.0),
-    "delta": math.sqrt(1.5),
-}  # q axis of the winding's own frame over line to line
 TIME_BASE_STD = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
 MOST_UNEVEN = 0.005  # relative difference of pairs; a note names a larger one
 MOST_SUM_OF_THREE = 0.01  # of a pair's voltage; the sum of the three voltages should be zero
@@ -110,7 +107,7 @@ def analyze(
         widened = widened_by_scatter(line, series)
         line = widened.value
         notes += widened.notes
-    kb = scaled(line, Q_AXIS_OVER_LINE[winding.value], "back_emf_constant", UNITS)
+    kb = scaled(line, FRAMES[winding.value].back_emf, "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
         constant_of(f"line_to_line_constant_{name}", UNITS, constants, shares.of_one_pair)
@@ -168,15 +165,15 @@ def pole_pairs_of(holds: Sequence[TurningHold], error_prefix: str) -> Noted[tupl
     return Noted((Estimate("pole_pairs", value, std, value - half, value + half, "1"), poles), tuple(notes))
 
 
-def winding_of(run: Run) -> Noted[str]:
+def winding_of(run: Run) -> Noted[WindingType]:
     """Return `wye` or `delta` as the run's model states it; `wye` where it states neither."""
     winding = model_of(run).get("winding")
-    if winding not in Q_AXIS_OVER_LINE:
+    if winding not in FRAMES:
         return Noted("wye", (f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)",))
     if winding == "delta":
         note = "the winding is a delta: Kb_q = sqrt(3/2) Kb_ll in its own frame, Kb_ll / sqrt(2) as a wye's"
         return Noted("delta", (note,))
-    return Noted(str(winding))
+    return Noted(winding)
 
 
 def scaled(estimate: Estimate, factor: float, name: str, units: str) -> Estimate:

@@ -38,6 +38,7 @@ from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import InputError
+from leactl.model.winding import FRAMES
 from leactl.runfile.read.reader import Run
 
 RESULTS = {
@@ -77,7 +78,6 @@ RESULTS = {
     "peak_current_300s_standing": "A",
 }
 
-PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
 MOST_LEFT_OUT = 0.01  # of the frames; a note names a larger share
 WINDING_LIMIT = 130.0  # degC, the paper's
 
@@ -221,12 +221,12 @@ def limit_of(model: Mapping[str, Any]) -> float:
 def phase_share(model: Mapping[str, Any]) -> Noted[float]:
     """Return the resistance of a phase over that between two leads, by the winding that a model states."""
     winding = model.get("winding")
-    if winding not in PHASE_OF_LINE:
-        return Noted(PHASE_OF_LINE["wye"], ("no model tells the winding; taken as a wye",))
+    if winding not in FRAMES:
+        return Noted(FRAMES["wye"].resistance, ("no model tells the winding; taken as a wye",))
     if winding == "delta":
         note = (
             "the winding is a delta: all its phases are heated, 2/3 of the heat in one; active windings are those of"
             " that phase, and a mean weighted 2/3 to 1/3 is too hot"
         )
-        return Noted(PHASE_OF_LINE["delta"], (note,))
-    return Noted(PHASE_OF_LINE[str(winding)])
+        return Noted(FRAMES["delta"].resistance, (note,))
+    return Noted(FRAMES[winding].resistance)

@@ -7,10 +7,10 @@ from typing import Literal
 
 from leactl.gap.blind.answers import MODEL, case_names, runs_of, write
 from leactl.gap.blind.check import OpenKey
-from leactl.gap.blind.marks import NAMED
 from leactl.gap.blind.truth import Truth
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.diagnosis import Cause, DiagnosisResult
+from leactl.gap.verdict.decision import NAMED
 from leactl.processes import Progress
 
 Outcome = Literal["named", "named with others", "missed"]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from leactl.gap.blind.truth import Truth
+from leactl.gap.verdict.decision import NAMED
 
-NAMED = 0.5  # probability from which a cause counts as named
 LEAST_MOVED = 1.0  # floors, below which a gap drowns in noise wherever it is
 AS_GOOD = 0.9  # of the most floors moved: test and load actuator tell the speed of one shaft
 GAP = 1.1  # floors, below which an oracle finds no gap to close

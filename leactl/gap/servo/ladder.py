@@ -22,6 +22,7 @@ from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.gap.signals.record import Record
+from leactl.gap.verdict.decision import LISTED, NAMED
 from leactl.gap.verdict.judge import UNCONFIRMED, presence
 from leactl.model.nominal import Model
 
@@ -38,8 +39,6 @@ COUNTS = 1.0  # of the encoder, root mean square, below which it does not matter
 LOST = 0.1  # share of the torque at the largest current, that saturation begins with
 FADES = (0.03, 0.15)  # of the fast speeds, at which friction may begin to fall
 PAIRS = 2  # effects, that are always tried together
-NAMED = 0.5
-LEAST = 0.01  # probability below which an effect is not worth telling
 FEW_RUNS = 4  # below which runs do not tell how far they lie apart
 
 
@@ -228,8 +227,8 @@ def standing_of(
     ]
     for more in [one for one in sets if len(one) == len(members) + 1 and one > members]:
         (name,) = more - members
-        probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LEAST)
-        if probability >= LEAST:
+        probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LISTED)
+        if probability >= LISTED:
             further = parameters_of(name, sets[more], errors_of(sets[more], runs))
             standings.append(LikelyEffect(name, probability, 0.0, further))
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))

@@ -24,7 +24,7 @@ UNITS = {
     "1/(2 pi)": 0.5 / math.pi,
     "2 pi": 2.0 * math.pi,
 }
-NAMED = CURRENTS | UNITS
+FACTORS = CURRENTS | UNITS
 STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
 NEAR = 0.06  # logarithm, by which a factor may miss its convention
 MOST_RATE, MOST_POLES, WHOLE = 10, 64, 0.25
@@ -33,8 +33,8 @@ MOST_RATE, MOST_POLES, WHOLE = 10, 64, 0.25
 def convention(factor: float, error: float = 0.0) -> str:
     """The convention that a factor equals within its error; empty where none does."""
     size = abs(factor)
-    near = min(NAMED, key=lambda name: abs(math.log(size / NAMED[name])))
-    return ("-" if factor < 0.0 else "") + near if abs(math.log(size / NAMED[near])) < NEAR + error else ""
+    near = min(FACTORS, key=lambda name: abs(math.log(size / FACTORS[name])))
+    return ("-" if factor < 0.0 else "") + near if abs(math.log(size / FACTORS[near])) < NEAR + error else ""
 
 
 def step_of_time(factor: float, error: float) -> str:

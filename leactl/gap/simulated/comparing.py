@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from leactl.gap.diagnose import EFFECT, UNKNOWN
 from leactl.gap.diagnosis import (
     CalibratedParameter,
     DiagnosisResult,
@@ -22,6 +21,7 @@ from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.known import KnownEffect, known_effects, without
 from leactl.gap.simulated.nominal import NominalOfSimulator
+from leactl.gap.verdict.decision import NAMED, UNKNOWN
 
 ANOTHER = 3.0  # priors, from which on a parameter is that of another machine
 DISTINCT = 0.02  # of a parameter, that an effect's freedom within its form moves it by where nothing differs
@@ -82,7 +82,7 @@ def by_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideByS
 
     Sizes are compared by the first parameter of each effect.
     """
-    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= EFFECT}
+    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED}
     sizes = {}
     for cause in nominal.causes:
         ours, theirs = cause.parameters, real.get(cause.effect, ())
@@ -116,7 +116,7 @@ def settled(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) 
     """
     causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
     verdict = answer.verdict
-    if verdict == "effect" and not any(cause.probability >= EFFECT for cause in causes):
+    if verdict == "effect" and not any(cause.probability >= NAMED for cause in causes):
         verdict = "unknown" if answer.unexplained_probability >= UNKNOWN else "none"
     if verdict in ("none", "calibration"):
         verdict = "calibration" if parameters_differ or both.differing else "none"

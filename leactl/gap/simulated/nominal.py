@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from leactl.errors import InputError
-from leactl.gap.diagnose import EFFECT, Case, Channel, Progress, diagnose_mended, without_faults
+from leactl.gap.diagnose import Case, Channel, Progress, diagnose_mended, without_faults
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, SimulatorFloor
 from leactl.gap.search.evidence import PRIORS, Evidence
 from leactl.gap.search.parameters import (
@@ -20,6 +20,7 @@ from leactl.gap.servo.answer import judged_by_runs
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.known import KnownEffect, known_effects
+from leactl.gap.verdict.decision import NAMED
 from leactl.model.nominal import Model
 
 ROUNDS = 4  # of fits from a start that is far off; a parameter that is off by ten times is met in three
@@ -85,7 +86,7 @@ def nominal_of(
     with_them: Model = answer.extra["augmented"]
     base = with_them.model_copy(update={"effects": []})
     present = {entry.effect for entry in with_them.effects}
-    causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= EFFECT)
+    causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= NAMED)
     standing = () if by_free_runs else answer.extra.get("standing", ())
     candidates = [candidate for candidate in standing if candidate[0] in present]
     evidence = Evidence(mended.fitted, base, only=candidates)
