@@ -14,7 +14,7 @@ from leactl.analysis.estimate import Result
 from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import DiagnosisResult
-from leactl.gap.replay.written import Simulated as Simulated
+from leactl.gap.replay.replay_run_file import Simulated as Simulated
 from leactl.runfile.read.reader import Channel as Channel
 from leactl.runfile.read.reader import Run as Run
 
@@ -151,7 +151,7 @@ def simulate(model: Place, run: Place, out: Place | None = None) -> Simulated:
     ------
     InputError : files that cannot be used, a model that says nothing of this run, or an existing file at `out`.
     """
-    from leactl.gap.replay.written import simulate as write
+    from leactl.gap.replay.replay_run_file import simulate as write
 
     return write(Path(model), Path(run), None if out is None else Path(out))
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 
 from leactl.errors import InputError
-from leactl.regular import file_bytes
+from leactl.regular_files import file_bytes
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError

@@ -6,7 +6,7 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.model.cycle import MOST_BYTES, MOST_ROWS, read_cycle
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.tables import text_table
 from leactl.tables.text_table import MOST_BYTES as MOST_OF_TABLE
 from tests.driver.camera import camera

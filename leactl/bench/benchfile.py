@@ -11,8 +11,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from leactl import yamlfile
 from leactl.driver import registry
-from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
+from leactl.driver.file_records import RecordSettings
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import BenchModel

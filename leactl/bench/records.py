@@ -9,9 +9,9 @@ from pydantic import ValidationError
 from leactl import yamlfile
 from leactl.bench.benchfile import CheckedDevice, Device
 from leactl.driver import registry
-from leactl.driver.batch import BatchSource, FileRecord, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
+from leactl.driver.file_records import BatchSource, FileRecord, RecordSettings
 from leactl.errors import InputError
 from leactl.runfile.attach import AlignedRecord, align_record, attach
 from leactl.runfile.read.reader import Run

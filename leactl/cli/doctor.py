@@ -12,9 +12,9 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     from leactl.bench.host_checks import run_checks
     from leactl.report import pdf
     from leactl.report.terminal import list_line
-    from leactl.runner import state
+    from leactl.runner import state_folder
 
-    findings = [*run_checks(), state.examine(), pdf.examine()]
+    findings = [*run_checks(), state_folder.examine(), pdf.examine()]
     wrong = [finding for finding in findings if finding.needed and not finding.fine]
     if as_json:
         typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))

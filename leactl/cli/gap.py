@@ -106,7 +106,7 @@ def simulate(
     as_json: bool = AS_JSON,
 ) -> None:
     """Simulate a run again: its own inputs through a model, written as a run file with the same channels and clock."""
-    from leactl.gap.replay.written import simulate as write
+    from leactl.gap.replay.replay_run_file import simulate as write
 
     simulated = write(model, run, out)
     typer.echo(json.dumps(simulated.as_json()) if as_json else str(simulated.path))
@@ -140,7 +140,7 @@ def show_effects(
     as_json: bool = AS_JSON,
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it; and faults."""
-    from leactl.gap.explained import explained
+    from leactl.gap.effect_sheet import explained
     from leactl.report.gap_listings import all_effects_text, effect_text
     from leactl.vocabulary.effect import effect_names
     from leactl.vocabulary.setup_fault import setup_faults

@@ -40,7 +40,7 @@ def ask_open_questions(survey: "Survey") -> "Proposal":
 
 def ask_question(question: "OpenQuestion") -> str:
     """Return an accepted answer to a question, asking until one is given."""
-    from leactl.runfile.importing.proposal.channels import LEAVE_OUT
+    from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT
     from leactl.runfile.importing.proposal.proposal import accepted_answer
 
     typer.echo(question.text, err=True)

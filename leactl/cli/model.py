@@ -49,7 +49,7 @@ def import_model(
     as_json: bool = AS_JSON,
 ) -> None:
     """Read one joint of an MJCF or URDF file as a model file, and say what that file lacks; needs leactl[mujoco]."""
-    from leactl.exchange.reading import import_joint
+    from leactl.exchange.robot_joint import import_joint
     from leactl.runfile.publish import new_file, refuse_existing
 
     if out is not None:
@@ -89,7 +89,7 @@ def export_model(
     as_json: bool = AS_JSON,
 ) -> None:
     """Write a model, effects and all, for MuJoCo, URDF or others: what the file can hold into it, the rest as code."""
-    from leactl.exchange.exporting import ExportRequest, export
+    from leactl.exchange.export_request import ExportRequest, export
 
     request = ExportRequest(model, to.value, into, joint, out, callbacks, timestep, ctrl is Ctrl.CURRENT)
     exported = export(request)

@@ -7,7 +7,7 @@ from typing import Any
 
 from leactl import __version__
 from leactl.exchange.destinations import ACTS_ON, CALLBACKS, CURRENT, MJCF
-from leactl.exchange.writing import Patch
+from leactl.exchange.robot_patch import Patch
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 

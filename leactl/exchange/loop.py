@@ -12,10 +12,10 @@ import yaml
 
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
-from leactl.exchange.exporting import refuse_unusable_outputs, write_all
+from leactl.exchange.export_request import refuse_unusable_outputs, write_all
 from leactl.exchange.playing import play, playable, rms_of_error
-from leactl.exchange.reading import import_joint
-from leactl.exchange.writing import Patch, patch, write_patch
+from leactl.exchange.robot_joint import import_joint
+from leactl.exchange.robot_patch import Patch, patch, write_patch
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.diagnosis import DiagnosisResult
 from leactl.model.nominal import as_mapping

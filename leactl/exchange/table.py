@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from leactl.exchange.reading import rounded
-from leactl.exchange.writing import servo_figures
+from leactl.exchange.robot_joint import rounded
+from leactl.exchange.robot_patch import servo_figures
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 

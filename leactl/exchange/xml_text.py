@@ -8,7 +8,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from leactl.errors import InputError
-from leactl.regular import file_bytes
+from leactl.regular_files import file_bytes
 
 MOST_BYTES = 1 << 24
 _ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")

@@ -22,7 +22,7 @@ from leactl.gap.search.ringing import Line, ringing
 from leactl.gap.search.sets import EffectSet, search
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
-from leactl.gap.servo.ladder import climb
+from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.setup import SetUpFault, mended
 from leactl.gap.signals.record import Record
@@ -206,15 +206,15 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     if by_runs:
         progress("fitting free runs of the servo")
         free = side_by_side(case.fitted, case.model)
-        ladder = climb(free, case.held_out, case.model, searched.hypothesis)
-        calibrated_alone = servo_answer.calibration(case.model, ladder.calibrated, {})
-        parameters = servo_answer.calibration(case.model, ladder.augmented, ladder.stds)
-        causes = servo_answer.causes(ladder, causes, free, with_calibration(case.model, parameters))
-        members |= {item.effect for item in ladder.standing}
-        calibrated_alone = calibrated_alone if ladder.standing else parameters
-        refit = partial(fitted_by_ladder, parameters)
+        fitted_sets = fit_effect_sets(free, case.held_out, case.model, searched.hypothesis)
+        calibrated_alone = servo_answer.calibration(case.model, fitted_sets.calibrated, {})
+        parameters = servo_answer.calibration(case.model, fitted_sets.augmented, fitted_sets.stds)
+        causes = servo_answer.causes(fitted_sets, causes, free, with_calibration(case.model, parameters))
+        members |= {item.effect for item in fitted_sets.standing}
+        calibrated_alone = calibrated_alone if fitted_sets.standing else parameters
+        refit = partial(fitted_by_sets, parameters)
         left_out = [record for record in case.fitted if record not in free]
-        told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
+        told = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", left_out)
     elif outweighed(evidence, beside_sound, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
@@ -225,7 +225,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in replayed]
     if by_runs:
-        replayed = servo_answer.on_time(replayed, case.model, ladder.late)
+        replayed = servo_answer.on_time(replayed, case.model, fitted_sets.late)
     applied = apply(
         case.model,
         calibrated_alone,
@@ -374,7 +374,7 @@ def fitted_to_the_end(
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 
-def fitted_by_ladder(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
+def fitted_by_sets(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
     """What free runs of a servo say, which are fitted with all effects at once."""
     return FittedEffects(tuple(causes), calibration)
 

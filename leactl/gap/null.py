@@ -20,9 +20,9 @@ from leactl.effects.shapes import delayed
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bearing import TRIED
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null, error_of
 from leactl.gap.search.parameters import (

@@ -3,7 +3,7 @@
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from leactl.gap.explained import explained
+from leactl.gap.effect_sheet import explained
 from leactl.report.gap_words import enumerated
 from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition, effect_names

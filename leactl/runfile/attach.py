@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.driver.batch import FileRecord, RecordClock
+from leactl.driver.file_records import FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, align_by_similarity, fit_alignment

@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from leactl.errors import InputError
-from leactl.regular import AS_BYTES, AT_ONCE, OF_THIS_PROCESS
+from leactl.regular_files import AS_BYTES, AT_ONCE, OF_THIS_PROCESS
 from leactl.runner.progress import Progress
 
 STDOUT = Path("-")

@@ -19,9 +19,9 @@ from pathlib import Path
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError, LeactlError, SafetyTrip
-from leactl.regular import read_at, write_at
+from leactl.regular_files import read_at, write_at
 from leactl.runfile.publish import force_to_disk
-from leactl.runner import state
+from leactl.runner import state_folder
 from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
@@ -58,7 +58,7 @@ class Latch:
         """
         path = Path(self.paths[0])
         try:
-            descriptor = state.opened(path, self.shared)
+            descriptor = state_folder.opened(path, self.shared)
             try:
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, _told(self.bench, cause, run))
@@ -105,7 +105,7 @@ class Latch:
                 path.rename(path.with_name(f"{path.name}.{secrets.token_hex(4)}.aside"))
                 continue
             try:  # another user's in a sticky directory
-                descriptor = state.opened(path, self.shared)
+                descriptor = state_folder.opened(path, self.shared)
                 try:
                     os.ftruncate(descriptor, 0)
                     os.write(descriptor, RELEASED)
@@ -134,7 +134,7 @@ class Ready:
         self._latch, self._path = latch, Path(latch.paths[0])
         self._cut_short = json.dumps(asdict(Trip(latch.bench, "unknown, for want of memory", "", ""))).encode()
         try:
-            self._descriptor = state.opened(self._path, latch.shared)
+            self._descriptor = state_folder.opened(self._path, latch.shared)
             if read_at(self._descriptor, BYTES, 0).strip() in (b"", RELEASED.strip()):
                 self._write(RELEASED)
                 force_to_disk(self._path.parent)
@@ -152,7 +152,7 @@ class Ready:
             text = _told(self._latch.bench, cause, run)
         except MemoryError:
             text = self._cut_short
-        if not state.in_place(self._descriptor, self._path):
+        if not state_folder.in_place(self._descriptor, self._path):
             self._latch.set(cause, run)
             return
         try:
@@ -164,7 +164,7 @@ class Ready:
         """Let it go, and take it away where it was not set."""
         with suppress(OSError):
             if (
-                state.in_place(self._descriptor, self._path)
+                state_folder.in_place(self._descriptor, self._path)
                 and read_at(self._descriptor, BYTES, 0).strip() == RELEASED.strip()
             ):
                 self._path.unlink()
@@ -185,8 +185,8 @@ def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
     """The latch of a bench as its run meets it; `file` is where its bench file lies."""
     if in_process:
         return _of_file(bench.name, Path(file))
-    place = state.place_of(bench, in_process)
-    directories = dict.fromkeys([place.directory, *(other.directory for other in state.places())])
+    place = state_folder.place_of(bench, in_process)
+    directories = dict.fromkeys([place.directory, *(other.directory for other in state_folder.places())])
     paths = tuple(str(directory / f"{bench.name}{SUFFIX}") for directory in directories)
     return Latch(bench.name, bench.name, paths, place.shared)
 
@@ -210,12 +210,12 @@ def _of_file(bench: str, file: Path) -> Latch:
     path = file.resolve()
     resets = path.stem if path.parent == benchfile.SHIPPED.resolve() else str(path)
     digest = sha256(os.fsencode(path)).hexdigest()[:DIGITS]
-    return Latch(bench, resets, (str(state.state_directory() / f"{bench}@{digest}{SUFFIX}"),))
+    return Latch(bench, resets, (str(state_folder.state_directory() / f"{bench}@{digest}{SUFFIX}"),))
 
 
 def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
     """The latches that lie anywhere for benches of this name, which has no `@`."""
-    for place in state.places():
+    for place in state_folder.places():
         with suppress(OSError):
             for path in sorted(place.directory.iterdir()):
                 key, suffix, rest = path.name.partition(SUFFIX)
@@ -225,7 +225,7 @@ def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
 
 def _trip(bench: str, path: Path) -> Trip | None:
     try:
-        text = state.read(path)
+        text = state_folder.read(path)
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -18,7 +18,7 @@ from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.bound import BURNT, HOTTEST
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
-from leactl.safety.thermal.left_on import Endured, endured, reached, trip_level
+from leactl.safety.thermal.supply_left_on import Endured, endured, reached, trip_level
 
 
 class EndedBy(StrEnum):

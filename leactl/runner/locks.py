@@ -17,9 +17,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus, VisaBus
-from leactl.driver.batch import RecordSettings
+from leactl.driver.file_records import RecordSettings
 from leactl.errors import DeviceError, InputError
-from leactl.runner import lock_holders, state
+from leactl.runner import lock_holders, state_folder
 
 WAITING = 4096  # who asks for the holder stays in its queue; beyond this, or the kernel's bound, it is unknown
 UDP_MULTICAST_PORT = 43113  # of python-can, where no option names another
@@ -74,7 +74,7 @@ def name_of(bench: BenchFile) -> str:
     """A bench as the machine knows it; served ones of one name are several, by where their state is kept."""
     if bench.emulated is None:
         return f"bench-{bench.name}"
-    return f"{state.place_of(bench, in_process=False).directory}/bench-{bench.name}"
+    return f"{state_folder.place_of(bench, in_process=False).directory}/bench-{bench.name}"
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def locked(path: Path, taken: str) -> Iterator[int]:
     except ImportError:
         raise InputError(f"{path}: this system has no locks of files, which keep two processes apart here") from None
     try:
-        descriptor = state.opened(path, shared=False)
+        descriptor = state_folder.opened(path, shared=False)
     except OSError as error:
         raise InputError(f"{path}: no lock can be kept here: {error.strerror or error}") from None
     try:

@@ -22,9 +22,9 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
-from leactl.regular import AS_BYTES, AT_ONCE, NO_LINK, read_at, write_at
-from leactl.runner import lock_holders, state
-from leactl.runner.state import Place
+from leactl.regular_files import AS_BYTES, AT_ONCE, NO_LINK, read_at, write_at
+from leactl.runner import lock_holders, state_folder
+from leactl.runner.state_folder import Place
 from leactl.yamlfile import printable
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
@@ -52,7 +52,7 @@ class Announcement:
         if self._path is None:
             return
         with suppress(OSError), self._telling:
-            if state.in_place(self._descriptor, self._path):
+            if state_folder.in_place(self._descriptor, self._path):
                 return
             with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
@@ -77,7 +77,7 @@ class Announcement:
         """What has been remarked since this was asked last."""
         if os.fstat(self._descriptor).st_size <= self._read_to:
             return []
-        text = read_at(self._descriptor, state.MOST_BYTES, self._read_to)
+        text = read_at(self._descriptor, state_folder.MOST_BYTES, self._read_to)
         whole = text[: text.rfind(b"\n") + 1]  # a line that is being written is read the next time
         self._read_to += len(whole)
         return [str(line["remark"]) for line in _lines(whole) if "remark" in line]
@@ -111,7 +111,7 @@ def announced(
     ------
     InputError : there is no place for the file.
     """
-    place = place or state.of_user()
+    place = place or state_folder.of_user()
     path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     file = str(Path(bench_file).resolve())
     about = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": needed}
@@ -151,7 +151,7 @@ def _locked(path: Path, text: bytes, shared: bool) -> int:
     except ImportError:
         raise OSError(errno.ENOSYS, "this system has no locks of files") from None
     hidden = path.with_suffix(".tmp")
-    descriptor = state.opened(hidden, shared)
+    descriptor = state_folder.opened(hidden, shared)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.write(descriptor, text)
@@ -249,7 +249,7 @@ def lost(bench: str) -> Iterator[tuple[str, str]]:
     They are told once: what one left behind is removed as the next is asked for, so that nothing is lost where what is
     done about it fails.
     """
-    for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
+    for path in [path for place in state_folder.places() for path in sorted(place.runs.glob("*.run"))]:
         with suppress(OSError):  # what is no run's file is told by whoever asks what runs
             descriptor = _opened(path)
             if descriptor is None:
@@ -294,7 +294,7 @@ def running() -> tuple[list[RunUnderway], list[str]]:
 
     What a run left behind that ended with safe devices is removed; the next run is told of the others (`lost`).
     """
-    places, faults = state.reachable()
+    places, faults = state_folder.reachable()
     underway = []
     for path in [path for place in places for path in sorted(place.runs.glob("*.run"))]:
         try:

@@ -27,14 +27,14 @@ from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, SearchLimit, SetRecordRate, SetSupply
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
-from leactl.runner import latch, locks, runs_underway, state
+from leactl.runner import latch, locks, runs_underway, state_folder
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.channel_limits import ACCEPTANCE, LimitVerdict
 from leactl.runner.event_lines import EventLines
+from leactl.runner.flushing import InlineFlush, Recording, SparseWriter, ThreadedFlush
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import InlineFlush, Recording, SparseWriter, ThreadedFlush
 from leactl.runner.runs_underway import Announcement
 from leactl.runner.signals import Operator, People, StopSource, Wishes, listening
 from leactl.runner.thermal_admission import Windings
@@ -149,7 +149,7 @@ def execute(
     devices = with_run_folders(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
     with _alone(request) as locks, listening() as stop, ExitStack() as lasting:
-        place = state.place_of(request.bench, request.in_process)
+        place = state_folder.place_of(request.bench, request.in_process)
         _refuse_latched(request)
         bench_latch = _held_ready(request, lasting)
         about = request.bench.name, request.bench_document.name, request.plan.name
@@ -266,7 +266,7 @@ def rehearse(request: Request) -> DryRun:
     ready, bench, _supervisor = _ready(request, windings)
     stays_on, alone = _left_on(ready.plan, windings, bench), unwitnessed(ready.plan, bench)
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
-    if fault := state.place_of(request.bench, request.in_process).fault:
+    if fault := state_folder.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
     planned, forecast = _planned_bytes(request, bench), windings.forecast(ready.plan)
     return DryRun(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
@@ -368,7 +368,7 @@ def _run(context: RunContext) -> Outcome:
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")
                     writer.event(0.0, "warning", name, progress.warnings[-1])
-            place = state.place_of(request.bench, request.in_process)
+            place = state_folder.place_of(request.bench, request.in_process)
             if place.fault:
                 text = f"{place.fault}; trip latch and winding memory are this user's alone, in {place.directory}"
                 progress.warnings.append(f"{text}; see: leactl doctor")

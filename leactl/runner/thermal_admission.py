@@ -13,7 +13,7 @@ from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
 from leactl.runner.boot_time import ClockReadings
-from leactl.runner.state import place_of
+from leactl.runner.state_folder import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
 from leactl.safety.thermal.box import Box

@@ -21,10 +21,10 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.model.motor import Motor
-from leactl.regular import write_at
-from leactl.runner import state
+from leactl.regular_files import write_at
+from leactl.runner import state_folder
 from leactl.runner.boot_time import ClockReadings
-from leactl.runner.state import Place
+from leactl.runner.state_folder import Place
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
@@ -70,7 +70,7 @@ class Memory:
 
     def _kept(self) -> list[Path]:
         several = self._place.shared or self._place.fault  # a rehearsal's are kept apart
-        places = [self._place, *(state.places() if several else ())]
+        places = [self._place, *(state_folder.places() if several else ())]
         paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
         return [path for path in paths if os.path.lexists(path)]
 
@@ -113,10 +113,10 @@ class Memory:
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
         text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
-        if self._held is not None and not state.in_place(self._held, self.path):
+        if self._held is not None and not state_folder.in_place(self._held, self.path):
             self.let_go()
         if self._held is None:
-            self._held = state.opened(self.path, self._place.shared)
+            self._held = state_folder.opened(self.path, self._place.shared)
         if write_at(self._held, text, 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if os.fstat(self._held).st_size > len(text):  # something else has written here
@@ -144,7 +144,7 @@ class Memory:
             bound.state[:HOUSING] = rest
 
     def _read(self, path: Path) -> tuple[Array, ClockReadings, bool]:
-        kept = json.loads(state.read(path))
+        kept = json.loads(state_folder.read(path))
         if kept["format"] != FORMAT or kept["format_version"] != VERSION:
             raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
         if kept["actuator"] != self.actuator:

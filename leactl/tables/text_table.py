@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TextIO
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.tables.number_format import TableFormat
 
 MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory

@@ -10,7 +10,7 @@ import pytest
 
 from leactl.driver.clock import MonotonicClock
 from leactl.report.web.feed import RunPage
-from leactl.runner.recorder import ThreadedFlush
+from leactl.runner.flushing import ThreadedFlush
 from tests.benchmarks.timed_bus import BIT_S, TimedBus, bits_of
 from tests.benchmarks.two_drives import Rehearsal, machine_of, prepared, request_in
 

@@ -13,9 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from leactl.analysis.heating.first_guess import covered
 from leactl.analysis.heating.network import Unknowns, drive_of, fit_network, measured
 from leactl.analysis.heating.record import heating_records
-from leactl.analysis.heating.start import covered
 from leactl.runfile.read.reader import Run
 from tests.analysis.heated import HeatedBench
 

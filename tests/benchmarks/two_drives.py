@@ -13,10 +13,10 @@ from leactl.driver.i2c_port import SmBus
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.runfile.write.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
+from leactl.runner.flushing import FLUSH_S, Recording
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import FLUSH_S, Recording
 from leactl.runner.request import Request, prepare
 from leactl.runner.signals import People, StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched

@@ -8,8 +8,8 @@ import pytest
 
 from leactl.effects.plant import Moment
 from leactl.exchange.destinations import ACTS_ON, CURRENT
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import answered
-from leactl.gap.replay.plants import plant_of
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.exchange.robots import MOTOR, chain, leg

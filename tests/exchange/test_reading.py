@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from leactl.errors import InputError
-from leactl.exchange.reading import import_joint
+from leactl.exchange.robot_joint import import_joint
 from tests.exchange.robots import LEG, MOTOR, arm, chain, leg, written
 
 mujoco = pytest.importorskip("mujoco", reason="MJCF and URDF are read by leactl[mujoco]")

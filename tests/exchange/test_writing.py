@@ -8,8 +8,8 @@ import yaml
 
 from leactl.errors import InputError
 from leactl.exchange.compiled import read_joint
-from leactl.exchange.exporting import ExportRequest, export
-from leactl.exchange.reading import import_joint
+from leactl.exchange.export_request import ExportRequest, export
+from leactl.exchange.robot_joint import import_joint
 from leactl.model.nominal import Model
 from tests.exchange.robots import MOTOR, SERVO, arm, chain, leg, written
 

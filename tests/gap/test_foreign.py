@@ -10,10 +10,10 @@ import pytest
 
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.equations import equations
+from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.evidence import PRIORS
-from leactl.gap.search.orders import strongest
 from leactl.gap.search.regression import Normal, make_rows, residuals, stack
-from leactl.gap.servo.ladder import climb
+from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
 from leactl.gap.signals.record import read_record
@@ -148,7 +148,7 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
     for gain in sorted({record.setup["drive_gain"] for record in records}):
         others = [record for record in records if record.setup["drive_gain"] != gain]
         left_out = [record for record in records if record.setup["drive_gain"] == gain]
-        found = climb(others, left_out, model, [])
+        found = fit_effect_sets(others, left_out, model, [])
         tried = (found.calibrated, found.augmented)
         errors.append([mean_absolute_error(servo_runs(left_out, model), one.parameters) for one in tried])
         standing.append({item.effect for item in found.standing if item.probability > 0.5})
@@ -161,7 +161,7 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
 @pytest.mark.long
 def test_xl330_friction_falls_with_speed_where_it_grows_with_load(tmp_path):
     records = [read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)]
-    found = climb(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])
+    found = fit_effect_sets(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])
     assert {item.effect: item.probability > 0.9 for item in found.standing} == {
         "load_dependent_friction": True,
         "saturation": True,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from leactl.effects.contract import Signals
 from leactl.gap.search.free_forms import TURN, missed_by_form, outdoes_free_forms
 from leactl.gap.search.regression import Normal, Rows, stack
-from leactl.gap.signals.state import hats
+from leactl.gap.signals.effect_variables import hats
 from leactl.model.nominal import Model
 
 SPRING, UNBALANCE, DRAG = ("position_spring", (1.0,)), ("unbalance", ()), ("quadratic_drag", ())

@@ -11,9 +11,9 @@ from leactl.gap.diagnosis import Near
 from leactl.gap.search.ringing import Line
 from leactl.gap.search.sets import TIE, FurtherEffect
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.additive import Sample, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, LINE, UNREST, Judged, judge, unexplained
 from leactl.gap.verdict.notes import gathered, unlike
+from leactl.gap.verdict.state_regression import Sample, learn, slow_gain
 from leactl.gap.verdict.unknown import beyond_noise, is_slow, kept_out, nearest_effects, shape
 
 CHANNEL = ("torque balance", "velocity", "free")

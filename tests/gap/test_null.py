@@ -17,10 +17,10 @@ from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated, nominal_value
 from leactl.gap.search.sets import ENTRY
 from leactl.gap.search.stamp_fit import LATE_STD, LATEST
-from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of
 from leactl.gap.signals.scales import worth_knowing
+from leactl.gap.signals.voltage_ceiling import at_ceiling
 from leactl.model.nominal import read_model
 from tests.gap.synthetic import clocked, model, record
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.servo.effect_sets import fit_effect_sets, standing_of
 from leactl.gap.servo.fit import FittedServo, fit
-from leactl.gap.servo.ladder import climb, standing_of
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
 
@@ -57,7 +57,7 @@ def bench(
 
 def standing(*records, held_out=(), proposed=()):
     """Probabilities of what stands."""
-    found = climb(records, held_out, servo_model(), proposed)
+    found = fit_effect_sets(records, held_out, servo_model(), proposed)
     return {item.effect: item.probability for item in found.standing}
 
 
@@ -186,7 +186,7 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
 
 
 def test_free_runs_give_a_servo_s_parameters_back_with_their_errors(tmp_path):
-    found = climb(bench(tmp_path, load=0.3), [], servo_model(), [])
+    found = fit_effect_sets(bench(tmp_path, load=0.3), [], servo_model(), [])
     for name, true in TRUE.items():
         assert abs(found.augmented.parameters[name] - true) < 4.0 * found.stds[name] + 0.01 * true, name
 

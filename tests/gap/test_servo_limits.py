@@ -10,7 +10,7 @@ from leactl.errors import InputError
 from leactl.gap.diagnose import diagnose
 from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_effects
-from leactl.gap.servo.ladder import climb
+from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.profile import profile, shifted
 from leactl.gap.setup import mended
 from leactl.model.nominal import Model, read_model
@@ -40,7 +40,7 @@ def drawn(seed, kind, seconds=20.0, free=None):
 
 
 def standing(case):
-    found = climb(case.fitted, case.held_out, case.model, [])
+    found = fit_effect_sets(case.fitted, case.held_out, case.model, [])
     return {item.effect: dict(item.parameters) for item in found.standing if item.probability >= 0.5}
 
 

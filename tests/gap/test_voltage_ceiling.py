@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from leactl.gap.signals.ceiling import CEILING, at_ceiling
+from leactl.gap.signals.voltage_ceiling import CEILING, at_ceiling
 from tests.gap.synthetic import clocked, model
 
 

@@ -10,10 +10,10 @@ from leactl.bench import benchfile
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Plan
 from leactl.runner.channel_limits import ChannelLimits
+from leactl.runner.flushing import Recording
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import Recording
 from leactl.runner.signals import People, StopRequest, Wishes
 from leactl.runner.thermal_admission import guard_settings, motors_of
 from leactl.runner.watchdog import Unwatched

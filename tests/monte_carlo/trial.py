@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from leactl.protocol.plan import Plan
-from leactl.runner import state
+from leactl.runner import state_folder
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_admission import motors_of
 from leactl.runner.thermal_memory import Memory
@@ -140,7 +140,7 @@ def _start(
     limit, ambient = shipped()[1].limit, shipped()[1].ambient
     start = {}
     for role in ROLES:
-        memory = Memory(f"trial.{role}", LEA, limit, ambient, state.of_user())
+        memory = Memory(f"trial.{role}", LEA, limit, ambient, state_folder.of_user())
         memory.keep(before.kept[role], ClockReadings(0.0, "", UPTIME_S - written), running=died)
         start[role] = memory.recall(ClockReadings(0.0, "", UPTIME_S + pause)).nodes
     return start, "warm, killed" if died else "warm", [before, pause]

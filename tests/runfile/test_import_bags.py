@@ -8,7 +8,7 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.runfile.importing.importer import import_runs
-from leactl.runfile.importing.proposal.channels import streams_of
+from leactl.runfile.importing.proposal.channel_units import streams_of
 from leactl.runfile.importing.proposal.survey import survey
 from leactl.runfile.importing.sources.ros_types import RosTypes
 from leactl.runfile.read.reader import Run

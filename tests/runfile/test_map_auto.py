@@ -16,7 +16,7 @@ from scipy.io import savemat
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import Mapping as MappingFile
-from leactl.runfile.importing.proposal.channels import LEAVE_OUT, streams_of
+from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT, streams_of
 from leactl.runfile.importing.proposal.proposal import UNDECIDED, accepted_answer, propose
 from leactl.runfile.importing.proposal.survey import survey
 from leactl.runfile.read.reader import Run

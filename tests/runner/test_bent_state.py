@@ -17,7 +17,7 @@ import pytest
 from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.model.motor import load_motor
-from leactl.runner import lock_holders, locks, runs_underway, state
+from leactl.runner import lock_holders, locks, runs_underway, state_folder
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_memory import Memory
 from tests.cli.terminal import leactl
@@ -96,7 +96,7 @@ BENT = {
     "spaces": lambda path: path.write_bytes(b" " * 4096),
     "a byte": lambda path: path.write_bytes(b"{"),
     "a line break": lambda path: path.write_bytes(b"\n"),
-    "one byte too many": lambda path: path.write_bytes(b"{}" + b" " * (state.MOST_BYTES - 1)),
+    "one byte too many": lambda path: path.write_bytes(b"{}" + b" " * (state_folder.MOST_BYTES - 1)),
     "UTF-16": lambda path: path.write_bytes('{"bench": "testbed"}\n'.encode("utf-16")),
     "a byte order mark": lambda path: path.write_bytes(b'\xef\xbb\xbf{"bench": "testbed"}\n'),
     "no UTF-8": lambda path: path.write_bytes(b'{"bench": "\xff\xfe\x80"}\n'),
@@ -138,7 +138,7 @@ def test_a_bent_latch_holds_and_a_reset_clears_it(held, bend, tmp_path):
 
 
 def test_a_bent_winding_memory_is_hot_and_a_new_one_goes_nowhere_else(bend, tmp_path):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path / "state", shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path / "state", shared=False))
     bend(memory.path)
     before = sorted(tmp_path.rglob("*"))
     found = memory.recall(NOW)
@@ -153,7 +153,7 @@ def test_a_bent_winding_memory_is_hot_and_a_new_one_goes_nowhere_else(bend, tmp_
 
 
 def test_a_bent_file_beside_that_of_a_run_keeps_nobody_from_stopping_it(bend):
-    runs = state.of_user().runs
+    runs = state_folder.of_user().runs
     kind = bend(runs / "other.1.abcd.run")
     regular = (runs / "other.1.abcd.run").is_file() and not (runs / "other.1.abcd.run").is_symlink()
     with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
@@ -192,10 +192,10 @@ DIRECTORIES = ("pipe", "dangling link", "link to itself", "link to zeros without
 @pytest.mark.parametrize("kind", DIRECTORIES)
 def test_where_the_user_s_runs_are_bent_those_of_the_machine_are_stopped(tmp_path, monkeypatch, kind):
     monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
-    bent = state.of_user().runs
+    bent = state_folder.of_user().runs
     bent.parent.mkdir(parents=True, exist_ok=True)
     BENT[kind](bent)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()) as run:
         done = leactl("bench", "stop", "--wait", "0")
         assert run.asked()
     assert done.returncode == 5
@@ -243,7 +243,7 @@ def test_a_relative_xdg_directory_is_that_of_the_home(tmp_path, monkeypatch, xdg
     monkeypatch.delenv("LEACTL_STATE")
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", xdg)
-    assert state.state_directory() == tmp_path / ".local" / "state" / "leactl"
+    assert state_folder.state_directory() == tmp_path / ".local" / "state" / "leactl"
 
 
 def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, monkeypatch):
@@ -255,7 +255,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()):
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()):
         runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert faults == ["there is no home directory for leactl's state; set LEACTL_STATE to a directory"]
@@ -268,7 +268,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
 def test_a_run_whose_file_goes_is_found_again(how):
     with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
         run.renew()
-        [path] = state.of_user().runs.glob("*.run")
+        [path] = state_folder.of_user().runs.glob("*.run")
         run.tell(run="here.h5")
         if how == "moved":
             path.rename(path.with_suffix(".old"))
@@ -286,7 +286,7 @@ def test_a_run_whose_file_goes_is_found_again(how):
         found.ask_to_stop()
         assert run.asked()
         found.close()
-    assert not list(state.of_user().runs.glob("*.run"))
+    assert not list(state_folder.of_user().runs.glob("*.run"))
 
 
 def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
@@ -337,7 +337,7 @@ def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
     ids=str,
 )
 def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     assert memory.recall(NOW).nodes[0] < 41.0
     kept = json.loads(memory.path.read_text()) | bent
@@ -388,7 +388,7 @@ def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
     ids=str,
 )
 def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     kept = json.loads(memory.path.read_text()) | bent
     memory.path.write_text(json.dumps(kept))
@@ -402,7 +402,7 @@ def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
     ["format", "format_version", "actuator", "motor_sha256", "time", "boot", "since_boot_s", "running", "nodes_degC"],
 )
 def test_a_memory_that_lacks_a_key_is_hot(tmp_path, left_out):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     kept = json.loads(memory.path.read_text())
     del kept[left_out]

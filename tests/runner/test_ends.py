@@ -93,7 +93,7 @@ def test_what_nobody_has_foreseen_latches_the_bench(spin, monkeypatch, fault):
     def failing(_self):
         raise fault
 
-    monkeypatch.setattr("leactl.runner.recorder.InlineFlush.after_cycle", failing)
+    monkeypatch.setattr("leactl.runner.flushing.InlineFlush.after_cycle", failing)
     outcome, _bench = spin()
     assert outcome.error is fault
     assert trip_of("emulated").cause == (str(fault) or "MemoryError")
@@ -123,7 +123,7 @@ def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch, ho
 
 def test_a_full_disk_is_the_cause_that_everything_after_it_tells(spin, monkeypatch):
     fail_in_the_thread(monkeypatch, "write_rows", OSError(28, "No space left on device"))
-    monkeypatch.setattr("leactl.runner.recorder.ThreadedFlush.after_cycle", lambda _self: None)  # the loop is first
+    monkeypatch.setattr("leactl.runner.flushing.ThreadedFlush.after_cycle", lambda _self: None)  # the loop is first
     outcome, _bench = spin(sets=("hold_s=1.6",), realtime=True)
     assert outcome.status == "failed"
     assert "No space left on device" in outcome.reason

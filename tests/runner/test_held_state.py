@@ -17,7 +17,7 @@ from leactl.model.motor import load_motor
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write import writer
-from leactl.runner import latch, recorder, state, watchdog_process
+from leactl.runner import flushing, latch, state_folder, watchdog_process
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.latch import BYTES, Ready
 from leactl.runner.thermal_memory import Keeper, Memory
@@ -104,7 +104,7 @@ def test_a_latch_that_cannot_be_made_ready_moves_nothing(spin, monkeypatch):
 
 
 def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
-    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.Place(tmp_path, shared=False))
     now = ClockReadings(1.7e9, "this boot", 5000.0)
     nodes = {"test": np.full(3, 60.0)}
     keeper = Keeper({"test": memory}, lambda: nodes, lambda: now)
@@ -118,7 +118,7 @@ def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])
 def test_a_winding_s_memory_that_went_is_made_anew(tmp_path, how):
-    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.Place(tmp_path, shared=False))
     now = ClockReadings(1.7e9, "this boot", 5000.0)
     memory.keep(np.full(3, 60.0), now, running=True)
     memory.path.unlink()
@@ -203,7 +203,7 @@ def file_exchanged(runs):
 @pytest.mark.parametrize("at", [0.2, 0.75])  # s, of which the second is in the run's last flush
 def test_rows_of_a_run_whose_folder_vanishes_go_elsewhere_and_that_is_told(spin, tmp_path, monkeypatch, vanish, at):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
     outcome, _bench = spin(at=[(at, lambda _bench: vanish(tmp_path / "runs"))])
     assert (outcome.status, outcome.error) == ("complete", None)
     elsewhere = tmp_path if vanish is file_exchanged else tmp_path / "runs"
@@ -220,7 +220,7 @@ def test_rows_of_a_run_whose_folder_vanishes_go_elsewhere_and_that_is_told(spin,
 
 
 def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
 
     def nowhere(_rows, _name, _folders):
         raise OSError(28, "No space left on device")
@@ -244,7 +244,7 @@ def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
     ],
 )
 def test_each_cause_has_its_own_advice_and_all_have_one_status(spin, tmp_path, monkeypatch, number, helps):
-    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
 
     def refused(*_reserved):
         raise OSError(number, os.strerror(number))

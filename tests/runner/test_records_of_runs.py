@@ -9,7 +9,7 @@ import yaml
 from leactl_plugins.thermal_csv.emulator import BEFORE_S
 
 from leactl.bench import benchfile
-from leactl.driver.batch import ExportFolder
+from leactl.driver.file_records import ExportFolder
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from tests.runner.conftest import SPIN

@@ -14,7 +14,7 @@ from leactl_plugins.ads1115.driver import Ads1115
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 from leactl.runner import runs_underway
-from leactl.runner.state import state_directory
+from leactl.runner.state_folder import state_directory
 
 PERIOD = 0.01  # of `spin` [s]
 

@@ -10,7 +10,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write.writer import RunInfo
-from leactl.runner.recorder import SparseWriter
+from leactl.runner.flushing import SparseWriter
 from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import preview, streams_of
 

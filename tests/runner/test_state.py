@@ -10,7 +10,7 @@ import yaml
 
 from leactl.bench import benchfile
 from leactl.errors import InputError, SafetyTrip
-from leactl.runner import runs_underway, state
+from leactl.runner import runs_underway, state_folder
 from leactl.runner.thermal_admission import Windings
 from tests.cli.terminal import COMMAND, leactl, live_run, start
 from tests.latches import latch_of, trip_of
@@ -77,10 +77,10 @@ def test_a_real_bench_is_the_machine_s_whatever_the_user_says(machine, testbed, 
 
 def test_a_served_bench_is_the_machine_s_unless_its_state_is_kept_apart(machine, monkeypatch, tmp_path):
     file, _devices, _document = benchfile.load("emulated")
-    assert not state.place_of(file, in_process=False).shared
+    assert not state_folder.place_of(file, in_process=False).shared
     monkeypatch.delenv("LEACTL_STATE")
-    assert state.place_of(file, in_process=False) == state.Place(machine, shared=True)
-    assert not state.place_of(file, in_process=True).shared
+    assert state_folder.place_of(file, in_process=False) == state_folder.Place(machine, shared=True)
+    assert not state_folder.place_of(file, in_process=True).shared
 
 
 def test_windings_of_a_real_bench_are_recalled_by_every_user_the_hottest_of_what_is_known(
@@ -115,10 +115,10 @@ def test_a_directory_that_cannot_be_the_machine_s_is_said_with_what_mends_it(
         machine.mkdir()
         lstat = os.lstat
         monkeypatch.setattr(os, "lstat", lambda path: _of_user_7(lstat(path)) if path == machine else lstat(path))
-    place = state.place_of(benchfile.load(str(testbed))[0], in_process=False)
+    place = state_folder.place_of(benchfile.load(str(testbed))[0], in_process=False)
     assert (place.directory, place.shared) == (tmp_path / "state", False)
     assert place.fault.startswith(f"{machine}: ")
-    finding = state.examine()
+    finding = state_folder.examine()
     assert (finding.fine, finding.mend) == (False, f"sudo install -d -o root -m 1777 {machine}")
     assert f"{tmp_path / 'state'}, this user's alone ({machine}: " in finding.found
 
@@ -150,7 +150,7 @@ def test_a_home_that_is_not_there_is_an_input_fault(monkeypatch):
 
     monkeypatch.setattr(Path, "home", homeless)
     with pytest.raises(InputError, match="set LEACTL_STATE"):
-        state.state_directory()
+        state_folder.state_directory()
 
 
 # -- what lies there ---------------------------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def bent(path, kind):
     elif kind == "folder":
         path.mkdir()
     elif kind == "large":
-        path.write_bytes(b" " * (state.MOST_BYTES + 1))
+        path.write_bytes(b" " * (state_folder.MOST_BYTES + 1))
     elif kind == "deep":
         path.write_text("[" * 50_000)
 
@@ -188,7 +188,7 @@ def test_a_latch_that_is_no_plain_file_holds_and_can_be_released(machine, testbe
 @pytest.mark.parametrize("kind", ["pipe", "dangling", "endless", "large", "deep", "folder"])
 def test_a_winding_memory_that_is_no_plain_file_counts_as_hot(testbed, kind):
     file, devices, _document = benchfile.load(str(testbed))
-    bent(state.place_of(file, in_process=False).windings(f"{file.name}.test"), kind)
+    bent(state_folder.place_of(file, in_process=False).windings(f"{file.name}.test"), kind)
     assert Windings(file, devices).recalled["test"].nodes.tolist() == [130.0] * 3
 
 
@@ -204,7 +204,7 @@ def test_nothing_is_written_through_a_link(machine, testbed, tmp_path):
 
 
 def test_files_that_are_no_run_s_stop_no_stop(tmp_path):
-    place = state.of_user().runs
+    place = state_folder.of_user().runs
     for kind in ("pipe", "dangling", "endless", "folder"):
         bent(place / f"{kind}.run", kind)
     with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
@@ -249,7 +249,7 @@ def test_windings_of_one_user_are_kept_on_by_another(open_machine):
 
 @ROOT
 def test_every_user_may_stop_what_runs_on_real_buses(open_machine):
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()) as run:
         assert as_another_user(lambda: runs_underway.running()[0][0].ask_to_stop()) == "None"
         assert run.asked()
 

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
-from leactl.runner import state, thermal_memory
+from leactl.runner import state_folder, thermal_memory
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import OVERDUE_S, Keeper, Memory
@@ -41,7 +41,7 @@ NOW = at()
 
 
 def memory(actuator="a1", motor=LEA, limit=130.0, ambient=25.0):
-    return Memory(actuator, motor, limit, ambient, state.of_user())
+    return Memory(actuator, motor, limit, ambient, state_folder.of_user())
 
 
 def test_what_was_kept_is_recalled():

@@ -7,7 +7,7 @@ import pytest
 
 from leactl.driver.contract import TripAccuracy
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.left_on import ASTRAY, ASTRAY_V, endured, reached, trip_level
+from leactl.safety.thermal.supply_left_on import ASTRAY, ASTRAY_V, endured, reached, trip_level
 from tests.safety.guards import LEA
 from tests.safety.heated_leads import HeatedActuators
 

@@ -25,7 +25,7 @@ from leactl.analysis.analyze import (
 from leactl.analysis.estimate import Estimate, Noted, joined, listed
 from leactl.analysis.quality.gate import channel_doubts
 from leactl.errors import InputError, NotIdentifiable
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.read.reader import Run, Step
 
 Array = npt.NDArray[np.float64]

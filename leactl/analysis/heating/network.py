@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leactl.analysis.heating.first_guess import covered, guesses, starting_lag, thinned
 from leactl.analysis.heating.record import Array, HeatingRecord
-from leactl.analysis.heating.start import covered, guesses, starting_lag, thinned
 from leactl.errors import NotIdentifiable
 from leactl.model.thermal_network import Conductances, Drive, driven_at, left_of_start
 

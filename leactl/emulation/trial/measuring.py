@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from leactl.driver.batch import BatchSource
 from leactl.driver.contract import Row, SampleBlock
 from leactl.driver.far_end import PAIRS
+from leactl.driver.file_records import BatchSource
 from leactl.emulation.trial.drives import confirmed
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError

@@ -12,8 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from leactl.driver.batch import BatchSource
 from leactl.driver.contract import Driver, MotionDevice, PowerSupply
+from leactl.driver.file_records import BatchSource
 from leactl.emulation.trial import drives, measuring, probing, supplies
 from leactl.emulation.trial.stand import Broken, Stand, example_of
 from leactl.errors import InputError, LeactlError

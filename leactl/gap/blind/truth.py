@@ -17,8 +17,8 @@ from leactl.gap import null
 from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, fitted_to_the_end, read_case
 from leactl.gap.replay.compared import Compared
+from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
-from leactl.gap.search.orders import strongest
 from leactl.gap.search.parameters import calibrated, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
 from leactl.gap.search.sets import BEYOND, best_of_each, member, refine

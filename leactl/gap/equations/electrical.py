@@ -6,13 +6,13 @@ import numpy as np
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation
-from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import BENT, bend, settling, unknown_between
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
+from leactl.gap.signals.voltage_ceiling import at_ceiling
 
 SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
 BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import follow
 from leactl.gap.replay.heat import warm
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.mechanics import move
-from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import read
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model

@@ -9,8 +9,8 @@ import numpy as np
 
 from leactl.effects.plant import GIVE
 from leactl.gap.replay import replay_all
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.plants import plant_of
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 

@@ -6,11 +6,11 @@ from scipy.signal import lfilter
 
 from leactl.gap.replay.bench_times import LATEST, samples
 from leactl.gap.replay.job import Job
-from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import led, moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
+from leactl.gap.signals.voltage_ceiling import at_ceiling
 
 Array = npt.NDArray[np.float64]
 BUSIEST = 2000  # samples that tell how a reference moves

@@ -16,7 +16,7 @@ from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
 from leactl.gap.equations.contract import MEMORY
-from leactl.gap.search.orders import strongest
+from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.regression import (
     Candidate,
     Column,

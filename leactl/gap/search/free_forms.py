@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.search.regression import Candidate, Column, Fit, Normal, Rows, stack
-from leactl.gap.signals.state import hats, variable_in
+from leactl.gap.signals.effect_variables import hats, variable_in
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 

@@ -1,4 +1,4 @@
-"""A ladder put into the words of a diagnosis."""
+"""The fitted effect sets of a servo, put into the words of a diagnosis."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,11 +8,11 @@ import numpy as np
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay import replay_all
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.plants import plant_of
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
+from leactl.gap.servo.effect_sets import OWN, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
-from leactl.gap.servo.ladder import OWN, Ladder
 from leactl.gap.servo.profile import shifted
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.servo.simulation import FREE
@@ -39,9 +39,9 @@ def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
     return bool(known and moves and not told and side_by_side(records, model))
 
 
-def rig_note(ladder: Ladder, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
+def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
     """What free runs told of the rig that no model file holds, and which runs were not among them."""
-    zero, late = ladder.augmented.parameters["load_zero"], ladder.late
+    zero, late = fitted_sets.augmented.parameters["load_zero"], fitted_sets.late
     hangs = f"the pendulum straight down at {zero:.3g} rad (replays go without) and " if pendulum else ""
     note = f"free runs have {hangs}the reference {1e3 * late:.2g} ms late, which no model file holds"
     if not left_out:
@@ -64,7 +64,7 @@ def _shifted(record: Record, late: float) -> Record:
 
 
 def causes(
-    ladder: Ladder, balanced: Sequence[Cause], records: Sequence[Record], calibrated: Model
+    fitted_sets: FittedEffectSets, balanced: Sequence[Cause], records: Sequence[Record], calibrated: Model
 ) -> tuple[Cause, ...]:
     """What stands in free runs, beside what a balance of torques found of effects that no servo's simulation knows.
 
@@ -80,7 +80,7 @@ def causes(
             separating_experiment(item.effect, item.peers),
             effect_definition(item.effect).family,
         )
-        for item in ladder.standing
+        for item in fitted_sets.standing
     ]
     named = [_entry(cause) for cause in standing if cause.probability >= 0.5]
     others = [cause for cause in balanced if cause.effect not in SIMULATED]

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import led, loop, moved_by_a_servo
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.stamps import TAPS, neighbour
+from leactl.gap.signals.voltage_ceiling import at_ceiling
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

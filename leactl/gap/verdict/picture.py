@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Cause, Picture, ResidualBin
-from leactl.gap.over import (
+from leactl.gap.binned_means import (
     ACTS,
     FOLLOWED,
     Along,
@@ -26,12 +25,13 @@ from leactl.gap.over import (
     repeats,
     turned,
 )
+from leactl.gap.diagnosis import Cause, Picture, ResidualBin
 from leactl.gap.replay.compared import Compared
 from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
+from leactl.gap.signals.effect_variables import OF_SIGNALS
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.state import OF_SIGNALS
 from leactl.gap.verdict.where import variable_of
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition

@@ -12,17 +12,17 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.diagnosis import Near, Picture, Rest
+from leactl.gap.search.angle_periodogram import periodogram, turns
 from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.orders import periodogram, turns
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.sets import ENTRY, EffectSet, FurtherEffect
+from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.state import state_in
-from leactl.gap.verdict.additive import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
-from leactl.gap.verdict.tone import ResidualCourse, gains, strongest_frequency
+from leactl.gap.verdict.residual_frequency import ResidualCourse, gains, strongest_frequency
+from leactl.gap.verdict.state_regression import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable

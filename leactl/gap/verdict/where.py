@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Cause, Region, Where
-from leactl.gap.over import (
+from leactl.gap.binned_means import (
     best_sign,
     bin_count,
     bin_edges,
@@ -19,6 +18,7 @@ from leactl.gap.over import (
     repeats,
     turned,
 )
+from leactl.gap.diagnosis import Cause, Region, Where
 from leactl.gap.replay.compared import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth, speeds

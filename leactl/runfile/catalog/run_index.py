@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, get_type_hints
 
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.catalog.tags import with_tags
 from leactl.runfile.publish import NotWritten, replacement
 from leactl.runfile.summary import RECORDING, Summary, is_run_name

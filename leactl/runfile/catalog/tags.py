@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, ValidationError
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.publish import replacement
 from leactl.runfile.summary import Summary, is_run_name
 from leactl.yamlblock import Block

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import h5py
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile import layout
 from leactl.runfile.hdf5.swmr import FLAGS_AT, OPEN_FOR_WRITE, SIGNATURE, SWMR_WRITE, VERSION_AT, AsClosed
 from leactl.runfile.hdf5.text_heaps import longest_text

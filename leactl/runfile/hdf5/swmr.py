@@ -11,7 +11,7 @@ import os
 import struct
 from typing import Any, BinaryIO, Final
 
-from leactl.regular import read_at
+from leactl.regular_files import read_at
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 # superblock of version 3 (HDF5 file format 3.0, II.A): at byte 11 bit 0, a writer has the file open, and bit 2, it

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, Self, TypeGuard
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from leactl.driver.batch import OffsetEstimate
+from leactl.driver.file_records import OffsetEstimate
 from leactl.quantities import UNITS
 from leactl.runfile.instruments import Instrument
 from leactl.tables.columns import CsvForm

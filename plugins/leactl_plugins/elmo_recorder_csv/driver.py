@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import Array, ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
+from leactl.driver.file_records import Array, ExportFolder, FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.tables.number_format import Numbers, read_numbers

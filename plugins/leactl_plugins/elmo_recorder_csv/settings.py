@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraints, model_validator
 
-from leactl.driver.batch import RecordSettings
+from leactl.driver.file_records import RecordSettings
 from leactl.tables.number_format import DetectedFormat
 from leactl.units import converter
 from leactl_plugins.elmo.scales import CurrentConvention

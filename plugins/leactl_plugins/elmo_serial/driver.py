@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from leactl.driver.answers import Irregular
+from leactl.driver.answer_matching import Irregular
 from leactl.driver.clock import Clock
 from leactl.driver.contract import (
     Confirmation,

@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from leactl.driver.answers import Irregular
+from leactl.driver.answer_matching import Irregular
 from leactl.driver.can_port import CanPort
 from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, padded, read, write
 from leactl_plugins.moteus_can.registers import MODES, Register

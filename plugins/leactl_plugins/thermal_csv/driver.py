@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
+from leactl.driver.file_records import ExportFolder, FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.tables.row_order import order_rows

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.driver.batch import refuse_text_order
+from leactl.driver.file_records import refuse_text_order
 from leactl.errors import InputError
 from leactl.tables.number_format import read_numbers, split_cell
 from leactl.tables.text_table import (

@@ -8,8 +8,8 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
-from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import MeasurableRange
+from leactl.driver.file_records import RecordSettings
 from leactl.tables.number_format import DetectedFormat
 from leactl.units import known_units
 

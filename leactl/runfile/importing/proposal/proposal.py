@@ -11,7 +11,13 @@ from typing import Final, NamedTuple
 
 from leactl.errors import InputError
 from leactl.quantities import SETUPS
-from leactl.runfile.importing.proposal.channels import LEAVE_OUT, Answers, ProposedChannel, ProposedStream, streams_of
+from leactl.runfile.importing.proposal.channel_units import (
+    LEAVE_OUT,
+    Answers,
+    ProposedChannel,
+    ProposedStream,
+    streams_of,
+)
 from leactl.runfile.importing.proposal.survey import Survey
 from leactl.units import SECONDS, known_units
 

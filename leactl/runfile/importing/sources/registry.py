@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.importing.sources.source import LogSource, SourceRequest
 
 GROUP = "leactl.log_formats"

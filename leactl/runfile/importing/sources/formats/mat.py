@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.opening import open_foreign, reading
 from leactl.runfile.hdf5.tree import DEEPEST_FOREIGN, MOST_UNPACKED
 from leactl.runfile.importing.sources.source import SourceRequest

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing.sources.ros_types import RosTypes, packages
 from leactl.runfile.importing.sources.source import SourceRequest, reason_text

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.mapping import PLACEHOLDER
 from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest, reason_text

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.importing.sources.formats.mcap import LARGEST_RECORD, McapFile
 from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing.sources.ros_types import RosTypes, packages

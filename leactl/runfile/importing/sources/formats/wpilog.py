@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
+from leactl.regular_files import open_regular
 from leactl.runfile.importing.column_names import units_named
 from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing.sources.source import SourceRequest

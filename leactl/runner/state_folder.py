@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leactl.errors import InputError
-from leactl.regular import AS_BYTES, AT_ONCE, NO_LINK
+from leactl.regular_files import AS_BYTES, AT_ONCE, NO_LINK
 
 if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile

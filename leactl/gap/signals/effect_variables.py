@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.over import last_reversal
+from leactl.gap.binned_means import last_reversal
 from leactl.gap.signals.smoothing import slope
 from leactl.vocabulary.variable import Variable
 

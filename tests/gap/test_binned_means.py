@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.over import best_sign, bin_edges, bin_of, first_that_follows, means, turned
+from leactl.gap.binned_means import best_sign, bin_edges, bin_of, first_that_follows, means, turned
 
 RANDOM = np.random.default_rng(4)
 SPEED = RANDOM.uniform(-30.0, 30.0, 4000)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from leactl.gap.signals.state import hats
+from leactl.gap.signals.effect_variables import hats
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]

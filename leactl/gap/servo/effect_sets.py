@@ -54,7 +54,7 @@ class LikelyEffect:
 
 
 @dataclass(frozen=True, eq=False)
-class Ladder:
+class FittedEffectSets:
     """The set that stands, and the model with and without it."""
 
     standing: tuple[LikelyEffect, ...]
@@ -65,7 +65,9 @@ class Ladder:
     late: float  # s, by which the reference acts after its stamps
 
 
-def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, proposed: Sequence[Candidate]) -> Ladder:
+def fit_effect_sets(
+    records: Sequence[Record], held_out: Sequence[Record], model: Model, proposed: Sequence[Candidate]
+) -> FittedEffectSets:
     """Fit every set of the effects that a simulation knows, and keep those that stand; by `records` alone.
 
     What the drive does to its reference and its error comes first: it is seen in all that follows. What a balance of
@@ -105,7 +107,7 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     final = sets.settle(named)
     # a step of the simulation takes what it follows as if it had come half a step earlier
     late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
-    return Ladder(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
+    return FittedEffectSets(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
 
 
 class Sets(dict[Set, FittedServo]):

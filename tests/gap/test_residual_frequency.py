@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.verdict.additive import SURE, certainty
-from leactl.gap.verdict.tone import FEWEST_PERIODS, ResidualCourse, gains, strongest_frequency
+from leactl.gap.verdict.residual_frequency import FEWEST_PERIODS, ResidualCourse, gains, strongest_frequency
+from leactl.gap.verdict.state_regression import SURE, certainty
 from leactl.gap.verdict.unknown import LEAST_SLOW
 
 STRETCHES = 24

@@ -8,7 +8,7 @@ from typing import Any
 from leactl.errors import InputError
 from leactl.exchange.compiled import Joint, JointActuator, compile_file, is_urdf, joint_of, read_joint
 from leactl.exchange.destinations import CURRENT, MJCF, NOWHERE, SERVO, Destination, destinations
-from leactl.exchange.reading import DIGITS
+from leactl.exchange.robot_joint import DIGITS
 from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file

@@ -10,9 +10,9 @@ from typing import Any
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
 from leactl.exchange.destinations import CALLBACKS, NOWHERE
+from leactl.exchange.robot_patch import Patch, patch, write_patch
 from leactl.exchange.table import actuator_table
-from leactl.exchange.writing import Patch, patch, write_patch
-from leactl.gap.replay.plants import plant_of
+from leactl.gap.replay.bench_of_model import plant_of
 from leactl.model.nominal import read_model
 from leactl.runfile.publish import new_file, refuse_existing
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leactl.gap.verdict.additive import SURE, Sample, borne_out, certainty, learn, slow_gain
+from leactl.gap.verdict.state_regression import SURE, Sample, borne_out, certainty, learn, slow_gain
 
 ROWS, RUNS, STRETCHES = 1500, 2, 24
 NOISE = 0.01
