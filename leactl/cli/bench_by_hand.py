@@ -325,7 +325,7 @@ def jog(
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import ending_line, finish, print_rehearsal
+    from leactl.cli.run import ending_line, finish, print_dry_run
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading_steps
@@ -343,7 +343,7 @@ def jog(
             note = "the shaft is taken to stand at 0 rad; a jog reads where it stands, and checks the angle from there"
             typer.echo(f"leactl: {note}", err=True)
         request = prepare_by_hand("jog", motion.steps(), bench, setup, out, realtime, served, bus)
-        print_rehearsal(request, as_json)
+        print_dry_run(request, as_json)
         return
     stands_at = 0.0
     if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves

@@ -105,7 +105,7 @@ def _examine(
     """Hold a bench file against its bench, and print a line for each statement of the file."""
     import sys
 
-    from leactl.cli.run import perform, print_rehearsal
+    from leactl.cli.run import perform, print_dry_run
     from leactl.errors import InputError
     from leactl.report.bench_check import lines
     from leactl.report.terminal import encodable, encoding_of_stdout
@@ -115,7 +115,7 @@ def _examine(
     turn = turning(bench, current, setup, out, realtime, served, bus) if move else None
     if dry_run:
         typer.echo(f"leactl: {turn[1] if turn else 'every drive stays off'}", err=True)
-        print_rehearsal(turn[0] if turn else rest, as_json)
+        print_dry_run(turn[0] if turn else rest, as_json)
         return
     if turn is not None and not (rest.in_process or yes or sys.stdin.isatty()):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")

@@ -108,7 +108,7 @@ def run(
 
         page = feed.RunPage(web, request.bench.name)
     if dry_run:
-        print_rehearsal(request, as_json)
+        print_dry_run(request, as_json)
         return
     with (
         to_the_end(),
@@ -166,7 +166,7 @@ def _ended(words: list[str], outcome: "Outcome") -> str:
     return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
 
 
-def print_rehearsal(request: "Request", as_json: bool) -> None:
+def print_dry_run(request: "Request", as_json: bool) -> None:
     """Check a request as a run does and print what the run would do; no device is opened.
 
     Raises
@@ -174,16 +174,16 @@ def print_rehearsal(request: "Request", as_json: bool) -> None:
     InputError, SafetyTrip, DeviceError : what a run would raise before it opens a device.
     """
     from leactl.report.outputs import check_folder
-    from leactl.report.plan import rehearsal_body, rehearsal_text
-    from leactl.runner.session import rehearse
+    from leactl.report.plan import dry_run_body, dry_run_text
+    from leactl.runner.session import dry_run
 
     check_operator(request)
     check_folder(request.directory)
-    rehearsal = rehearse(request)
-    body = rehearsal_body(request, rehearsal)
-    for text in rehearsal.warnings:
+    planned = dry_run(request)
+    body = dry_run_body(request, planned)
+    for text in planned.warnings:
         print(f"leactl: warning: {text}", file=sys.stderr)
-    typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
+    typer.echo(json.dumps(body) if as_json else dry_run_text(request, planned, body))
 
 
 def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":

@@ -57,16 +57,16 @@ def hottest(forecast: Forecast) -> dict[str, float]:
     return {role: round(value, 2) for role, value in forecast.peaks.items()}
 
 
-def rehearsal_body(request: Request, rehearsal: DryRun) -> dict[str, Any]:
+def dry_run_body(request: Request, planned: DryRun) -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
-    plan, windings = rehearsal.plan, rehearsal.windings
+    plan, windings = planned.plan, planned.windings
     return {
         **head(plan),
         "bench": request.bench.name,
         "devices": [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in request.devices],
         "actuator": request.actuator,
         "run": str(request.directory / f"{new_run_id(plan.name, datetime.now(UTC))}.h5"),
-        "planned_bytes": round(rehearsal.planned_bytes),
+        "planned_bytes": round(planned.planned_bytes),
         "peaks": peaks(plan, request.bench.limits),
         "windings": {
             role: {
@@ -75,26 +75,26 @@ def rehearsal_body(request: Request, rehearsal: DryRun) -> dict[str, Any]:
                 "hottest_degC": peak,
                 "limit_degC": windings.settings.limit,
             }
-            for role, peak in hottest(rehearsal.forecast).items()
+            for role, peak in hottest(planned.forecast).items()
         },
-        "left_on": list(rehearsal.left_on),
+        "left_on": list(planned.left_on),
         "tripped": False,
         "held": False,
         "searches": searches(plan),
         "timeline": [row._asdict() for row in plan.timeline()],
-        "one_sensor": list(rehearsal.one_sensor),
-        "warnings": list(rehearsal.warnings),
+        "one_sensor": list(planned.one_sensor),
+        "warnings": list(planned.warnings),
     }
 
 
-def rehearsal_text(request: Request, rehearsal: DryRun, body: Mapping[str, Any]) -> str:
+def dry_run_text(request: Request, planned: DryRun, body: Mapping[str, Any]) -> str:
     """Return what a run would do now as text.
 
     Parameters
     ----------
     body : the document that `--json` prints.
     """
-    lines = plan_lines(rehearsal.plan, request.bench.limits)
+    lines = plan_lines(planned.plan, request.bench.limits)
     for role, winding in body["windings"].items():
         peak, limit = winding["hottest_degC"], winding["limit_degC"]
         lines.append(f"winding {role} at most {peak:g} degC, limit {limit:g} degC; {winding['known']}")

@@ -22,7 +22,7 @@ from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
 from leactl.runfile.read.reader import Run
 from leactl.runner import locks
-from leactl.runner.session import Outcome, Request, rehearse
+from leactl.runner.session import Outcome, Request, dry_run
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
 from leactl.safety.thermal.foresight import Forecast
@@ -80,7 +80,7 @@ class CommissionOptions:
     given: Sequence[Path] = ()  # heated runs of this actuator that are there already
     accuracy: Accuracy = field(default_factory=Accuracy)
     cold: bool = False  # a person says that nothing has heated the actuators before the first run
-    rehearse: bool = False  # make no run
+    dry_run: bool = False  # make no run
 
 
 def commission(manner: CommissionOptions, file: Path) -> Commissioned:
@@ -101,9 +101,9 @@ def commission(manner: CommissionOptions, file: Path) -> Commissioned:
         motor = _narrowed(asked, shipped, told, manner)
         judged = judged if judged.admitted else _written(asked, motor, told, file)
     manner.tell(_state(judged))
-    if manner.rehearse:
+    if manner.dry_run:
         request = asked if judged.admitted else _shorter(manner, judged)
-        rehearse(_by(request, judged.file))
+        dry_run(_by(request, judged.file))
         judged.next_heating_s = _heating(request)
         return judged
     while not judged.admitted and len(told) < manner.most - 1:

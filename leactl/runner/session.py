@@ -252,7 +252,7 @@ class DryRun:
     one_sensor: Sequence[str]  # of each winding whose bound rests on one
 
 
-def rehearse(request: Request) -> DryRun:
+def dry_run(request: Request) -> DryRun:
     """Refuse what `execute` would refuse now, before it opens a device; its locks are held for a moment only.
 
     Raises

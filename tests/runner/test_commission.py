@@ -99,7 +99,7 @@ def test_what_is_admitted_already_is_run_at_once_and_writes_no_file(tmp_path):
 
 def test_a_rehearsal_says_how_long_the_first_heat_is_and_runs_nothing(tmp_path):
     bench = Bench(tmp_path)
-    found = commission(manner_of(bench, rehearse=True)[0], tmp_path / "LEA-1.yaml")
+    found = commission(manner_of(bench, dry_run=True)[0], tmp_path / "LEA-1.yaml")
     assert (bench.requests, found.admitted) == ([], False)
     assert 800.0 < found.next_heating_s < 967.0
 

@@ -36,7 +36,7 @@ from leactl.runner.drill.finding import (
 from leactl.runner.drill.plant import DrillPlant
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, execute, rehearse
+from leactl.runner.session import Outcome, dry_run, execute
 from leactl.runner.signals import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits
@@ -93,7 +93,7 @@ class EmulatedDrill:
         """
         request = prepare_by_hand("drill", self._steps, self._document.name, self._setup, self._directory, False)
         with _own_state():
-            plan = rehearse(request).plan
+            plan = dry_run(request).plan
         rehearsed = [(NOTHING, "", "nothing goes wrong")]
         rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
         rehearsed += [(item.fault, item.on, f"ought to be ended by: {item.drill.by}") for item in self._rehearsals]

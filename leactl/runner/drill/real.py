@@ -31,7 +31,7 @@ from leactl.runner.drill.finding import (
 )
 from leactl.runner.operators import granted, keyboard
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, Request, execute, rehearse
+from leactl.runner.session import Outcome, Request, dry_run, execute
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits
 STOP_AFTER_S, PATIENCE_S = 1.0, 30.0
@@ -129,7 +129,7 @@ class RealDrill:
             if exercise.name not in left_out:
                 request = self._request(exercise.steps)
                 devices = [device.name for device in request.devices]  # of each run the same
-                plan = rehearse(request).plan
+                plan = dry_run(request).plan
                 on = self._sensor if exercise.name == UNPLUGGED else ""
                 planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
         return PlannedDrill(self._file.name, False, devices, planned, left_out | self._catalogue)
