@@ -133,7 +133,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     """Answer where, why and how far: faults of the set-up first, then what is left once they are mended.
 
     Causes come from the fitted runs alone, how far the gap shrinks from the held-out ones. Faults of the set-up are
-    looked for in all runs, for each run may have its own.
+    looked for in all runs, for each run may have its own. A fault is not named where mended runs stay unexplained and
+    an effect explains the runs as they were logged: a strong spring may look like a factor.
 
     Raises
     ------
@@ -141,7 +142,15 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     """
     progress("looking for faults of the set-up")
     faults, again = without_faults(case)
-    return diagnose_mended(again, faults, progress)
+    answer = diagnose_mended(again, faults, progress)
+    if not faults or answer.unexplained_probability < UNKNOWN:
+        return answer
+    try:
+        as_logged = diagnose_effects(case, progress)
+    except InputError:
+        return answer
+    explained = as_logged.verdict == "effect" and as_logged.unexplained_probability < UNKNOWN
+    return as_logged if explained else answer
 
 
 def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:

@@ -56,6 +56,7 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
+ALIKE = 2.0  # standard errors of a mean over them, above which they show an effect alike
 SCALE = "torque_constant"
 FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
 FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
@@ -150,6 +151,7 @@ class NullValues:
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
+    forms: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # the same, each as it was found
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -167,6 +169,8 @@ class NullValues:
         for key, value in evidence.white().items():
             self.white.setdefault(key, []).append(value)
         for effect, items in by_themselves(evidence).items():
+            if not library()[effect].periodic:
+                self.forms.setdefault(effect, []).append(items)
             if sizes := sizes_by_chance(effect, items):
                 self.sizes.setdefault(effect, []).append(sizes)
                 self.errors.setdefault(effect, []).append(standard_errors(effect, items))
@@ -187,7 +191,12 @@ class NullValues:
             {key: float(np.mean(values)) for key, values in self.unrest.items()},
             {key: float(np.mean(values)) for key, values in self.left.items()},
             {key: float(np.mean(values)) for key, values in self.white.items()},
-            {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
+            {
+                effect: np.maximum(
+                    np.sqrt(np.mean(np.square(sizes), axis=0)), shown_alike(self.forms.get(effect, ()))
+                ).tolist()
+                for effect, sizes in self.sizes.items()
+            },
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
@@ -206,6 +215,26 @@ class NullValues:
             for name, by in self.parameters().items()
             if (math.hypot(*by) if name == SCALE else error_of(*by)) > UNTOLD * self.priors.get(name, math.inf)
         )
+
+
+def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> Array | float:
+    """Size of an effect that all sound machines show alike, in each of its forms: what noise shows differs.
+
+    It is the length of the mean, less what chance gives a mean of so many; zero where that explains it, and in forms
+    that no run shows. Acceleration that is noise alone, as by a coarse encoder, looks in every machine like a part of
+    the inertia that hangs loose.
+    """
+
+    def of_form(shown: Sequence[FurtherEffect | None]) -> float:
+        items = [item for item in shown if item is not None]
+        if len(items) < len(shown):
+            return 0.0
+        mean = np.mean([item.directed for item in items], axis=0)
+        chance = float(np.mean([item.std**2 for item in items])) / len(items)
+        square = float(mean @ mean)
+        return math.sqrt(square - chance) if square > ALIKE**2 * chance else 0.0
+
+    return np.array([of_form(shown) for shown in zip(*machines, strict=True)]) if machines else 0.0
 
 
 def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:

@@ -1,6 +1,7 @@
 """Sound machines in the place of a case: what they leave over, and in which units what they leave is counted."""
 
 import importlib
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import FARTHEST, NULLS, drawn, measure, sound_runs
+from leactl.gap.null import ALIKE, FARTHEST, NULLS, drawn, measure, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated, nominal_value
-from leactl.gap.search.sets import ENTRY
+from leactl.gap.search.sets import ENTRY, FurtherEffect
 from leactl.gap.search.stamp_fit import LATE_STD, LATEST
 from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of
@@ -62,6 +63,36 @@ def test_held_out_runs_are_weighed_by_what_sound_machines_leave_in_the_fitted_on
         assert other.expected(rows) == max(1.0, null.unrest[key], null.left[key] / rows.white**2), key
     for candidate in other.candidates:
         assert other.floor(candidate) == evidence.floor(candidate) > 0.0
+
+
+def shown(size, std=0.02):
+    """A form of an effect with a signed size, as one sound machine shows it."""
+    return FurtherEffect(("gear_backlash", (0.005, 0.2)), 1.0, abs(size), std, (size,), ("share",), np.eye(1), 0.0)
+
+
+def test_what_all_sound_machines_show_alike_is_a_floor_and_what_noise_shows_is_none():
+    alike = [[shown(0.058), shown(0.058)], [shown(0.061), shown(-0.061)], [shown(0.055), None]]
+    biased, unseen_in_one = shown_alike(alike)
+    assert biased == pytest.approx(np.sqrt(0.058**2 - 0.02**2 / 3.0))
+    assert unseen_in_one == 0.0
+    assert shown_alike([[shown(0.02)], [shown(-0.03)], [shown(0.025)]]) == [0.0]
+    random = np.random.default_rng(7)
+    by_chance = shown_alike([[shown(size) for size in 0.02 * random.standard_normal(4000)] for _ in range(NULLS)])
+    assert np.mean(by_chance > 0.0) == pytest.approx(math.erfc(ALIKE / math.sqrt(2.0)), abs=0.01)
+
+
+def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, null):
+    """Else a form refined to just beyond what an encoder's counts hide would lie next to one that shows nothing."""
+    evidence = Evidence(case.fitted, case.model)
+    name, forms = "stribeck", evidence.forms["stribeck"]
+    hidden = [form[0] < np.median([form[0] for form in forms]) for form in forms]
+    floors = [0.0 if hides else 0.1 + 0.01 * place for place, hides in enumerate(hidden)]
+    errors = [math.inf if hides else 0.01 for hides in hidden]
+    evidence.compare_with(replace(null, floors={name: floors}, errors={name: errors}))
+    assert all(evidence.floor((name, form)) >= 0.1 for form in forms)
+    assert [evidence.floor((name, form)) for form, hides in zip(forms, hidden, strict=True) if not hides] == [
+        floor for floor in floors if floor
+    ]
 
 
 def test_what_an_equation_leaves_does_not_shrink_with_its_noise(case, null):

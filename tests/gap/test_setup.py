@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import diagnose
+from leactl.gap.diagnose import diagnose, without_faults
 from leactl.gap.setup import conventions, drifting, hypotheses, mended, relations, samples, swapping
 from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.samples import at_ends, period_of
 from leactl.gap.signals.record import Clocked
+from leactl.joints.make import draw_machines, draw_runs
+from tests.gap.drawn_machines import case_of, write_cases
 from tests.gap.joints import Log, case, drawn_joint
 
 VELOCITY = ("velocity", "test")
+STRONG_SPRING = 14002, 117  # seeds of a set of machines and of a case, whose spring looks like a factor of 2 pi
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SPOILT = {  # channels, what is done to them, the fault, and what its evidence tells
     "turned velocity": (["velocity"], lambda v, _: -v, ("channel_sign", "velocity")),
@@ -169,3 +172,16 @@ def test_the_page_has_the_numbers_of_the_code():
     assert usual["inertia"] == usual["resistance"]
     assert f"later, or earlier, by {2 * drifting.SAMPLE:.0f} samples or more" in page
     assert (swapping.MOST, swapping.CLEANER, drifting.MOST_LEAPS) == (0.5, 0.1, 4)
+
+
+def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_logged(tmp_path):
+    seed, index = STRONG_SPRING
+    machines = draw_machines(np.random.default_rng([seed, 0]), 10)
+    machine = machines[index % len(machines)]
+    runs = draw_runs(np.random.default_rng([seed, 1, index]), machine, ["position_spring"], "strong")
+    write_cases(tmp_path, {"spring": (machine, runs)})
+    sprung = case_of(tmp_path / "spring")
+    faults, _ = without_faults(sprung)
+    assert [fault.as_cause().effect for fault in faults] == ["channel_scale"]
+    found = diagnose(sprung)
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["position_spring"]

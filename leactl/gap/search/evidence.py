@@ -166,11 +166,24 @@ class Evidence:
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.null, self.lines = null, null.lines
-        self.by_form = dict(null.floors)
+        self.by_form = {effect: self._where_shown(effect, null) for effect in null.floors}
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
+
+    def _where_shown(self, effect: str, null: Null) -> list[float]:
+        """An effect's floors; a form that no run of a sound machine shows has that of the next one that they show."""
+        floors, errors = null.floors[effect], null.errors.get(effect, ())
+        seen = [place for place, error in enumerate(errors) if error < math.inf]
+        forms = self.forms.get(effect, ())
+        if len(forms) != len(floors) or not seen:  # one stands for all orders, or no form of it is looked at here
+            return list(floors)
+        seen_forms = [forms[place] for place in seen]
+        return [
+            floor if place in seen else floors[seen[nearest(seen_forms, forms[place])]]
+            for place, floor in enumerate(floors)
+        ]
 
     def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate], model: Model | None = None) -> "Evidence":
         """Evidence of other runs for some effects, with what is known of the model and of sound machines from these.

@@ -69,6 +69,12 @@ class FurtherEffect:
         return self.candidate[0]
 
     @property
+    def directed(self) -> Array:
+        """The size along the leading coefficients: they tell its sign, or of a wave its phase."""
+        own = np.asarray(self.values)[leading_of(self.names)]
+        return np.asarray(self.size * own / max(float(np.linalg.norm(own)), 1e-300))
+
+    @property
     def height(self) -> float:
         """Size, beyond what the best of many has by noise, over what noise and model error alone would give it."""
         beyond = math.sqrt(max(self.size**2 - self.by_chance * self.std**2, 0.0))
@@ -108,7 +114,7 @@ def finding(
     if effect.shaped and free:
         coefficients[names[0]] = min(abs(coefficients[names[0]]), SHAPE[1])
     size = effect.size(candidate[1], coefficients, evidence.model)
-    leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
+    leading = leading_of(names)
     own, spread = values[leading], covariance[np.ix_(leading, leading)]
     length = max(float(np.linalg.norm(own)), 1e-300)
     if not (np.isfinite(own).all() and np.isfinite(spread).all()):
@@ -121,6 +127,11 @@ def finding(
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
     result = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None
+
+
+def leading_of(names: Sequence[str]) -> list[int]:
+    """Places of the coefficients that tell an effect's size: both of a wave, else the first."""
+    return [k for k, name in enumerate(names) if name in WAVE] or [0]
 
 
 def apart(gain: float) -> float:
