@@ -38,8 +38,9 @@ class AsClosed(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a byte, counted from the start or from the present end of the file."""
-        self._at = offset + (os.fstat(self._descriptor).st_size if whence == os.SEEK_END else 0)
+        """Go to a byte, counted from the start, from the present position or from the present end of the file."""
+        size = os.fstat(self._descriptor).st_size
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
         return self._at
 
     def tell(self) -> int:
