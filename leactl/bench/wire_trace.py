@@ -88,13 +88,14 @@ class WireTrace:
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
         if logged:
-            import can
-
             try:
+                import can
+
                 self._can_log = self._files.enter_context(can.Logger(path))
             except OSError as error:
                 self._files.close()
-                self.path.unlink()  # else it would stand in the way of the next attempt
+                for made in (self.path, path):  # else they would stand in the way of the next attempt
+                    made.unlink(missing_ok=True)
                 raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._text.write(f"{HEAD}\n")
 

@@ -1,7 +1,8 @@
 """Checks of a driver's class against the contract: units in the names of settings, and the required methods."""
 
 import inspect
-from typing import Any, get_args
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
 from leactl.driver.probe import CanProbe, I2cProbe, LineProbe
@@ -64,5 +65,7 @@ def faults_of(driver: type[Driver]) -> list[str]:
 
 
 def _is_number(annotation: Any) -> bool:
-    """Whether a setting may be a float; `annotation` may be a union, or `Annotated`."""
-    return annotation is float or any(_is_number(part) for part in get_args(annotation))
+    """Whether a setting may be a float; `annotation` may be a union or `Annotated`, or be alone."""
+    if get_origin(annotation) in (Union, UnionType, Annotated):
+        return any(_is_number(part) for part in get_args(annotation))
+    return annotation is float

@@ -133,8 +133,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     """Answer where, why and how far: faults of the set-up first, then what is left once they are mended.
 
     Causes come from the fitted runs alone, how far the gap shrinks from the held-out ones. Faults of the set-up are
-    looked for in all runs, for each run may have its own. A fault is not named where mended runs stay unexplained and
-    an effect explains the runs as they were logged: a strong spring may look like a factor.
+    looked for in all runs, for each run may have its own. A fault that is seen by what the model makes of a channel is
+    not named where the mended runs stay unexplained and an effect explains them without that mend: a strong spring may
+    look like a factor.
 
     Raises
     ------
@@ -143,14 +144,21 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     progress("looking for faults of the set-up")
     faults, again = without_faults(case)
     answer = diagnose_mended(again, faults, progress)
-    if not faults or answer.unexplained_probability < UNKNOWN:
+    doubted = [fault for fault in faults if fault.shrinks]
+    if not doubted or answer.unexplained_probability < UNKNOWN:
         return answer
+    certain, records = [fault for fault in faults if not fault.shrinks], [*case.fitted, *case.held_out]
+    for fault in certain:
+        records = [fault.mend(record) for record in records]
     try:
-        as_logged = diagnose_effects(case, progress)
+        other = diagnose_mended(case.of_records(records), certain, progress)
     except InputError:
         return answer
-    explained = as_logged.verdict == "effect" and as_logged.unexplained_probability < UNKNOWN
-    return as_logged if explained else answer
+    named = any(cause.family != "setup" and cause.probability >= NAMED for cause in other.causes)
+    if not named or other.unexplained_probability >= UNKNOWN:
+        return answer
+    told = tuple(f"not named: {fault.name}; an effect explains the runs without mending it" for fault in doubted)
+    return replace(other, notes=(*told, *other.notes))
 
 
 def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:

@@ -115,16 +115,16 @@ def compare(evidence: Evidence, null: Null) -> None:
     """Take what sound machines show in the runs of a case as its floors.
 
     Where the runs give a form of a shaped effect a smaller standard error than the sound machines' runs do (their drive
-    followed where the real one stood at a limit), its floor is multiplied by the ratio of the two.
+    followed where the real one stood at a limit), its floor is multiplied by the ratio of the two; the size that they
+    show in common stays.
     """
     evidence.compare_with(null)
     for effect, items in by_themselves(evidence).items():
         if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
         pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
-        evidence.by_form[effect] = [
-            size * min(own / theirs, 1.0) if theirs < math.inf else size for size, own, theirs in pairs
-        ]
+        scaled = [size * min(own / theirs, 1.0) if theirs < math.inf else size for size, own, theirs in pairs]
+        evidence.by_form[effect] = evidence.floors_of(effect, scaled)
 
 
 def looked_at(
@@ -151,7 +151,7 @@ class NullValues:
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
-    forms: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # the same, each as it was found
+    forms: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # as found; none of periodic ones
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -191,12 +191,8 @@ class NullValues:
             {key: float(np.mean(values)) for key, values in self.unrest.items()},
             {key: float(np.mean(values)) for key, values in self.left.items()},
             {key: float(np.mean(values)) for key, values in self.white.items()},
-            {
-                effect: np.maximum(
-                    np.sqrt(np.mean(np.square(sizes), axis=0)), shown_alike(self.forms.get(effect, ()))
-                ).tolist()
-                for effect, sizes in self.sizes.items()
-            },
+            {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
+            {effect: shown_alike(self.forms.get(effect, ())) for effect in self.sizes},
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
@@ -217,12 +213,12 @@ class NullValues:
         )
 
 
-def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> Array | float:
-    """Size of an effect that all sound machines show alike, in each of its forms: what noise shows differs.
+def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[float]:
+    """Size that sound machines give an effect in common, by form; empty of fewer than two machines.
 
-    It is the length of the mean, less what chance gives a mean of so many; zero where that explains it, and in forms
-    that no run shows. Acceleration that is noise alone, as by a coarse encoder, looks in every machine like a part of
-    the inertia that hangs loose.
+    It is the length of the mean of their signed sizes, less noise. Zero where noise explains it, or where a machine
+    does not show the form. Accelerations that are noise alone, as by a coarse encoder, look in every machine like a
+    part of the inertia that hangs loose.
     """
 
     def of_form(shown: Sequence[FurtherEffect | None]) -> float:
@@ -230,11 +226,11 @@ def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> Array | f
         if len(items) < len(shown):
             return 0.0
         mean = np.mean([item.directed for item in items], axis=0)
-        chance = float(np.mean([item.std**2 for item in items])) / len(items)
+        noise = float(np.mean([item.directed_variance for item in items])) / len(items)
         square = float(mean @ mean)
-        return math.sqrt(square - chance) if square > ALIKE**2 * chance else 0.0
+        return math.sqrt(square - noise) if square > ALIKE**2 * noise else 0.0
 
-    return np.array([of_form(shown) for shown in zip(*machines, strict=True)]) if machines else 0.0
+    return [of_form(shown) for shown in zip(*machines, strict=True)] if len(machines) > 1 else []
 
 
 def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:

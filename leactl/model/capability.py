@@ -54,7 +54,7 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
 
 
 def hottest_rise(winding: Winding, current: float, ambient: float, duration: float, share: float) -> float:
-    """Return the rise [K] of the hottest phase after a constant current; `RUNAWAY_RISE` if it runs away."""
+    """Rise [K] of the hottest phase after `duration` from ambient: `RUNAWAY_RISE` if it runs away, NaN if not known."""
     from scipy.linalg import expm
 
     n = winding.network

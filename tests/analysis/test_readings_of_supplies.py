@@ -24,7 +24,22 @@ def test_a_level_is_no_step_of_the_readings():
     assert resolution_of(constant, "current") == 0.0
     alone = [resolution_of([flickering(level)], "current") for level in (1.0, 2.0)]
     assert alone[0] == pytest.approx(0.01 / np.sqrt(12.0) / 1.0025, rel=1e-6)
-    assert resolution_of([flickering(1.0), flickering(2.0)], "current") == max(alone)
+    assert resolution_of([flickering(1.0), flickering(2.0)], "current") == pytest.approx(max(alone), rel=1e-6)
+
+
+def test_a_record_that_only_cools_says_nothing_of_the_readings():
+    cooling = record(np.tile([0.0, 0.001, 0.002], 30), np.tile([0.0, 0.001], 45))
+    off = record(np.zeros(90), np.zeros(90))
+    for name in ("current", "voltage"):
+        assert resolution_of([flickering(5.0), cooling, off], name) == resolution_of([flickering(5.0)], name)
+    assert noise_of_heat([flickering(5.0), cooling, off]) == noise_of_heat([flickering(5.0)])
+
+
+def test_readings_that_never_change_have_the_step_that_another_record_shows():
+    constant = record(np.full(100, 0.5), np.full(100, 10.0))
+    assert resolution_of([constant], "current") == 0.0
+    expected = 0.01 / np.sqrt(12.0) / 0.5
+    assert resolution_of([constant, flickering(2.0)], "current") == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_jump_from_record_to_record_is_no_noise_of_the_heat():

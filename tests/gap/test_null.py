@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import ALIKE, FARTHEST, NULLS, drawn, measure, shown_alike, sound_runs
+from leactl.gap.null import ALIKE, FARTHEST, NULLS, compare, drawn, measure, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated, nominal_value
@@ -67,7 +67,14 @@ def test_held_out_runs_are_weighed_by_what_sound_machines_leave_in_the_fitted_on
 
 def shown(size, std=0.02):
     """A form of an effect with a signed size, as one sound machine shows it."""
-    return FurtherEffect(("gear_backlash", (0.005, 0.2)), 1.0, abs(size), std, (size,), ("share",), np.eye(1), 0.0)
+    covariance = np.full((1, 1), std**2)
+    return FurtherEffect(("gear_backlash", (0.005, 0.2)), 1.0, abs(size), std, (size,), ("share",), covariance, 0.0)
+
+
+def wave(cosine, sine, std=0.02):
+    """A wave over the angle in units of its coefficients, as one sound machine shows it."""
+    size = math.hypot(cosine, sine)
+    return FurtherEffect(("unbalance", ()), 1.0, size, std, (cosine, sine), ("cos", "sin"), std**2 * np.eye(2), 0.0)
 
 
 def test_what_all_sound_machines_show_alike_is_a_floor_and_what_noise_shows_is_none():
@@ -75,10 +82,15 @@ def test_what_all_sound_machines_show_alike_is_a_floor_and_what_noise_shows_is_n
     biased, unseen_in_one = shown_alike(alike)
     assert biased == pytest.approx(np.sqrt(0.058**2 - 0.02**2 / 3.0))
     assert unseen_in_one == 0.0
+    assert shown_alike(alike[:1]) == []
     assert shown_alike([[shown(0.02)], [shown(-0.03)], [shown(0.025)]]) == [0.0]
     random = np.random.default_rng(7)
     by_chance = shown_alike([[shown(size) for size in 0.02 * random.standard_normal(4000)] for _ in range(NULLS)])
-    assert np.mean(by_chance > 0.0) == pytest.approx(math.erfc(ALIKE / math.sqrt(2.0)), abs=0.01)
+    assert np.mean(np.array(by_chance) > 0.0) == pytest.approx(math.erfc(ALIKE / math.sqrt(2.0)), abs=0.01)
+    waves = [[wave(*pair) for pair in 0.02 * random.standard_normal((4000, 2))] for _ in range(NULLS)]
+    assert np.mean(np.array(shown_alike(waves)) > 0.0) == pytest.approx(math.exp(-(ALIKE**2)), abs=0.01)
+    (same,) = shown_alike([[wave(0.05, -0.03)] for _ in range(NULLS)])
+    assert same == pytest.approx(math.sqrt(0.05**2 + 0.03**2 - 2.0 * 0.02**2 / NULLS))
 
 
 def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, null):
@@ -88,7 +100,7 @@ def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, 
     hidden = [form[0] < np.median([form[0] for form in forms]) for form in forms]
     floors = [0.0 if hides else 0.1 + 0.01 * place for place, hides in enumerate(hidden)]
     errors = [math.inf if hides else 0.01 for hides in hidden]
-    evidence.compare_with(replace(null, floors={name: floors}, errors={name: errors}))
+    compare(evidence, replace(null, floors={name: floors}, alike={}, errors={name: errors}))
     assert all(evidence.floor((name, form)) >= 0.1 for form in forms)
     assert [evidence.floor((name, form)) for form, hides in zip(forms, hidden, strict=True) if not hides] == [
         floor for floor in floors if floor

@@ -33,6 +33,19 @@ def open_hex(path, request):
     return HexSource(path, {"t": np.arange(len(values)) * 0.01, "q": values, "w": values})
 
 
+def test_keys_with_dots_are_one_name_wherever_they_stand():
+    nested = [{"motor.left": {"q": 1.0}}, {"motor.left": {"q": 2.0}}]
+    source = TreeSource(
+        Path("log.json"), {"rows": nested, "left.knee": {"a.b": {"q": [1.0, 2.0, 3.0]}}, "": [4.0, 5.0]}
+    )
+    for table in source.tables():
+        for column in table.columns:
+            assert len(source.column(column.name, table.records)) in (2, 3)
+    assert source.column("motor.left.q", "rows").tolist() == [1.0, 2.0]
+    assert source.column("q", "left.knee.a.b").tolist() == [1.0, 2.0, 3.0]
+    assert source.column("", None).tolist() == [4.0, 5.0]
+
+
 def test_keys_with_dots_are_one_name_in_records_and_groups():
     records = [{"motor.current": 1.0, "t": 0.0}, {"motor.current": 2.0, "t": 0.1}]
     source = TreeSource(Path("log.json"), {"rows": records, "left.knee": {"q": [1.0, 2.0, 3.0]}})

@@ -19,6 +19,7 @@ from leactl.analysis.heating.parameters import (
     natural,
     natural_covariance,
     parallel,
+    readings_on,
 )
 from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import ResistanceLine
@@ -214,11 +215,10 @@ def remarks(known: FittedParameters, stretches: Sequence[HeatingRecord], instrum
         f" rise, voltage {instruments.voltage_gain:.2%}, current {instruments.current_gain:.2%}"
     )
     for name in ("current", "voltage"):
-        values = np.concatenate([getattr(one.supply, name)[one.supply.on] for one in stretches])
-        if np.ptp(values) == 0.0:
-            notes.append(
-                f"line_{name} reads {values[0]:g} throughout: its resolution does not show; tell {name}_gain_std"
-            )
+        readings = readings_on(stretches, name)
+        if all(np.ptp(values) == 0.0 for values in readings):
+            levels = " and ".join(f"{level:g}" for level in sorted({float(values[0]) for values in readings}))
+            notes.append(f"line_{name} reads {levels} throughout: its resolution does not show; tell {name}_gain_std")
     moved = [float(np.ptp(_smooth(one.ambient))) for one in stretches if one.ambient is not None]
     if max(moved, default=0.0) > STEADY_K:
         notes.append(f"the air went {max(moved):.1f} K up and down; the network is driven by what was read of it")

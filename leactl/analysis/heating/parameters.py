@@ -14,7 +14,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.heating.network import NETWORK, NetworkFit
-from leactl.analysis.heating.record import Array, HeatingRecord
+from leactl.analysis.heating.record import Array, HeatingRecord, switched_on
 from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
 from leactl.analysis.heating.scatter import Scatter, binned_residuals, covariance_of_sums, scatter_of
 from leactl.analysis.statistics.regression import t_quantile
@@ -191,7 +191,7 @@ def thermal_parameters(
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
     """Relative standard uncertainty of the mean heat by the noise of the supply's readings."""
-    heats = [record.supply.heat[record.supply.on] for record in records]
+    heats = [record.supply.heat[on] for record, on in zip(records, switched_on(records), strict=True)]
     bends = np.concatenate([np.diff(heat, 2) for heat in heats])  # within records: from one to the next the level jumps
     heat = np.concatenate(heats)
     noise = math.sqrt(float(np.mean(bends**2)) / 6.0)
@@ -201,13 +201,18 @@ def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
 def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
     """Relative standard uncertainty of the supply's readings by their resolution, where no noise averages it out.
 
-    It is the largest of all records, since one rounding does not make up for another. Readings that are the same
-    throughout a record do not show their step, and count as exact.
+    The largest of all records: roundings at different levels do not cancel for certain. Readings that are the same
+    throughout a record have the step that another shows; where none does, they count as exact.
     """
+    readings = readings_on(records, name)
+    steps = [float(np.min(np.diff(np.unique(values)), initial=np.inf)) for values in readings]
+    shown = [step for values, step in zip(readings, steps, strict=True) if np.std(values) < step < np.inf]
+    step = min(shown, default=0.0)
+    unaveraged = [float(np.mean(values)) for values in readings if np.std(values) < step]
+    return step / math.sqrt(12.0) / min(unaveraged, default=np.inf)
 
-    def of_record(record: HeatingRecord) -> float:
-        values = np.abs(getattr(record.supply, name)[record.supply.on])
-        step = float(np.min(np.diff(np.unique(values)), initial=np.inf))
-        return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step < np.inf else 0.0
 
-    return max(map(of_record, records))
+def readings_on(records: Sequence[HeatingRecord], name: str) -> list[Array]:
+    """Magnitudes of a supply's `current` or `voltage` while the current is switched on, of each record that has any."""
+    masks = zip(records, switched_on(records), strict=True)
+    return [np.abs(getattr(record.supply, name)[on]) for record, on in masks if on.any()]

@@ -27,6 +27,7 @@ WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambie
 CURRENT, VOLTAGE = "line_current", "line_voltage"
 NOT_CELSIUS = 200.0  # degC: no winding stays above it throughout, and a room in kelvin is at 290 to 300
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
+LEAKS = 0.02  # of the largest current of all records: one that has no more only cools, at 4e-4 of the heat
 LEAST_A = 0.1  # below, nothing is heated that a fit could use
 SEEN = 0.5  # of the frames of the best location, that a location must be seen in to count
 LONGEST_LAG_S = 900.0  # of the camera's clock by the supply's
@@ -69,6 +70,13 @@ class HeatingRecord:
     active: Array  # degC
     supply: SupplyRecord
     ambient: Array | None  # degC, at the stamps of the supply
+
+
+def switched_on(records: Sequence[HeatingRecord]) -> list[Mask]:
+    """Readings of each record's supply with the current switched on; none of a record in which all only cools."""
+    largest = [float(np.max(np.abs(record.supply.current))) for record in records]
+    heated = [current > LEAKS * max(largest) for current in largest]
+    return [record.supply.on & heats for record, heats in zip(records, heated, strict=True)]
 
 
 def heating_records(run: Run) -> Noted[list[HeatingRecord]]:

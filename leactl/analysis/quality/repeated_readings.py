@@ -15,7 +15,7 @@ from leactl.analysis.quality.saturation import noise_shows
 from leactl.analysis.signals.levels import Hold, span
 from leactl.runfile.read.reader import Channel
 
-MOST_EQUAL_SHARE = 0.4  # of readings equal to the one before: a resolution of 1.5 times the noise; above, all stay
+MOST_EQUAL_SHARE = 0.4  # of readings equal to the one before; above it the resolution, over 1.5 noise, hides repeats
 IMPROBABLE = 1e-9  # probability that noise alone makes a row of equal readings this long
 FEWEST_REPEATS = 5  # equal readings in such a row
 

@@ -72,7 +72,7 @@ def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> Le
     """Return when the response passes a level, by a cubic through the bins around it where they lie smoothly enough.
 
     Otherwise by the exponential through three samples, else by the straight line. The limit is how far the curve that
-    is taken may lie from the straight line; of the straight line, how far the bin towards which the response bends.
+    is taken may lie from the straight line; for that itself, the distance to the bin to whose side the response bends.
     """
     straight = straight_crossing(curve, index, level)
     around = slice(index - 1, index + 3)

@@ -84,6 +84,7 @@ class Null:
     left: Mapping[tuple[str, str], float]  # variance of the rows, times how many of them count for one
     white: Mapping[tuple[str, str], float]  # by equation and run: variance of the rows' noise from one to the next
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
+    alike: Mapping[str, Sequence[float]]  # those that all machines show in common, where there are several
     errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
@@ -166,19 +167,25 @@ class Evidence:
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.null, self.lines = null, null.lines
-        self.by_form = {effect: self._where_shown(effect, null) for effect in null.floors}
+        self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
-    def _where_shown(self, effect: str, null: Null) -> list[float]:
-        """An effect's floors; a form that no run of a sound machine shows has that of the next one that they show."""
-        floors, errors = null.floors[effect], null.errors.get(effect, ())
-        seen = [place for place, error in enumerate(errors) if error < math.inf]
-        forms = self.forms.get(effect, ())
-        if len(forms) != len(floors) or not seen:  # one stands for all orders, or no form of it is looked at here
-            return list(floors)
+    def floors_of(self, effect: str, sizes: Sequence[float]) -> list[float]:
+        """Floors by form: sizes by noise, at least what sound machines show in common.
+
+        A form that some sound machine does not show takes the floor of the nearest form that all of them show.
+        """
+        assert self.null is not None
+        forms, alike = self.forms.get(effect, ()), self.null.alike.get(effect) or [0.0] * len(sizes)
+        if len(forms) != len(sizes) or len(alike) != len(sizes):  # periodic: one floor for all orders; or other forms
+            return list(sizes)
+        floors = [max(pair) for pair in zip(sizes, alike, strict=True)]
+        seen = [place for place, error in enumerate(self.null.errors[effect]) if error < math.inf]
+        if not seen:
+            return floors
         seen_forms = [forms[place] for place in seen]
         return [
             floor if place in seen else floors[seen[nearest(seen_forms, forms[place])]]

@@ -70,9 +70,20 @@ class FurtherEffect:
 
     @property
     def directed(self) -> Array:
-        """The size along the leading coefficients: they tell its sign, or of a wave its phase."""
+        """Signed size; of a wave, a vector (cos, sin) with that length."""
+        return self._scale * np.asarray(self.values)[leading_of(self.names)]
+
+    @property
+    def directed_variance(self) -> float:
+        """Variance of `directed`, summed over its coefficients."""
+        leading = leading_of(self.names)
+        return self._scale**2 * float(np.trace(self.covariance[np.ix_(leading, leading)]))
+
+    @property
+    def _scale(self) -> float:
+        """Size over the length of the leading coefficients."""
         own = np.asarray(self.values)[leading_of(self.names)]
-        return np.asarray(self.size * own / max(float(np.linalg.norm(own)), 1e-300))
+        return self.size / max(float(np.linalg.norm(own)), 1e-300)
 
     @property
     def height(self) -> float:

@@ -18,6 +18,7 @@ from leactl.gap.servo.runs import side_by_side
 from leactl.gap.servo.simulation import FREE
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import drive_of
+from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.judge import UNCONFIRMED
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
@@ -82,7 +83,7 @@ def causes(
         )
         for item in fitted_sets.standing
     ]
-    named = [_entry(cause) for cause in standing if cause.probability >= 0.5]
+    named = [_entry(cause) for cause in standing if cause.probability >= NAMED]
     others = [cause for cause in balanced if cause.effect not in SIMULATED]
     if others:
         alone, *with_each = distances(

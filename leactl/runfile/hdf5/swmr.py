@@ -40,7 +40,10 @@ class AsClosed(io.RawIOBase):
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a byte, counted from the start, from the present position or from the present end of the file."""
         size = os.fstat(self._descriptor).st_size
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
+        wanted = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
+        if wanted < 0:
+            raise ValueError(f"seek to byte {wanted}")
+        self._at = wanted
         return self._at
 
     def tell(self) -> int:

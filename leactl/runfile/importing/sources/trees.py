@@ -82,13 +82,21 @@ class TreeSource:
         raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str) -> Any:
-        path_so_far = ""
-        for match in _STEP.finditer(path):
-            if _has_key(node, rest := path[match.start() :]):  # names of the file may have dots of their own
-                return self._child(node, rest, path_so_far)
-            key: str | int = match[1] if match[1] is not None else int(match[2])
-            node = self._child(node, key, path_so_far)
-            path_so_far = path[: match.end()]
+        if _has_key(node, path):
+            return self._child(node, path, "")
+        steps = list(_STEP.finditer(path))
+        at = 0
+        while at < len(steps):
+            begin, last = steps[at].start(), at
+            for further in range(len(steps) - 1, at, -1):  # a name in the file may have dots of its own
+                if _has_key(node, path[begin : steps[further].end()]):
+                    last = further
+                    break
+            key: str | int = path[begin : steps[last].end()]
+            if steps[at][2] is not None:
+                key, last = int(steps[at][2]), at
+            node = self._child(node, key, path[: steps[at - 1].end()] if at else "")
+            at = last + 1
         return node
 
     def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
