@@ -21,7 +21,7 @@ from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.known import KnownEffect, known_effects, without
 from leactl.gap.simulated.nominal import NominalOfSimulator
-from leactl.gap.verdict.decision import NAMED, UNKNOWN
+from leactl.gap.verdict.decision import NAMED, verdict_of
 
 ANOTHER = 3.0  # priors, from which on a parameter is that of another machine
 DISTINCT = 0.02  # of a parameter, that an effect's freedom within its form moves it by where nothing differs
@@ -115,11 +115,7 @@ def settled(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) 
     effect of the simulator.
     """
     causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
-    verdict = answer.verdict
-    if verdict == "effect" and not any(cause.probability >= NAMED for cause in causes):
-        verdict = "unknown" if answer.unexplained_probability >= UNKNOWN else "none"
-    if verdict in ("none", "calibration"):
-        verdict = "calibration" if parameters_differ or both.differing else "none"
+    verdict = verdict_of(causes, answer.unexplained_probability, parameters_differ or bool(both.differing))
     told = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
     return replace(answer, causes=causes, verdict=verdict, notes=(*told, *answer.notes))
 
