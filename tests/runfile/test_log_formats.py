@@ -57,6 +57,11 @@ def test_keys_with_dots_are_one_name_in_records_and_groups():
     np.testing.assert_array_equal(source.column("motor.current", "rows"), [1.0, 2.0])
 
 
+def test_a_list_of_lists_of_different_lengths_is_taken_apart():
+    source = TreeSource(Path("log.json"), {"x": [[1.0, 2.0], [3.0]]})
+    assert [source.column(name, None).tolist() for name in ("x[0]", "x[1]")] == [[1.0, 2.0], [3.0]]
+
+
 @pytest.mark.parametrize(
     ("name", "records", "text"),
     [("x[0]", None, "x has no item 0; it is an array of shape ()"), (-1, "m", "m has no column -1")],

@@ -87,22 +87,20 @@ class TreeSource:
         steps = list(_STEP.finditer(path))
         at = 0
         while at < len(steps):
-            begin, last = steps[at].start(), at
-            for further in range(len(steps) - 1, at, -1):  # a name in the file may have dots of its own
-                if _has_key(node, path[begin : steps[further].end()]):
-                    last = further
-                    break
-            key: str | int = path[begin : steps[last].end()]
-            if steps[at][2] is not None:
-                key, last = int(steps[at][2]), at
+            keys = [path[steps[at].start() : step.end()] for step in steps[at:]]
+            # the longest that is there, for a name in the file may have dots of its own
+            count = next((n for n in range(len(keys), 1, -1) if _has_key(node, keys[n - 1])), 1)
+            is_index = count == 1 and steps[at][2] is not None
+            key = int(steps[at][2]) if is_index else keys[count - 1]
             node = self._child(node, key, path[: steps[at - 1].end()] if at else "")
-            at = last + 1
+            at += count
         return node
 
     def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
         where = parent_path or "the file"
         if isinstance(key, int):
-            if isinstance(node, list | np.ndarray) and np.ndim(node) and key < len(node):
+            rows = isinstance(node, list) or (isinstance(node, np.ndarray) and node.ndim > 0)
+            if rows and key < len(node):
                 return node[key]
             raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
         if isinstance(node, dict):
