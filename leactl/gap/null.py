@@ -151,7 +151,7 @@ class NullValues:
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
-    forms: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # as found; none of periodic ones
+    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # behind both, but periodic
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -170,7 +170,7 @@ class NullValues:
             self.white.setdefault(key, []).append(value)
         for effect, items in by_themselves(evidence).items():
             if not library()[effect].periodic:
-                self.forms.setdefault(effect, []).append(items)
+                self.fits.setdefault(effect, []).append(items)
             if sizes := sizes_by_chance(effect, items):
                 self.sizes.setdefault(effect, []).append(sizes)
                 self.errors.setdefault(effect, []).append(standard_errors(effect, items))
@@ -192,7 +192,7 @@ class NullValues:
             {key: float(np.mean(values)) for key, values in self.left.items()},
             {key: float(np.mean(values)) for key, values in self.white.items()},
             {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
-            {effect: shown_alike(self.forms.get(effect, ())) for effect in self.sizes},
+            {effect: shown_alike(self.fits.get(effect, ())) for effect in self.sizes},
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
@@ -214,7 +214,9 @@ class NullValues:
 
 
 def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[float]:
-    """Size that sound machines give an effect in common, by form; empty of fewer than two machines.
+    """Size that sound machines give an effect in common, form by form; empty where there is one machine or none.
+
+    machines : of each machine, the effect fitted by itself in each of its forms; None where its runs do not show one.
 
     It is the length of the mean of their signed sizes, less noise. Zero where noise explains it, or where a machine
     does not show the form. Accelerations that are noise alone, as by a coarse encoder, look in every machine like a
