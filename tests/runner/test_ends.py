@@ -14,6 +14,7 @@ from leactl.emulation.wires.buses import EmulatedI2cBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.runfile.write import writer
 from leactl.runfile.write.writer import RecordingFailed
+from leactl.runner.flushing import ThreadedFlush
 from tests.cli.terminal import leactl
 from tests.latches import latch_of, trip_of
 from tests.runner.conftest import SPIN
@@ -102,21 +103,37 @@ def test_what_nobody_has_foreseen_latches_the_bench(spin, monkeypatch, fault):
 # -- the recording -----------------------------------------------------------------------------------------------------
 
 
-def fail_in_the_thread(monkeypatch, name, fault):
+def fail_in_the_thread(monkeypatch, name, fault, wait=lambda: None):
+    """Let a function of the writer fail where the flushing thread calls it, which is at once and not in a second."""
     original = getattr(writer, name)
 
     def failing(*arguments):
         if threading.current_thread().name == "leactl-flush":
+            wait()
             raise fault
         return original(*arguments)
 
     monkeypatch.setattr(writer, name, failing)
+    monkeypatch.setattr("leactl.runner.flushing.FLUSH_S", 0.0)
 
 
-@pytest.mark.parametrize("hold", ["1.6", "0.7"])
-def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch, hold):
+def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch):
     fail_in_the_thread(monkeypatch, "write_rows", MemoryError("no room"))
-    outcome, _bench = spin(sets=(f"hold_s={hold}",), realtime=True)
+    outcome, _bench = spin(sets=("hold_s=0.7",), realtime=True)
+    assert (outcome.status, type(outcome.error)) == ("failed", RecordingFailed)
+    assert "recording failed: MemoryError no room" in outcome.reason
+
+
+def test_memory_that_runs_out_in_the_last_flush_fails_the_run(spin, monkeypatch):
+    stop, stopping = ThreadedFlush.stop, threading.Event()
+
+    def stop_and_tell(flush):
+        stopping.set()
+        stop(flush)
+
+    monkeypatch.setattr(ThreadedFlush, "stop", stop_and_tell)
+    fail_in_the_thread(monkeypatch, "write_rows", MemoryError("no room"), wait=stopping.wait)
+    outcome, _bench = spin(sets=("hold_s=0.2",), realtime=True)
     assert (outcome.status, type(outcome.error)) == ("failed", RecordingFailed)
     assert "recording failed: MemoryError no room" in outcome.reason
 
@@ -124,7 +141,7 @@ def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch, ho
 def test_a_full_disk_is_the_cause_that_everything_after_it_tells(spin, monkeypatch):
     fail_in_the_thread(monkeypatch, "write_rows", OSError(28, "No space left on device"))
     monkeypatch.setattr("leactl.runner.flushing.ThreadedFlush.after_cycle", lambda _self: None)  # the loop is first
-    outcome, _bench = spin(sets=("hold_s=1.6",), realtime=True)
+    outcome, _bench = spin(sets=("hold_s=0.2",), realtime=True)
     assert outcome.status == "failed"
     assert "No space left on device" in outcome.reason
     assert not hasattr(outcome.error, "__notes__")
