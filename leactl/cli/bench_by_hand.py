@@ -14,8 +14,8 @@ from leactl.cli.completion import benches
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from leactl.runner.outcome import Outcome
     from leactl.runner.runs_underway import RunUnderway
-    from leactl.runner.session import Outcome
 
 LONGEST_REMARK = 1000  # characters
 READ_S = 2.0
@@ -249,9 +249,10 @@ def _follow(
     from leactl.errors import Stopped
     from leactl.protocol.by_hand import endless_steps, reading_steps
     from leactl.report.follow import Follower, Looks
+    from leactl.runner.dry_run import streams_of
     from leactl.runner.operators import keyboard
     from leactl.runner.request import prepare_by_hand
-    from leactl.runner.session import execute, streams_of
+    from leactl.runner.session import execute
     from leactl.runner.signals import to_the_end
 
     steps = endless_steps() if hold_s is None else reading_steps(hold_s)

@@ -18,7 +18,8 @@ from leactl.report.web import FREE_PORT_HERE
 
 if TYPE_CHECKING:
     from leactl.report.web.feed import RunPage
-    from leactl.runner.session import Outcome, Request
+    from leactl.runner.outcome import Outcome
+    from leactl.runner.request import Request
 
 ATTENDED = typer.Option(
     False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
@@ -175,7 +176,7 @@ def print_dry_run(request: "Request", as_json: bool) -> None:
     """
     from leactl.report.outputs import check_folder
     from leactl.report.plan import dry_run_body, dry_run_text
-    from leactl.runner.session import dry_run
+    from leactl.runner.dry_run import dry_run
 
     check_operator(request)
     check_folder(request.directory)

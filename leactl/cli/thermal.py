@@ -14,7 +14,7 @@ from leactl.cli.run import ATTENDED
 from leactl.errors import AcceptanceFailed
 
 if TYPE_CHECKING:
-    from leactl.runner.session import Request
+    from leactl.runner.request import Request
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")

@@ -5,7 +5,7 @@ from typing import Any
 
 from leactl.report.plan import hottest, peaks
 from leactl.report.terminal import duration
-from leactl.runner.session import Preview
+from leactl.runner.dry_run import Preview
 
 
 def demands(expected: Preview) -> dict[str, Any]:

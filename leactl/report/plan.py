@@ -9,7 +9,8 @@ from leactl.protocol.plan import Plan
 from leactl.quantities import UNITS
 from leactl.report.terminal import duration
 from leactl.runfile.write.description import new_run_id
-from leactl.runner.session import DryRun, Request
+from leactl.runner.dry_run import DryRun
+from leactl.runner.request import Request
 from leactl.safety.limits import Limits
 from leactl.safety.thermal.foresight import Forecast
 

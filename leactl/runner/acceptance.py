@@ -15,7 +15,7 @@ from leactl.units import CONVERSIONS, SECONDS
 
 if TYPE_CHECKING:
     from leactl.analysis.estimate import Result
-    from leactl.runner.session import Outcome
+    from leactl.runner.outcome import Outcome
 
 
 def check_analysis(plan: Plan, name: str) -> None:

@@ -22,7 +22,9 @@ from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
 from leactl.runfile.read.reader import Run
 from leactl.runner import locks
-from leactl.runner.session import Outcome, Request, dry_run
+from leactl.runner.dry_run import dry_run
+from leactl.runner.outcome import Outcome
+from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
 from leactl.safety.thermal.foresight import Forecast

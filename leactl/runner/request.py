@@ -1,22 +1,65 @@
-"""From the words of a command line to a checked request: every fault is found before a device is touched."""
+"""A request to run, made from the words of a command line: every fault is found before a device is touched."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.bench.wire_trace import WireTrace
 from leactl.errors import InputError
 from leactl.protocol import by_hand, protocolfile
 from leactl.protocol.plan import Plan
+from leactl.runner import latch
 from leactl.runner.acceptance import check_analysis
 from leactl.runner.checked_bench import load_checked
-from leactl.runner.session import Request
+from leactl.runner.event_lines import EventLines
+from leactl.runner.latch import Latch
 from leactl.runner.thermal_admission import check_label
 from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
 
 MOST_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to run, on what, and where the file goes; everything in it has been checked."""
+
+    plan: Plan
+    bench: BenchFile
+    devices: Sequence[CheckedDevice]
+    bench_document: Document
+    directory: Path
+    actuator: str = ""
+    operator: str = ""
+    seed: int | None = None
+    realtime: bool = False
+    served: bool = False  # the bench is emulated by another process, on real buses
+    cold: bool = False  # a person says that nothing has heated the actuators
+    insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
+    record_every_s: float = 0.0  # at most one row of a stream is recorded in this time; 0 records every row
+    run_id: str = ""  # where it has to be known before the run; else one is made
+    part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
+    lines: EventLines | None = None  # where the run is told as it goes
+    trace: WireTrace | None = None  # where every byte of its wires goes
+
+    @property
+    def in_process(self) -> bool:
+        """Whether the bench is emulated here."""
+        return self.bench.emulated is not None and not self.served
+
+    @property
+    def latch(self) -> Latch:
+        """What a trip of this bench sets, and what holds it."""
+        return latch.of(self.bench, self.bench_document.name, self.in_process)
+
+    @property
+    def noise_seed(self) -> int | None:
+        """What the noise of a bench that is emulated here is drawn from."""
+        if not self.in_process or self.bench.emulated is None:
+            return None
+        return self.bench.emulated.seed if self.seed is None else self.seed
 
 
 def prepare(

@@ -137,7 +137,7 @@ def struck(path):
 folder.held = struck
 """
 AS_IT_IS_TOLD = """
-from leactl.runner.session import Outcome
+from leactl.runner.outcome import Outcome
 told = Outcome.as_json
 Outcome.as_json = lambda outcome: [told(outcome), strike()][0]
 """
@@ -148,8 +148,8 @@ entries.preview = lambda request: [strike(), preview(request)][1]
 """
 AS_A_RUN_BEGINS = """
 from leactl.runner import session
-check = session._check
-session._check = lambda request: [check(request), strike()][0]
+check = session.check
+session.check = lambda request: [check(request), strike()][0]
 """
 CAMPAIGN, RUN = ("campaign", "small.yaml"), ("run", "spin.yaml", "--set", "hold_s=1")
 

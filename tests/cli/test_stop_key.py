@@ -120,9 +120,9 @@ def test_a_trip_gives_the_terminal_back(terminal):
 
 
 CRASH = """
-from leactl.runner import session
+from leactl.runner import latch
 def crash(*_): raise RuntimeError("no such luck")
-session.latch.of = crash
+latch.of = crash
 """
 
 

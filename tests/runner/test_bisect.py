@@ -14,7 +14,7 @@ from leactl.protocol import protocolfile
 from leactl.protocol.plan import Search, SearchLimit, SearchTrial, Segment, Sought, Until
 from leactl.runfile.read.bisections import searches
 from leactl.runfile.read.reader import Run
-from leactl.runner.outcomes import Bisection, Outcomes
+from leactl.runner.step_outcomes import Bisection, Outcomes
 from leactl.safety.supervisor import Supervisor
 from tests.runner.test_pause import GO_ON, PAUSE
 

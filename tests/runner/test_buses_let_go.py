@@ -6,7 +6,7 @@ import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 
 from leactl.emulation.bench import emulated_bench
-from leactl.runner import session
+from leactl.runner import run_head, session
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from tests.runner.conftest import SPIN
@@ -14,7 +14,7 @@ from tests.runner.conftest import SPIN
 
 @pytest.mark.parametrize(
     ("place", "name"),
-    [(Ads1115, "open"), (session, "RunWriter"), (session, "_introduce"), (session.RunWriter, "close")],
+    [(Ads1115, "open"), (run_head, "RunWriter"), (session, "introduce"), (run_head.RunWriter, "close")],
 )
 def test_an_error_that_nobody_foresaw_leaves_no_bus_open(tmp_path, monkeypatch, place, name):
     benches = []

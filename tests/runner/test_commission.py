@@ -11,8 +11,8 @@ from leactl.analysis.heating.narrowing import Accuracy
 from leactl.errors import AcceptanceFailed, InputError, Stopped
 from leactl.model.motor import load_motor
 from leactl.runner.commission import CommissionOptions, commission
+from leactl.runner.outcome import Outcome
 from leactl.runner.request import prepare
-from leactl.runner.session import Outcome
 from tests.analysis.heated import HeatedBench, Plant
 
 HOT = {"current_A": "9", "heating_s": "1500", "cooling_s": "1600"}  # by the shipped tolerances 130 degC after 1027 s

@@ -161,15 +161,15 @@ def test_a_signal_ends_the_drill_whether_it_comes_in_a_run_or_between_two(drill,
 
 
 def test_a_signal_that_comes_as_a_run_closes_its_file_ends_the_drill(drill, monkeypatch):
-    from leactl.runner import session
+    from leactl.runfile.write.writer import RunWriter
 
-    made = session.RunWriter.close
+    made = RunWriter.close
 
     def close(self, *arguments):
         os.kill(os.getpid(), signal.SIGINT)
         made(self, *arguments)
 
-    monkeypatch.setattr(session.RunWriter, "close", close)
+    monkeypatch.setattr(RunWriter, "close", close)
     with pytest.raises(Stopped, match="stopped by SIGINT"):
         drill("emulated", "bus_off")
 

@@ -100,7 +100,7 @@ def test_a_fault_and_a_sensor_reach_zero_torque_within_one_cycle_too(spin, tmp_p
 
 
 def test_a_fault_of_a_drive_latches_the_supervisor_though_the_status_is_the_device_s(spin, monkeypatch):
-    from leactl.runner import session
+    from leactl.runner import preparation
 
     kept = []
 
@@ -108,8 +108,8 @@ def test_a_fault_of_a_drive_latches_the_supervisor_though_the_status_is_the_devi
         kept.append(made(*arguments, **keywords))
         return kept[-1]
 
-    made = session.Supervisor
-    monkeypatch.setattr(session, "Supervisor", keep)
+    made = preparation.Supervisor
+    monkeypatch.setattr(preparation, "Supervisor", keep)
     outcome, _bench = spin(at=[(0.4, lambda bench: bench.far_ends["drive_test"].fault(0x2310))])
     assert (outcome.error.exit_status, outcome.status) == (5, "failed")
     with pytest.raises(SafetyTrip, match="0x2310"):

@@ -227,9 +227,9 @@ def test_an_angle_is_reached_by_a_ramp_and_never_by_a_leap(spin):
 
 def test_a_slow_disk_before_the_loop_begins_ages_nothing(spin, monkeypatch):
     from leactl.emulation.bench.emulated_bench import EmulatedBench
-    from leactl.runner import session
+    from leactl.runner import preparation, run_head
 
-    clocks, wired, made = [], session._wiring, session.RunWriter
+    clocks, wired, made = [], preparation.wiring_of, run_head.RunWriter
 
     def wiring(request) -> EmulatedBench:
         clocks.append((bench := wired(request)).clock)
@@ -239,8 +239,8 @@ def test_a_slow_disk_before_the_loop_begins_ages_nothing(spin, monkeypatch):
         clocks[0].sleep_until(clocks[0].now() + 3.0)
         return made(*arguments)
 
-    monkeypatch.setattr(session, "_wiring", wiring)
-    monkeypatch.setattr(session, "RunWriter", slow)
+    monkeypatch.setattr(preparation, "wiring_of", wiring)
+    monkeypatch.setattr(run_head, "RunWriter", slow)
     outcome, _bench = spin()
     assert (outcome.status, outcome.reason) == ("complete", "")
 

@@ -10,9 +10,9 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write.writer import RunInfo
+from leactl.runner.dry_run import preview, streams_of
 from leactl.runner.flushing import SparseWriter
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import preview, streams_of
 
 STREAMS = {
     "loop": [ChannelSpec("iq", "q_axis_current", "test", "drive")],

@@ -8,7 +8,7 @@ from leactl.analysis.quality.gate import AT_REST, MISSING, NEVER_ZERO, NOT_MEASU
 from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, StatementVerdict
-from leactl.runner.session import Request
+from leactl.runner.request import Request
 
 ONE_A_ROLE = ("torque", "velocity", "angle", "q_axis_current")
 NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says that noise shows within them

@@ -19,8 +19,9 @@ from leactl.runner.bench_check.statement import Statement, wrong
 from leactl.runner.bench_check.turning import Turning
 from leactl.runner.checked_bench import load_checked
 from leactl.runner.drill.emulated import drives
-from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, Request, failures
+from leactl.runner.dry_run import failures
+from leactl.runner.outcome import Outcome
+from leactl.runner.request import Request, prepare_by_hand
 from leactl.runner.thermal_admission import motors_of
 from leactl.safety.thermal.box import Box
 

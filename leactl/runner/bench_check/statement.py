@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from leactl.bench.benchfile import CheckedDevice
-from leactl.runner.session import Request
+from leactl.runner.request import Request
 
 SURE = 3.0  # standard errors
 

@@ -20,7 +20,7 @@ from leactl.runfile.read.reader import Run
 from leactl.runner.bench_check.silence import silences
 from leactl.runner.bench_check.statement import SURE, Statement, StatementVerdict, ratio, setting
 from leactl.runner.drill.emulated import drives
-from leactl.runner.session import Request
+from leactl.runner.request import Request
 from leactl.runner.thermal_admission import motors_of
 from leactl.safety.cross_checks import TURNING_RAD_S
 from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions

@@ -21,8 +21,10 @@ from leactl.runner.campaign import folder as place
 from leactl.runner.campaign.campaignfile import Campaign
 from leactl.runner.campaign.entries import CampaignEntry, previews
 from leactl.runner.campaign.journal import Finished, Journal, save
+from leactl.runner.dry_run import Preview
 from leactl.runner.operators import at_the_terminal
-from leactl.runner.session import Outcome, Preview, Request
+from leactl.runner.outcome import Outcome
+from leactl.runner.request import Request
 from leactl.runner.signals import between_runs
 from leactl.runner.thermal_admission import Windings
 

@@ -11,8 +11,8 @@ from leactl.errors import InputError
 from leactl.protocol.plan import Prompt
 from leactl.runner.campaign.campaignfile import Campaign, CampaignStep
 from leactl.runner.campaign.order import Cell, drawn
-from leactl.runner.request import prepare
-from leactl.runner.session import Preview, Request, preview
+from leactl.runner.dry_run import Preview, preview
+from leactl.runner.request import Request, prepare
 from leactl.safety.disk import COPIES, check_room, free_bytes
 
 DIGITS = 16  # of a digest

@@ -34,9 +34,11 @@ from leactl.runner.drill.finding import (
     of_the_end,
 )
 from leactl.runner.drill.plant import DrillPlant
+from leactl.runner.dry_run import dry_run
 from leactl.runner.operators import granted
+from leactl.runner.outcome import Outcome
 from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, dry_run, execute
+from leactl.runner.session import execute
 from leactl.runner.signals import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from leactl.protocol.plan import Plan
-from leactl.runner.session import Outcome
+from leactl.runner.outcome import Outcome
 
 CAUGHT = ("tripped", "failed")
 

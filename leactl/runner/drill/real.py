@@ -29,9 +29,11 @@ from leactl.runner.drill.finding import (
     PlannedRehearsal,
     of_the_end,
 )
+from leactl.runner.dry_run import dry_run
 from leactl.runner.operators import granted, keyboard
-from leactl.runner.request import prepare_by_hand
-from leactl.runner.session import Outcome, Request, dry_run, execute
+from leactl.runner.outcome import Outcome
+from leactl.runner.request import Request, prepare_by_hand
+from leactl.runner.session import execute
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits
 STOP_AFTER_S, PATIENCE_S = 1.0, 30.0

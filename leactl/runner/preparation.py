@@ -1,0 +1,163 @@
+"""What has to hold before a device is opened: the request fits its bench, and the windings allow the plan."""
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+from leactl.bench.bench import Bench, require_channels_for_interlocks
+from leactl.bench.wire_trace import CALLS, TracedWiring
+from leactl.bench.wiring import MachineWiring, Wiring
+from leactl.driver.contract import MotionDevice
+from leactl.errors import InputError
+from leactl.protocol.plan import Plan, SetRecordRate, SetSupply
+from leactl.runner import locks, runs_underway
+from leactl.runner.bench_fit import check_fit, check_setup
+from leactl.runner.request import Request
+from leactl.runner.thermal_admission import Windings
+from leactl.safety.current_tracking import VoltageNeed
+from leactl.safety.disk import check_room, free_bytes, planned_bytes
+from leactl.safety.supervisor import Axis, Supervisor
+from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
+
+
+def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
+    """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
+    bench = bench_of(request)
+    check_fit(request.plan, bench)
+    require_channels_for_interlocks(bench, request.bench_document)
+    planned = room_needed(request, bench)
+    check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
+    request = replace(request, plan=windings.admit(request.plan, request.insert_cooldown))
+    supervisor = supervisor_of(request, bench, windings)
+    check_supplies(request, supervisor)
+    if switches_supplies(request.plan):
+        from leactl.runner.left_on import endings  # a root finder comes with it, for which no other run waits
+
+        supervisor.supplies.endings = endings(request.plan, windings, bench)
+    return request, bench, supervisor
+
+
+def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
+    """What comes of each supply that nobody switches off, a line each."""
+    if not switches_supplies(plan):
+        return []
+    from leactl.runner.left_on import left_on
+
+    return [one.told for one in left_on(plan, windings, bench)]
+
+
+def switches_supplies(plan: Plan) -> bool:
+    """Whether a plan switches any supply."""
+    return any(isinstance(action, SetSupply) for action in plan.actions)
+
+
+def locks_of(request: Request) -> AbstractContextManager[list[int]]:
+    """The locks of the bench and its buses; a bench of this process needs none."""
+    return nullcontext([]) if request.in_process else locks.held(request.bench, request.devices)
+
+
+def refuse_latched(request: Request) -> None:
+    """Refuse a latched bench; one of a run that nothing is left of is latched first: who knows what its devices do.
+
+    Raises
+    ------
+    SafetyTrip : it is latched.
+    LeactlError : the latch could not be written.
+    """
+    for cause, run in runs_underway.lost(request.bench.name) if not request.in_process else ():
+        if request.latch.trip() is None:
+            request.latch.set(cause, Path(run))
+    request.latch.refuse()
+
+
+def check(request: Request) -> None:
+    """Refuse what cannot go well, before anything is touched.
+
+    Raises
+    ------
+    InputError : a seed or wall time is asked of a bench that is not emulated here, or the plan needs another set-up.
+    """
+    bench = request.bench
+    if not request.in_process and (request.seed is not None or request.realtime):
+        raise InputError(f"bench '{bench.name}' is not emulated here: it takes no seed and always keeps wall time")
+    check_setup(request.plan, bench)
+
+
+def check_supplies(request: Request, supervisor: Supervisor) -> None:
+    """Refuse a plan that asks more of a supply than the bench has.
+
+    Raises
+    ------
+    InputError : there is no supply at those leads, or it is not good for that.
+    """
+    name, most = request.bench.name, supervisor.supplies.most
+    for action in request.plan.actions:
+        for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
+            if role not in most:
+                raise InputError(
+                    f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
+                )
+            for asked, top, unit in zip(output or (), most[role], "VA", strict=False):
+                if asked > top:
+                    raise InputError(
+                        f"protocol '{request.plan.name}' asks {asked:g} {unit} of the supply of {role}; it is good for"
+                        f" {top:g} {unit} on bench '{name}'"
+                    )
+
+
+def room_needed(request: Request, bench: Bench) -> float:
+    """Bytes that the run file may take."""
+    plan = request.plan
+    if request.record_every_s:
+        rate = 1.0 / request.record_every_s
+        return planned_bytes(bench.streams(), rate, rate, plan.duration_s, {})
+    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, SetRecordRate))]
+    return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
+
+
+def bench_of(request: Request) -> Bench:
+    """The bench of a request, none of whose devices is open; its wires go through the trace where there is one."""
+    trace = request.trace
+    if trace is None:
+        return Bench(request.bench, request.devices, wiring_of(request))
+    bench = Bench(request.bench, request.devices, TracedWiring(wiring_of(request), trace))
+    bench.pass_calls_through(trace.called, CALLS)
+    return bench
+
+
+def wiring_of(request: Request) -> Wiring:
+    """The wires of this machine, or those of a bench that is emulated in this process."""
+    if not request.in_process:
+        return MachineWiring()
+    from leactl.emulation.bench.emulated_bench import EmulatedBench
+
+    plan = request.plan
+    return EmulatedBench(
+        request.bench, request.devices, plan.setup, plan.condition, request.seed, realtime=request.realtime
+    )
+
+
+def supervisor_of(request: Request, bench: Bench, windings: Windings) -> Supervisor:
+    """The supervisor through which every command of a run goes."""
+    axes = {}
+    for role, driver in bench.drives.items():
+        assert isinstance(driver, MotionDevice)
+        axes[role] = Axis(driver, driver)
+    sensed = SENSED_ROLES.get(request.plan.setup, ())
+    return Supervisor(
+        request.bench.limits,
+        axes,
+        bench.others,
+        bench.clock,
+        windings.guard,
+        request.bench.interlocks,
+        torque_models={role: TorqueModel.of(windings.motors[role]) for role in sensed},
+        voltage_needs={
+            role: VoltageNeed(
+                motor.back_emf_constant,
+                motor.resistance(request.bench.limits.winding_temperature_degC),
+                motor.winding,
+            )
+            for role, motor in windings.motors.items()
+        },
+    )

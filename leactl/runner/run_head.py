@@ -1,0 +1,98 @@
+"""The head of a run file: who ran what on which bench, and the notes that stand before the first row."""
+
+from datetime import UTC, datetime
+
+from leactl import __version__
+from leactl.bench.bench import Bench
+from leactl.bench.provenance import overdue
+from leactl.bench.records import devices_with_exports
+from leactl.model.motor import load_motor
+from leactl.runfile.write.writer import RunInfo, RunWriter
+from leactl.runner import state_folder
+from leactl.runner.bench_fit import unwitnessed
+from leactl.runner.flushing import SparseWriter
+from leactl.runner.preparation import supplies_left_on
+from leactl.runner.progress import Progress
+from leactl.runner.request import Request
+from leactl.runner.thermal_admission import Windings
+
+
+def writer_of(request: Request, bench: Bench) -> RunWriter:
+    """Create the run file.
+
+    Raises
+    ------
+    RecordingFailed : it could not be made.
+    """
+    opened = request.directory, info_of(request, bench), bench.streams(), bench.wait_for_disk
+    return SparseWriter(*opened, request.record_every_s) if request.record_every_s else RunWriter(*opened)
+
+
+def info_of(request: Request, opened: Bench) -> RunInfo:
+    """What the file says of the run as a whole."""
+    plan, bench, now = request.plan, request.bench, datetime.now(UTC)
+    motor = load_motor(bench.motors["test"])[1]
+    return RunInfo(
+        run_id=request.run_id,
+        protocol=plan.name,
+        bench=bench.name,
+        actuator=request.actuator,
+        condition=plan.condition,
+        operator=request.operator,
+        simulated=bench.emulated is not None,
+        mechanical=plan.setup,
+        software=f"leactl {__version__}",
+        created=now.isoformat(timespec="milliseconds"),
+        seed=request.noise_seed,
+        parameters=plan.parameters,
+        instruments={name: known.facts for name, known in opened.provenance.items()},
+        sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
+    )
+
+
+def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench) -> None:
+    """Note what the stored YAML texts do not tell: campaign, parameters, overdue calibration, seed, warm windings."""
+    for name, value in request.part_of.items():
+        writer.event(0.0, "info", "campaign", f"{name} = {value}")
+    for name, value in request.plan.parameters.items():
+        writer.event(0.0, "info", "protocol", f"{name} = {value}")
+    channels = [
+        *bench.streams().values(),
+        *(source.channels for source in devices_with_exports(bench.drivers).values()),
+    ]
+    measured = {channel.quantity for several in channels for channel in several}
+    for quantity in request.plan.wants:
+        if quantity not in measured:
+            text = f"no device measures {quantity}: its record has to come from elsewhere"
+            writer.event(0.0, "warning", "protocol", text)
+    if request.record_every_s:
+        text = f"at most one row of a stream is recorded in {request.record_every_s:g} s"
+        writer.event(0.0, "info", "recorder", text)
+    for name, text in overdue(request.devices).items():
+        writer.event(0.0, "warning", name, text)
+    if (seed := request.noise_seed) is not None:
+        writer.event(0.0, "info", "emulation", f"seed = {seed}")
+    for line in unwitnessed(request.plan, bench):
+        writer.event(0.0, "info", "windings", line)
+    for line in supplies_left_on(request.plan, windings, bench):
+        writer.event(0.0, "info", "supplies", line)
+    for role, recalled in windings.recalled.items():
+        writer.event(0.0, "info", "windings", f"{role} winding: {recalled.known}, at most {recalled.nodes[0]:.1f} degC")
+
+
+def warn_of_bench(request: Request, writer: RunWriter, bench: Bench, progress: Progress) -> None:
+    """Note, and show, what a person at a real bench should know before it moves."""
+    if not request.in_process:  # nothing burns that is emulated here
+        progress.warnings += unwitnessed(request.plan, bench)
+    told = [(name, known.doubt) for name, known in bench.provenance.items() if known.doubt]
+    for name, source in devices_with_exports(bench.drivers).items() if not request.in_process else ():
+        if source.exports.absent:
+            told.append((name, f"there is no folder {source.exports.folder} for its exports yet"))
+    for name, text in told:
+        writer.event(0.0, "warning", name, text)
+        progress.warnings.append(f"{name}: {text}")
+    place = state_folder.place_of(request.bench, request.in_process)
+    if place.fault:
+        text = f"{place.fault}; trip latch and winding memory are this user's alone, in {place.directory}"
+        progress.warnings.append(f"{text}; see: leactl doctor")
+        writer.event(0.0, "warning", "runner", progress.warnings[-1])
