@@ -344,6 +344,14 @@ def test_an_absent_drive_is_named(make_bench):
         bench.drive.open()
 
 
+def test_the_emulated_drive_counts_no_object_that_was_not_mapped(make_bench):
+    bench = make_bench()
+    invalid, count = "23001801810100" + "80", "2f001a0002000000"  # TPDO 1, two objects of which the second is none
+    assert bench.transfer(invalid) == "6000180100000000"
+    assert bench.transfer(count) == "80001a0041000406"
+    assert bench.transfer("2f001a0001000000") == "60001a0000000000"
+
+
 def test_an_answer_that_nobody_asked_for_disturbs_no_later_transfer(bench):
     bench.far.say(0x581, "8079600000000206")  # as from a firmware without 0x6079, where the loop's request is refused
     bench.cycle()

@@ -267,16 +267,21 @@ class ElmoEmulator:
             communication = index - 0x200
             if not self._values[communication, 1] & 0x80000000:
                 raise Abort(ABORT_INCOMPATIBLE)
-            if sub and value:
-                target = self._entries.get((value >> 16, value >> 8 & 0xFF))
-                if target is None or not target.mappable or SIZES[target.kind] * 8 != value & 0xFF:
-                    raise Abort(ABORT_NOT_MAPPABLE)
-            elif sub == 0 and sum(self._values[index, slot] & 0xFF for slot in range(1, value + 1)) > 64:
+            entries = (
+                [self._values[index, slot] for slot in range(1, value + 1)] if sub == 0 else [value] if value else []
+            )
+            if not all(self._is_mappable(entry) for entry in entries):
+                raise Abort(ABORT_NOT_MAPPABLE)
+            if sum(entry & 0xFF for entry in entries) > 64:
                 raise Abort(ABORT_PDO_LENGTH)
         elif index == 0x1016 and value & 0xFFFF:
             other = self._values[0x1016, 3 - sub]
             if other & 0xFFFF and other >> 16 == value >> 16:
                 raise Abort(ABORT_INCOMPATIBLE)
+
+    def _is_mappable(self, entry: int) -> bool:
+        target = self._entries.get((entry >> 16, entry >> 8 & 0xFF))
+        return target is not None and target.mappable and SIZES[target.kind] * 8 == entry & 0xFF
 
     # -- PDO ---------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,1 @@
+"""Drivers against far ends, and emulators against masters, that nobody of this project wrote."""
