@@ -267,9 +267,9 @@ class ElmoEmulator:
             communication = index - 0x200
             if not self._values[communication, 1] & 0x80000000:
                 raise Abort(ABORT_INCOMPATIBLE)
-            entries = (
-                [self._values[index, slot] for slot in range(1, value + 1)] if sub == 0 else [value] if value else []
-            )
+            entries = [value] if sub and value else []
+            if sub == 0:
+                entries = [self._values[index, slot] for slot in range(1, value + 1)]
             if not all(self._is_mappable(entry) for entry in entries):
                 raise Abort(ABORT_NOT_MAPPABLE)
             if sum(entry & 0xFF for entry in entries) > 64:
