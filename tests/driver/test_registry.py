@@ -1,8 +1,11 @@
 """The registry and the conformance suite, over every registered driver and over a broken one."""
 
 import json
+import re
+from pathlib import Path
 from typing import Annotated
 
+import leactl_plugins
 import pytest
 from pydantic import Field
 
@@ -11,10 +14,23 @@ from leactl.driver.contract import Driver
 from leactl.errors import InputError
 from tests.cli.terminal import leactl
 
+ROOT, PAGE = Path(__file__).parents[2], Path(leactl_plugins.__file__)
+
 
 @pytest.mark.parametrize("name", registry.names())
 def test_every_registered_driver_keeps_the_contract(name):
     assert conformance.faults_of(registry.load(name)) == []
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_every_page_says_what_was_proven_and_names_tests_that_exist(name):
+    page = PAGE.parent.joinpath(name, "README.md").read_text(encoding="utf-8")
+    _, _, proven = page.partition("## What was proven, and against what\n")
+    section = proven.split("\n## ")[0]
+    assert re.search(r"Only a \S+(\s\S+)? can show", section)
+    named = re.findall(r"tests/\w+/\w+\.py", section)
+    assert named
+    assert [path for path in named if not (ROOT / path).exists()] == []
 
 
 def test_a_driver_that_breaks_the_contract_is_told_how():
