@@ -41,7 +41,7 @@ class Tty:
         except (OSError, ValueError, termios.error) as error:
             number = getattr(error, "errno", None)
             raise OSError(f"{bus.port}: {MEANING.get(number or 0, error)}") from None
-        self._place = self._serial.fileno()
+        self._descriptor = self._serial.fileno()
 
     def read(self, timeout: float) -> bytes:
         """Bytes that have arrived; waits at most `timeout` seconds for the first.
@@ -50,11 +50,11 @@ class Tty:
         ------
         OSError : the device is gone.
         """
-        ready, _, _ = select.select([self._place], [], [], timeout)
+        ready, _, _ = select.select([self._descriptor], [], [], timeout)
         if not ready:
             return b""
         try:
-            read = os.read(self._place, MOST_BYTES)
+            read = os.read(self._descriptor, MOST_BYTES)
         except BlockingIOError:
             return b""
         if not read:  # a device that was pulled out is always ready and has nothing
@@ -69,7 +69,7 @@ class Tty:
         OSError : the device is gone.
         """
         try:
-            return os.write(self._place, data)
+            return os.write(self._descriptor, data)
         except BlockingIOError:
             return 0
 

@@ -29,7 +29,7 @@ def analyze(
         None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results.", callback=finite
     ),
     processes: int = typer.Option(
-        1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same."
+        1, "--processes", min=1, help="How many runs to read at a time; the answer is the same."
     ),
     scheduler: str = typer.Option(
         "", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it."

@@ -19,7 +19,7 @@ BUSY_SHARE = 0.1  # of a core that looks may take: a look at a long run takes a 
 STANDS_S = 10.0  # without a write, after which a run that is being recorded may have been killed
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
+PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs to read at a time; the answer is the same.")
 SCHEDULER = typer.Option("", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it.")
 INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by default .leactl-index.sqlite in the folder.")
 

@@ -65,7 +65,7 @@ def faults_of(driver: type[Driver]) -> list[str]:
 
 
 def _is_number(annotation: Any) -> bool:
-    """Whether a setting may be a float; `annotation` may be a union or `Annotated`, or be alone."""
-    if get_origin(annotation) in (Union, UnionType, Annotated):
+    """Whether a setting holds a float: alone, in a union, in `Annotated`, or as items of a list or tuple."""
+    if get_origin(annotation) in (Union, UnionType, Annotated, list, tuple):
         return any(_is_number(part) for part in get_args(annotation))
     return annotation is float

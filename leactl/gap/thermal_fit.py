@@ -1,4 +1,4 @@
-"""The thermal network and the resistance of an actuator from its runs, and the tolerances that they leave.
+"""Fit an actuator's thermal network and winding resistance to its runs, with the tolerance of each value.
 
 A run with the winding's and the housing's temperature and the heat (line current, or q-axis current) tells the network;
 the joint covariance is that of the regression over all runs, priors included.
@@ -33,7 +33,7 @@ FITTED = (
 DEVIATIONS = 3.0  # that a tolerance spans
 LEAST_TOLERANCE = 0.01  # for what a fit does not see, as gradients in the winding
 CAMERA_GAIN = 0.02  # of every rise that it shows; thermal cameras are sold with +-2 K or +-2 %
-TOLD = 0.5  # of a prior's width, below which the runs have told something
+INFORMED_BELOW = 0.5  # standard deviation over that of the prior; below, the runs determine a parameter
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
 
     Raises
     ------
-    InputError : runs that lack something, channels that cannot be used, or too few samples of all together.
+    InputError : the motor has no thermal network; runs that lack something, channels that cannot be used, or too few
+        samples of all together.
     """
     faults: list[str] = []
     records: list[Record] = []
@@ -96,7 +97,7 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
     tolerances = {
         name.removeprefix("thermal."): _rounded(DEVIATIONS * fitted[name].std / fitted[name].fitted)
         for name in names
-        if fitted[name].std / fitted[name].fitted < TOLD * PRIORS[name]
+        if fitted[name].std / fitted[name].fitted < INFORMED_BELOW * PRIORS[name]
     }
     tolerances["temperature_rise"] = CAMERA_GAIN
     correlation = covariance / np.outer(spread, spread)

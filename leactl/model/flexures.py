@@ -52,7 +52,7 @@ def bearings_of(motor: MotorSheet) -> Bearings:
 
 
 def readings(bearings: Bearings, rest_gap: float) -> list[Reading]:
-    """The ways to read what is told, each with what it makes of the other point; the gap at rest is in m.
+    """Return the four readings of a motor's figures, each with the force that it predicts; `rest_gap` in m.
 
     Raises
     ------

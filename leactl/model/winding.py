@@ -1,8 +1,8 @@
-"""From between the leads to the q axis and back, for wye and delta windings; power-invariant transform.
+"""Convert figures of a winding between its leads and the q axis, for wye and delta; power-invariant transform.
 
 A wye's own frame is that of its phases, between lead and neutral; a delta's, whose phases lie between two leads. The
-same delta seen as the wye that nobody could tell from it has a third of the resistance and inductance, sqrt(3) less
-torque constant and sqrt(3) times the current: torque, power and motor constant are the same in both.
+same delta seen as the wye that nobody could tell from it has a third of the resistance and inductance, its torque
+constant divided by sqrt(3) and its current times sqrt(3): torque, power and motor constant are the same in both.
 
 Paper, section "Back-EMF Constant", and Lee and Rouse (2023) for the delta.
 """
@@ -16,7 +16,7 @@ WindingType = Literal["wye", "delta"]
 
 @dataclass(frozen=True)
 class QAxisFactors:
-    """What q-axis figures of a winding are of what is measured between and in its leads."""
+    """Factors from what is measured between and in the leads of a winding to its q-axis quantities."""
 
     resistance: float  # of the line-to-line resistance; of inductance too
     back_emf: float  # of the amplitude of the line-to-line back-EMF constant; of voltages too

@@ -34,7 +34,7 @@ def replacement(target: Path) -> Iterator[Path]:
         yield path
         force_to_disk(path)
         path.replace(target)
-        force_to_disk(target.parent)
+        force_folder_to_disk(target.parent)
 
 
 def refuse_existing(target: Path) -> None:
@@ -55,7 +55,7 @@ def move_without_overwriting(source: Path, target: Path) -> None:
         source.rename(target)
     else:
         source.unlink()
-    force_to_disk(target.parent)
+    force_folder_to_disk(target.parent)
 
 
 @contextmanager
@@ -71,12 +71,19 @@ def temporary(target: Path) -> Iterator[Path]:
             path.unlink()
 
 
+def force_folder_to_disk(folder: Path) -> None:
+    """Wait until the entries of a folder are on the disk, where its file system can be asked for that.
+
+    Some network mounts refuse it, and Windows opens no folder. The file has its name by then: it is no failure.
+    """
+    if sys.platform != "win32":
+        with suppress(OSError):
+            force_to_disk(folder)
+
+
 def force_to_disk(path: Path) -> None:
-    """Wait until the file or the directory entry is on the disk (fsync)."""
-    on_windows = sys.platform == "win32"
-    if on_windows and path.is_dir():
-        return  # it opens none, and forces a file to the disk only through a descriptor that may write
-    descriptor = os.open(path, os.O_RDWR if on_windows else os.O_RDONLY)
+    """Wait until a file, or what a folder lists, is on the disk (fsync); Windows wants a descriptor that may write."""
+    descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -71,7 +71,7 @@ def bus_held(bus: Bus) -> Iterator[None]:
 
 
 def name_of(bench: BenchFile) -> str:
-    """A bench as the machine knows it; served ones of one name are several, by where their state is kept."""
+    """Name of the lock of a bench; that of a served one holds its state folder, for several may have one name."""
     if bench.emulated is None:
         return f"bench-{bench.name}"
     return f"{state_folder.place_of(bench, in_process=False).directory}/bench-{bench.name}"
@@ -83,7 +83,7 @@ def alone(place: str, taken: str) -> Iterator[int]:
 
     Raises
     ------
-    DeviceError : another process holds it.
+    DeviceError : another process holds it, or it cannot be held.
     """
     name = lock_holders.lock_of(place)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:

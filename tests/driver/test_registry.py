@@ -37,6 +37,7 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
     class Settings(registry.load("ads1115").Settings):
         gain: float = 1.0
         weight: Annotated[float, Field(gt=0.0)] | None = None
+        offsets: tuple[float, ...] = ()
 
     class Careless(Driver):
         transport = "telepathy"
@@ -52,6 +53,7 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
         "telepathy",
         "gain is a number",
         "weight is a number",
+        "offsets is a number",
         "has no __init__, open",
         "Confirmation",
         "no docstring",

@@ -43,7 +43,8 @@ def thinned(record: HeatingRecord) -> HeatingRecord:
     supply = record.supply
     edges = np.arange(supply.time[0], supply.time[-1], THIN_S)
     heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_S
-    means = SupplyRecord(edges, heat, np.ones(len(edges)), True)
+    root = np.sqrt(np.maximum(heat, 0.0))  # as through 1 ohm: current and heat keep their proportion
+    means = SupplyRecord(edges, root, root, True)
     ambient = None if record.ambient is None else np.interp(edges, supply.time, record.ambient)
     bins = ((record.time - record.time[0]) / THIN_S).astype(np.int64)
     columns = {name: _binned(bins, getattr(record, name)) for name in ("time", "winding", "housing", "active")}
@@ -104,7 +105,7 @@ def starting_lag(record: HeatingRecord) -> float:
     heat_steps, temperature_bends = (_bend(values, span) for values in (summed, winding))
     likeness = correlate(temperature_bends, heat_steps)
     lags = correlation_lags(len(temperature_bends), len(heat_steps)) * LAG_PACE_S + float(
-        grid[0] + 0.5 * LAG_PACE_S - edges[0]
+        grid[0] + 0.5 * LAG_PACE_S - edges[1]
     )
     likeness = likeness[np.abs(lags) <= LONGEST_LAG_S]
     lags = lags[np.abs(lags) <= LONGEST_LAG_S]

@@ -1,8 +1,8 @@
 """Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
 
 A channel that contradicts its demand throughout is condemned: whoever reads it is refused with the reason, and where
-nothing reads it the reason is a note. What hangs for a part of the record, or lacks readings, is a note. No criterion
-has a unit or a rate, so that a machine of any size is judged alike.
+nothing reads it the reason is a note. A channel that repeats one reading for a part of the record, or lacks readings,
+gets a note. No criterion has a unit or a rate, so that a machine of any size is judged alike.
 """
 
 from collections.abc import Iterator
@@ -44,11 +44,12 @@ WARMEST_ROOM = 60.0  # degC, as 0 degC the other end of where people and instrum
 NOT_MEASURED = ("drive_enabled",)
 MISSING = 0.01  # of a channel's readings, above which a note says so
 NEARLY_ALL = 0.99  # of a channel's readings, that no analysis can do without
-APART = 0.5  # of the larger, that path and integral may differ by: the lag of a filter is less
-PLAIN = 0.2  # of the farthest travel in a part: below, a tachometer's zero may look like motion
+MOST_DIFFERENCE = 0.5  # between path and integral, over the larger of the two; a filter's lag makes less
+LEAST_TRAVEL = 0.2  # of the farthest travel in a part: below, a tachometer's zero may look like motion
 FEWEST_APART = 3  # parts of the record in which they must disagree
+FEWEST_READINGS = 3  # of a channel, that tell whether it repeats one reading throughout
 PARTS = 64  # of a record, in each of which path and integral are compared
-CLEAR = 10.0  # counts of the encoder: below, the shaft may stand
+COUNTS_OF_MOTION = 10.0  # counts of the encoder: below, the shaft may stand
 SURE = 5.0  # standard deviations of the noise that a velocity integrates to in a part: a chance of 1e-6 a part
 
 
@@ -159,7 +160,7 @@ def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
         median = float(np.nanmedian(channel.values))
         if not 0.0 <= median <= WARMEST_ROOM:
             return f"reads {median:.1f} {channel.units}: are its sign and its unit right?"
-        if repeat is not None and repeat.length == np.isfinite(channel.values).sum() > FEWEST_APART:
+        if repeat is not None and repeat.length == np.isfinite(channel.values).sum() > FEWEST_READINGS:
             return f"reads exactly {repeat.value:.6g} {channel.units} throughout: does it measure?"
     return ""
 
@@ -265,9 +266,10 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
     uncertainty += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
     steps = np.abs(np.diff(turned))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
-    threshold = uncertainty + CLEAR * (resolution if np.isfinite(resolution) else 0.0)
+    threshold = uncertainty + COUNTS_OF_MOTION * (resolution if np.isfinite(resolution) else 0.0)
     larger = np.maximum(np.abs(path), np.abs(integral))
-    contradicts = (larger > PLAIN * larger.max()) & (np.abs(path - integral) > np.maximum(APART * larger, threshold))
+    moves = larger > LEAST_TRAVEL * larger.max()
+    contradicts = moves & (np.abs(path - integral) > np.maximum(MOST_DIFFERENCE * larger, threshold))
     if contradicts.sum() >= FEWEST_APART:
         path, integral = path[contradicts], integral[contradicts]
         begin, end = (

@@ -39,11 +39,11 @@ class NoiseRecord:
     """Reference and response over one stretch of noise, without gaps."""
 
     level: float
-    noise: object  # its seed; where the run names none, one of its own
+    seed: object  # of the noise; one of its own where the run states none
     interval: float
     cutoff: float  # Hz, that the noise reaches to
-    given: Array
-    answer: Array
+    reference: Array
+    response: Array
 
 
 def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:

@@ -88,8 +88,8 @@ def spectra_by_level(records: Sequence[NoiseRecord], method: BlackmanTukey) -> d
     """Return the spectra by level, one for each noise: records of the same noise count as one trial."""
     by_level: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):
-        spectra, by_noise = method.spectra(record.given, record.answer), by_level.setdefault(record.level, {})
-        by_noise[record.noise] = by_noise[record.noise].plus(spectra) if record.noise in by_noise else spectra
+        spectra, by_noise = method.spectra(record.reference, record.response), by_level.setdefault(record.level, {})
+        by_noise[record.seed] = by_noise[record.seed].plus(spectra) if record.seed in by_noise else spectra
     return {level: list(by_noise.values()) for level, by_noise in by_level.items()}
 
 

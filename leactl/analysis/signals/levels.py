@@ -243,7 +243,7 @@ def require_levels(place: str, what: str, setpoints: Array, means: Array, errors
 
     Raises
     ------
-    NotIdentifiable : fewer than two distinct setpoints, or means that lie no further apart than noise.
+    NotIdentifiable : fewer than two distinct setpoints, or means spread by at most `RESOLVED` times their error.
     """
     distinct = np.unique(np.round(setpoints, 9))
     if len(distinct) < 2:

@@ -15,7 +15,7 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.statistics.intervals import half_width
 
-SHOWN = 4.0  # trials that round independently scatter by at most so many times the rounding error
+SCATTER_COVERS = 4.0  # rounding variance that the scatter of the trials accounts for, over that scatter
 
 
 class TrialFigure(NamedTuple):
@@ -31,7 +31,7 @@ class LevelValue:
     """A figure of one level with its standard error."""
 
     reading: TrialFigure
-    scatter: float  # standard error from the trials; NaN with one
+    standard_error: float  # of the figure, from the trials; NaN with one
     dof: int
 
 
@@ -46,9 +46,8 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> 
     leave_one_out = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
     rounding_square = sum(limit**2 for limit in of_all_trials.own)
-    remaining = (
-        math.sqrt(max(1.0 - SHOWN * 3.0 * trials * scatter**2 / rounding_square, 0.0)) if rounding_square else 0.0
-    )
+    covered = SCATTER_COVERS * 3.0 * trials * scatter**2
+    remaining = math.sqrt(max(1.0 - covered / rounding_square, 0.0)) if rounding_square else 0.0
     return LevelValue(
         of_all_trials._replace(own=tuple(remaining * limit for limit in of_all_trials.own)), scatter, trials - 1
     )
@@ -61,7 +60,7 @@ def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estim
     """
     count = len(levels)
     value = sum(level.reading.value for level in levels) / count
-    variances = [(level.scatter / count) ** 2 for level in levels]
+    variances = [(level.standard_error / count) ** 2 for level in levels]
     limits = [
         sum(level_limits) / count
         for level_limits in zip_longest(*(level.reading.shared for level in levels), fillvalue=0.0)

@@ -12,15 +12,16 @@ from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-WIDTHS, EVEN = (4.0, 8.0, 12.0), 2e-3  # samples, and the share of the voltage that an acceleration's noise may have
+SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples
+MOST_INERTIAL_NOISE = 2e-3  # of the torque that a voltage makes, root mean square
 ZERO_PRIOR = 0.1  # rad, of where a pendulum hangs straight down
 TIMING_SAMPLES = 2.0  # a reference goes over the servo's bus before it counts, its feedback comes back over it
 
 
 def axis(record: Record, s: Signals) -> Equation | None:
-    """What drives the axis = J dw/dt + b w + f sgn(w) + what hangs on it.
+    """Return the torque balance of an axis, drive torque = J dw/dt + b w + f sgn(w) + load torque, where there is one.
 
-    Stands in for the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
+    It stands in for the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
     """
     clock, model = record.fast, s.model
     if clock is None or s.mechanical == "locked" or s.velocity is None or s.acceleration is None or s.sliding is None:
@@ -90,22 +91,23 @@ _DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "an
 
 
 def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
-    """Smoothing of a fed motor's rows, at which the noise of its acceleration hardly counts beside its voltage.
+    """Return the least smoothing [samples] at which a fed motor's acceleration noise is small; else the largest.
 
-    That noise is in what inertia takes: where it counts, a fit gives the inertia away and makes up something else.
+    Small is `MOST_INERTIAL_NOISE`. The noise is in the torque of inertia: where it is large, a fit lowers the inertia
+    and names an effect instead.
     """
     noise = noise_of(clock.values["angle", "test"]) if s.angle is not None else 0.0
-    largest = EVEN * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
-    for width in WIDTHS:
+    largest = MOST_INERTIAL_NOISE * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
+    for width in SMOOTHING_WIDTHS:
         if inertia * noise_of_acceleration(noise, s.interval, width) <= largest:
             return width
-    return WIDTHS[-1]
+    return SMOOTHING_WIDTHS[-1]
 
 
 def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
     """Torque of the drive, its parameters' columns and the places of effects on it.
 
-    A logged force is taken as it is: only its ratio to mass and friction shows, so that its gain stays as it was set.
+    The gain of a logged force is not fitted: runs tell only its ratio to mass and friction.
     """
     model = s.model
     if "fed" in s.extra:

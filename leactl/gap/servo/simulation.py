@@ -223,15 +223,15 @@ def of_lanes(values: Array, own: Index, at: Index, place: Index) -> Array:
 
 
 def gathered(values: Array, cut: Stretches, runs: ServoRuns) -> Array:
-    """What counts of stretches (samples, sets, stretches), as whole runs (sets, runs, samples)."""
+    """Scored parts of stretches (samples, sets, stretches), put together to whole runs (sets, runs, samples)."""
     moved = np.moveaxis(values, 0, 2)
     samples = runs.angle.shape[1]
     if cut.length == samples:
         return moved
     whole = np.empty((moved.shape[0], len(runs.gain), samples))
-    for stretch, (run, first, counts) in enumerate(zip(cut.run, cut.first, cut.counts, strict=True)):
+    for stretch, (run, first, scored_from) in enumerate(zip(cut.run, cut.first, cut.scored_from, strict=True)):
         end = min(first + cut.length, samples)
-        whole[:, run, counts:end] = moved[:, stretch, counts - first : end - first]
+        whole[:, run, scored_from:end] = moved[:, stretch, scored_from - first : end - first]
     return whole
 
 

@@ -1,7 +1,7 @@
 """Runs of a servo cut into stretches that are simulated side by side.
 
 A servo forgets where it began within a few of its own time constants, unless it is let go. A stretch begins from the
-measured state that much earlier, and only what follows counts; where runs are not much longer than that, each is one.
+measured state that much earlier, and only what follows is scored; runs that are not much longer stay whole.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 REACH = 4  # samples, that a speed is taken over
-COUNTS = 2.0  # times as long as it takes to forget, that a stretch counts
+LEAST_SCORED = 2.0  # times as long as it takes to forget, that a stretch is scored for at least
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Which run each stretch is of, where it begins and from where on it counts."""
+    """Which run each stretch is of, where it begins and from where on it is scored."""
 
     run: Index
     first: Index  # sample that it begins at
-    counts: Index  # sample from which on it counts
+    scored_from: Index  # sample
     length: int  # samples, of each
     angle: Array  # rad, where it begins
     speed: Array  # rad/s
@@ -41,16 +41,17 @@ def whole_runs(runs: ServoRuns) -> Stretches:
 
 
 def cut(runs: ServoRuns) -> Stretches:
-    """Runs as stretches that are as long as pays."""
+    """Cut runs into stretches; where fewer than two fit, or a drive is disabled at times, each run is one."""
     samples, forgets = runs.angle.shape[1], runs.forgets
-    count = int(samples / (COUNTS * forgets))
+    count = int(samples / (LEAST_SCORED * forgets))
     if count < 2 or bool(np.any(runs.enabled < 1.0)):
         return whole_runs(runs)
     long = -(-samples // count)
-    counts = np.tile(long * np.arange(count), len(runs.gain))
+    count = -(-samples // long)  # a length that is rounded up may need fewer
+    scored_from = np.tile(long * np.arange(count), len(runs.gain))
     run = np.repeat(np.arange(len(runs.gain)), count)
-    first = np.maximum(counts - forgets, 0)
+    first = np.maximum(scored_from - forgets, 0)
     ends = np.minimum(first + REACH, samples - 1)
     angle, speed = runs.angle[run, first], (runs.angle[run, ends] - runs.angle[run, first]) / (REACH * runs.interval)
     begin = first == 0
-    return Stretches(run, first, counts, long + forgets, angle, np.where(begin, runs.speed[run], speed))
+    return Stretches(run, first, scored_from, long + forgets, angle, np.where(begin, runs.speed[run], speed))

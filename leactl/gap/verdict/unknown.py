@@ -19,6 +19,7 @@ from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.sets import ENTRY, EffectSet, FurtherEffect
 from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
+from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.judge import HALF, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
 from leactl.gap.verdict.residual_frequency import ResidualCourse, gains, strongest_frequency
@@ -33,7 +34,6 @@ STRETCHES = 24  # of a run
 FEWEST = 4  # rows in a stretch, below which a run says nothing
 LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # of an angle: the first few, the strongest, and the last one tried
 LEAST_CLOSED = 0.05  # of the gap, below which nothing is said to depend
-EVEN = 0.5  # probability from which on an effect is named
 VISIBLE = 1.0  # times its uncertainty and floor, from which on an effect is near at all
 NEAREST = 4  # effects that are listed
 LEAST_SLOW = 0.2  # of the gap, that neighbouring stretches or one sine must explain for it to be one of time
@@ -210,7 +210,7 @@ def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequen
     """Effects that were refused, the nearest first: fitted and taken back, fitted and doubted, not entered."""
     near = {one.effect: one for one in refused}
     for item in judged:
-        if item.probability < EVEN and item.finding.effect not in near:
+        if item.probability < NAMED and item.finding.effect not in near:
             near[item.finding.effect] = Near(item.finding.effect, doubt(item))
     for further in sorted(result.rest, key=lambda one: -one.height):
         if further.effect not in near and further.height > VISIBLE:
@@ -224,7 +224,7 @@ def doubt(item: Judged) -> str:
     if item.explained < needed:
         shares = f"{100 * item.explained:.0f} % of the gap where it acts; a form of it explains {100 * needed:.0f} %"
         return f"the set explains {shares} or more"
-    if presence(item.finding.height) < EVEN:
+    if presence(item.finding.height) < NAMED:
         return f"its size is {item.finding.height:.3g} times its uncertainty and floor; even odds need {HALF:g}"
     if item.rivals:
         return f"{item.rivals[0][0].effect} explains as much"

@@ -14,8 +14,8 @@ ONE_A_ROLE = ("torque", "velocity", "angle", "q_axis_current")
 NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says that noise shows within them
 
 
-def unopened(failures: Mapping[str, str]) -> list[Statement]:
-    """Return who answered, device by device, where one could not be opened; `failures` are empty where one could."""
+def opening_statements(failures: Mapping[str, str]) -> list[Statement]:
+    """Return a statement for each device: right where its text in `failures` is empty, else wrong for that reason."""
     return [
         Statement(
             name, "answers", StatementVerdict.WRONG if text else StatementVerdict.OK, why=text.removeprefix(f"{name}: ")

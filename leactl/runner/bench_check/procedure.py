@@ -14,7 +14,7 @@ from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError
 from leactl.model.motor import Motor
 from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
-from leactl.runner.bench_check.at_rest import at_rest, unopened
+from leactl.runner.bench_check.at_rest import at_rest, opening_statements
 from leactl.runner.bench_check.statement import Statement, wrong
 from leactl.runner.bench_check.turning import Turning
 from leactl.runner.checked_bench import load_checked
@@ -154,7 +154,7 @@ def examine(
     try:
         first = perform(rest)
     except DeviceError as error:
-        return Examined(name, unopened(failures(rest)), (), error)
+        return Examined(name, opening_statements(failures(rest)), (), error)
     with Run.open(first.path) as run:
         statements = at_rest(run, rest, first.reported)
         examined = Examined(name, statements, (first,), first.error)

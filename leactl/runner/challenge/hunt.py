@@ -77,17 +77,17 @@ def hunt(
     """
     proposals = OPTIMISERS[optimiser](GENES + len(PARAMETERS) + 1, np.random.default_rng(seed))
     ends = time.monotonic() + seconds
-    nearest = hottest = attempt = attempted(next(proposals), motor, settings, rate_hz, reading, guard_of)
+    nearest = hottest = attempt = run_attempt(next(proposals), motor, settings, rate_hz, reading, guard_of)
     count = 1
     while time.monotonic() < ends:
-        attempt = attempted(proposals.send(attempt), motor, settings, rate_hz, reading, guard_of)
+        attempt = run_attempt(proposals.send(attempt), motor, settings, rate_hz, reading, guard_of)
         count += 1
         nearest = attempt if attempt.over_k > nearest.over_k else nearest
         hottest = attempt if attempt.peak > hottest.peak else hottest
     return Hunted(role, rate_hz, reading, count, nearest, hottest)
 
 
-def attempted(
+def run_attempt(
     genes: Array,
     motor: Motor,
     settings: GuardSettings,
@@ -95,7 +95,7 @@ def attempted(
     reading: str,
     guard_of: Callable[..., ThermalGuard] = ThermalGuard,
 ) -> Attempt:
-    """Run one course, cycle by cycle, past a guard and through a plant."""
+    """Simulate one course: each cycle the guard limits the current and the plant heats; a trip ends it."""
     box = Box.of(motor)
     start = settings.ambient + STARTS[int(genes[-1] * len(STARTS))] * (settings.limit - settings.ambient)
     start += box.ambient_rise

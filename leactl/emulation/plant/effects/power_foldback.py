@@ -17,6 +17,6 @@ class PlantPowerFoldback(PlantEffect):
     power: float = bounded(1e6, 1e-3, 1e9)  # W
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """Divide the power by the back-EMF's part of it."""
+        """Limit the current so that torque constant times velocity times current stays within the power."""
         most = self.power / (torque_constant * np.maximum(np.abs(velocity), STANDSTILL))
         return np.minimum(np.maximum(reference, -most), most)
