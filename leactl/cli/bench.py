@@ -56,8 +56,10 @@ def reset(
     """State why a bench is tripped and, once confirmed, release it."""
     from leactl.bench.benchfile import load
     from leactl.errors import Stopped
-    from leactl.runner import latch, runs_underway
+    from leactl.runner import latch
 
+    is_file = Path(bench).suffix in (".yaml", ".yml")
+    latch.latch_lost_runs(load(bench)[0].name if is_file else bench)  # so that nothing is released that is not told
     tripped = latch.tripped(bench)
     name = next(iter(tripped)).bench if tripped else load(bench)[0].name
     if not tripped:
@@ -69,7 +71,6 @@ def reset(
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
-    list(runs_underway.lost(name))  # removes what the run of the trip left behind, which would latch the bench again
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")

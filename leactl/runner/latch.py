@@ -21,7 +21,7 @@ from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError, LeactlError, SafetyTrip
 from leactl.regular_files import read_at, write_at
 from leactl.runfile.publish import force_to_disk
-from leactl.runner import state_folder
+from leactl.runner import runs_underway, state_folder
 from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
@@ -203,6 +203,21 @@ def tripped(word: str) -> dict[Latch, Trip]:
     """Those of the latches `named` that hold a bench, and why."""
     trips = {latch: latch.trip() for latch in named(word)}
     return {latch: trip for latch, trip in trips.items() if trip is not None}
+
+
+def latch_lost_runs(bench: str) -> None:
+    """Latch a bench on real buses for every run of it that nothing is left of: who knows what its devices do.
+
+    A latch that is there gets the cause beside its own, so that whoever resets it reads both.
+
+    Raises
+    ------
+    LeactlError : the latch could not be written.
+    """
+    for run in runs_underway.lost(bench):
+        latch = Latch(bench, bench, (str(run.place.directory / f"{bench}{SUFFIX}"),), run.place.shared)
+        trip = latch.trip()
+        latch.set(f"{trip.cause}; {run.cause}" if trip else run.cause, Path(run.recording))
 
 
 def _of_file(bench: str, file: Path) -> Latch:

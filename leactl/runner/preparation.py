@@ -2,7 +2,6 @@
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from pathlib import Path
 
 from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.wire_trace import CALLS, TracedWiring
@@ -10,8 +9,9 @@ from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import MotionDevice
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan, SetRecordRate, SetSupply
-from leactl.runner import locks, runs_underway
+from leactl.runner import locks
 from leactl.runner.bench_fit import check_fit, check_setup
+from leactl.runner.latch import latch_lost_runs
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.current_tracking import VoltageNeed
@@ -57,16 +57,15 @@ def locks_of(request: Request) -> AbstractContextManager[list[int]]:
 
 
 def refuse_latched(request: Request) -> None:
-    """Refuse a latched bench; one of a run that nothing is left of is latched first: who knows what its devices do.
+    """Refuse a latched bench, and first latch one of a run that nothing is left of.
 
     Raises
     ------
     SafetyTrip : it is latched.
     LeactlError : the latch could not be written.
     """
-    for cause, run in runs_underway.lost(request.bench.name) if not request.in_process else ():
-        if request.latch.trip() is None:
-            request.latch.set(cause, Path(run))
+    if not request.in_process:
+        latch_lost_runs(request.bench.name)
     request.latch.refuse()
 
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
@@ -243,13 +243,21 @@ class RunUnderway:
         os.close(self.descriptor)
 
 
-def lost(bench: str) -> Iterator[tuple[str, str]]:
-    """Runs of a bench that ended without telling that its devices are safe: what is said of each, and its recording.
+class LostRun(NamedTuple):
+    """A run that ended without telling that its devices are safe."""
+
+    cause: str  # what is said of it
+    recording: str
+    place: Place  # that it announced itself in
+
+
+def lost(bench: str) -> Iterator[LostRun]:
+    """Runs of a bench that ended without telling that its devices are safe.
 
     They are told once: what one left behind is removed as the next is asked for, so that nothing is lost where what is
     done about it fails.
     """
-    for path in [path for place in state_folder.places() for path in sorted(place.runs.glob("*.run"))]:
+    for place, path in [(each, path) for each in state_folder.places() for path in sorted(each.runs.glob("*.run"))]:
         with suppress(OSError):  # what is no run's file is told by whoever asks what runs
             descriptor = _opened(path)
             if descriptor is None:
@@ -259,7 +267,8 @@ def lost(bench: str) -> Iterator[tuple[str, str]]:
                     continue
                 if not _is_over(about):
                     run = f"process {about.get('process')} of the run {about.get('protocol')}"
-                    yield f"{run} ended without a word, and its watchdog too", str(about.get("run", "none"))
+                    cause = f"{run} ended without a word, and its watchdog too"
+                    yield LostRun(cause, str(about.get("run", "none")), place)
                 _forget(path, descriptor)
             finally:
                 os.close(descriptor)

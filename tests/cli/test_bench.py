@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from leactl.bench.benchfile import SHIPPED
+from leactl.runner.latch import Latch
+from leactl.runner.state_folder import state_directory
 from tests.cli.terminal import COMMAND, leactl
 from tests.latches import latch_of, trip_of
 from tests.runner.conftest import SPIN
@@ -46,6 +48,38 @@ def test_reset_answers_in_json_and_tells_what_it_released(tripped):
     assert answer["released"]["cause"] == "test current of 31.2 A passed the limit of 30 A"
     again = leactl("bench", "reset", "emulated", "--json")
     assert (again.returncode, json.loads(again.stdout)) == (0, {"bench": "emulated", "tripped": False})
+
+
+LOST = {"bench": "emulated", "file": "emulated.yaml", "protocol": "heat", "process": 1, "real": True, "run": "r.h5"}
+
+
+def lose_a_run():
+    """Leave what a run on real buses leaves whose process and watchdog were killed."""
+    runs = state_directory() / "runs"
+    runs.mkdir(parents=True, exist_ok=True)
+    (runs / "emulated.1.0.run").write_bytes(b"--" + json.dumps(LOST).encode() + b"\n")
+
+
+@pytest.mark.parametrize("word", ["emulated", str(SHIPPED / "emulated.yaml")])
+def test_reset_of_a_rehearsal_tells_of_a_lost_run_of_its_name_before_it_asks(tripped, word):
+    lose_a_run()
+    refused = leactl("bench", "reset", word, input="n\n")
+    assert refused.returncode == 4
+    lost = "process 1 of the run heat ended without a word, and its watchdog too (run r.h5)"
+    assert "test current of 31.2 A passed" in refused.stderr
+    assert lost in refused.stderr
+    again = leactl("bench", "reset", word, "--yes", "--json")
+    causes = [released["cause"] for released in json.loads(again.stdout)["all_released"]]
+    assert sorted(causes) == [lost.removesuffix(" (run r.h5)"), "test current of 31.2 A passed the limit of 30 A"]
+    assert leactl("bench", "reset", word).stdout == "emulated: not tripped\n"
+
+
+def test_a_latch_that_is_there_gets_the_lost_run_beside_its_cause():
+    place = state_directory()
+    Latch("emulated", "emulated", (str(place / "emulated.trip.json"),)).set("test winding of 131 degC", Path("a.h5"))
+    lose_a_run()
+    said = leactl("bench", "reset", "emulated", input="n\n").stderr
+    assert "test winding of 131 degC; process 1 of the run heat ended without a word" in said
 
 
 def test_reset_of_a_damaged_latch_says_so_and_asks_too(tmp_path):

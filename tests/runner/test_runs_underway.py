@@ -97,8 +97,8 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     assert runs_underway.running() == ([], [])
     assert list(runs_underway.lost("another")) == []
     said = f"process {holder.pid} of the run hold ended without a word, and its watchdog too"
-    assert next(runs_underway.lost("rig"))[0] == said  # whatever was to be done about it failed
-    assert list(runs_underway.lost("rig")) == [(said, "none")]
+    assert next(runs_underway.lost("rig")).cause == said  # whatever was to be done about it failed
+    assert [(run.cause, run.recording) for run in runs_underway.lost("rig")] == [(said, "none")]
     assert list(runs_underway.lost("rig")) == []
     assert files() == []
 
@@ -120,7 +120,7 @@ def test_a_run_that_ended_is_lost_unless_it_told_that_its_devices_are_safe(told,
     place.write_bytes(b"--" + json.dumps(about).encode() + b"\n")
     runs_underway.running()
     assert place.exists() == counts
-    assert [run for _, run in runs_underway.lost("rig")] == (["r.h5"] if counts else [])
+    assert [run.recording for run in runs_underway.lost("rig")] == (["r.h5"] if counts else [])
     assert not place.exists()
 
 
