@@ -1,11 +1,12 @@
 """Connections to buses and the clock: those of this machine; an emulated bench has a wiring of the same interface."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-from leactl.bench.benchfile import CanBus, I2cBus, LineBus, VisaBus
+from leactl.bench.benchfile import Bus, CanBus, I2cBus, LineBus, VisaBus
 from leactl.driver.clock import Clock, MonotonicClock
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
@@ -62,6 +63,23 @@ class MachineWiring:
 
     def __init__(self) -> None:
         self.clock: Clock = MonotonicClock()
+
+    def load(self, buses: Iterable[Bus]) -> None:
+        """Import what connecting to these buses needs, so that a later connection reads no module from a disk."""
+        import_module("encodings.idna")  # by which sockets take an address
+        for bus in buses:
+            if isinstance(bus, CanBus):
+                from can.interfaces import BACKENDS
+
+                if bus.interface in BACKENDS:
+                    import_module(BACKENDS[bus.interface][0])
+            elif isinstance(bus, I2cBus):
+                import_module("smbus2")
+            elif isinstance(bus, VisaBus):
+                import_module("leactl.bench.instrument_socket")
+            else:
+                import_module("leactl.bench.tty")
+                import_module("serial")
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
         """Function that connects through any of python-can's interfaces."""

@@ -28,6 +28,7 @@ OOM_SCORE, KILLED_LAST = Path("/proc/self/oom_score_adj"), "-1000"
 LOOKS = 10  # within an allowed silence
 IDLE_S = 0.1  # between two looks while no silence counts
 KILLED_S = 5.0  # until the end of a killed process shows
+SPARE = 16  # descriptors that are held for connections where the system has no more by then
 STDERR_S = 0.1  # that a line may wait to be taken
 
 
@@ -84,7 +85,10 @@ def main() -> None:
     bench = None
     try:
         if orders["devices"]:
-            bench = Bench(file, check_devices(file), MachineWiring())
+            wiring = MachineWiring()
+            bench = Bench(file, check_devices(file), wiring)
+            wiring.load(file.buses.values())
+        spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(SPARE)]
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; the run is told, and not begun)
         print(f"{type(error).__name__}: {error}".splitlines()[0], flush=True)
         return
@@ -98,6 +102,8 @@ def main() -> None:
     process = int(orders["process"])
     cause = watched(process, sign, inbox)
     if cause:
+        for descriptor in spare:
+            os.close(descriptor)
         act(latch, bench, process, cause, inbox)
     latch.close()
 
