@@ -31,9 +31,11 @@ def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supe
     supervisor = supervisor_of(request, bench, windings)
     check_supplies(request, supervisor)
     if switches_supplies(request.plan):
-        from leactl.runner.left_on import endings  # a root finder comes with it, for which no other run waits
+        from leactl.runner.left_on import endings, left_on  # a root finder comes with it, for which no other run waits
 
         supervisor.supplies.endings = endings(request.plan, windings, bench)
+        for one in left_on(request.plan, windings, bench):
+            windings.may_be_left_on({one.role: one.reached})
     return request, bench, supervisor
 
 

@@ -3,6 +3,7 @@
 An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -16,6 +17,7 @@ from leactl.runner.boot_time import ClockReadings
 from leactl.runner.state_folder import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
+from leactl.safety.limits import HOTTEST_DEGC
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
@@ -68,6 +70,7 @@ class Windings:
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self._foreseen: tuple[Plan, Forecast] | None = None
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, ClockReadings.now)
+        self.may_be_left_on({role: one.left_on for role, one in self.recalled.items() if one.left_on is not None})
 
     @contextmanager
     def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:
@@ -89,6 +92,12 @@ class Windings:
             yield
         finally:
             self.keeper.stop()
+
+    def may_be_left_on(self, reached: Mapping[str, float]) -> None:
+        """Have the next run know what a supply may bring each winding to [degC], by role, if this run dies before."""
+        if self.keeper is not None:
+            for role, hottest in reached.items():
+                self.keeper.left_on[role] = max(min(hottest, HOTTEST_DEGC), self.keeper.left_on.get(role, -math.inf))
 
     def end(self, confirmed: bool) -> None:
         """A run has ended; where a device is not confirmed safe, the next run takes the windings as after a crash."""

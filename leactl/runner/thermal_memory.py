@@ -2,7 +2,7 @@
 
 They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.boot_time`). A process
 that died left its actuator no hotter than the limit that its guard kept; its housing may have warmed on until the next
-writing was overdue. What is not known counts as hot.
+writing was overdue. Where a supply may have been left on, nothing cools. What is not known counts as hot.
 """
 
 import errno
@@ -29,7 +29,7 @@ from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
-FORMAT, VERSION = "leactl-thermal", 2
+FORMAT, VERSION = "leactl-thermal", 3
 WRITTEN_EVERY_S = 1.0
 BYTES = 4096  # of a file, so that each writing is one call and covers all of the one before
 OVERDUE_S = 10.0  # without a writing, after which a run is ended
@@ -41,6 +41,7 @@ class Recalled:
 
     nodes: Array  # hottest phase, mean of the phases, housing [degC]
     known: str
+    left_on: float | None = None  # degC that a supply may hold it at which nobody is known to have switched off
 
 
 class Memory:
@@ -61,7 +62,8 @@ class Memory:
         if not recalled:
             return self._hot("nothing is known of it")
         hottest = np.maximum.reduce([one.nodes for one in recalled])
-        return Recalled(hottest, max(recalled, key=lambda one: float(one.nodes[0])).known)
+        left_on = max((one.left_on for one in recalled if one.left_on is not None), default=None)
+        return Recalled(hottest, max(recalled, key=lambda one: float(one.nodes[0])).known, left_on)
 
     @property
     def known(self) -> bool:
@@ -76,10 +78,13 @@ class Memory:
 
     def _recall(self, path: Path, now: ClockReadings) -> Recalled:
         try:
-            nodes, kept, running = self._read(path)
+            nodes, kept, running, left_on = self._read(path)
             left = now.surely_since(kept)
         except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
             return self._hot(f"{path} cannot be used: {getattr(error, 'strerror', None) or error}")
+        if running and left_on is not None:
+            hottest = max(self._limit, left_on)
+            return Recalled(np.full(3, hottest), f"a supply may heat it still, since {_told(kept.wall)}", left_on)
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
         how = "at rest since"
         if running:
@@ -93,8 +98,10 @@ class Memory:
         bound.rest(left, self._ambient)
         return Recalled(bound.nodes()[:, 0], f"{how} {_told(kept.wall)}")
 
-    def keep(self, nodes: Array, now: ClockReadings, running: bool) -> None:
+    def keep(self, nodes: Array, now: ClockReadings, running: bool, left_on: float | None = None) -> None:
         """Write bounds in one call; a file that is cut short all the same counts as hot.
+
+        left_on : what its supply would bring it to [degC] if the run died, where the run may switch one on.
 
         Raises
         ------
@@ -110,6 +117,7 @@ class Memory:
             "boot": now.boot,
             "since_boot_s": now.since_boot,
             "running": running,
+            "left_on_degC": left_on,
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
         text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
@@ -143,7 +151,7 @@ class Memory:
             bound.step(1.0, np.zeros(1), np.zeros(1), np.zeros(1), self._ambient)
             bound.state[:HOUSING] = rest
 
-    def _read(self, path: Path) -> tuple[Array, ClockReadings, bool]:
+    def _read(self, path: Path) -> tuple[Array, ClockReadings, bool, float | None]:
         kept = json.loads(state_folder.read(path))
         if kept["format"] != FORMAT or kept["format_version"] != VERSION:
             raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
@@ -162,11 +170,14 @@ class Memory:
             raise TypeError("boot: the identifier of a boot was expected")
         if type(kept["running"]) is not bool:
             raise ValueError("running: true or false was expected")
+        left_on = kept["left_on_degC"]
+        if left_on is not None and not (type(left_on) in (int, float) and left_on <= HOTTEST_DEGC):
+            raise ValueError(f"left_on_degC {left_on!r}: null or a temperature in degC was expected")
         for key in ("time", "since_boot_s"):
             if type(kept[key]) not in (int, float):
                 raise ValueError(f"{key} {kept[key]!r}: seconds were expected")
         moment = ClockReadings(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
-        return np.array(nodes, float), moment, kept["running"]
+        return np.array(nodes, float), moment, kept["running"], left_on
 
 
 class Keeper:
@@ -180,6 +191,7 @@ class Keeper:
         self._fault = ""
         self._written = clock()
         self.beside: Callable[[], None] = lambda: None  # what else is to be looked after as often
+        self.left_on: dict[str, float] = {}  # degC, that a supply may bring each role's winding to if this process dies
         self.doubted = False  # whether something may go on heating them when the run has ended
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
@@ -221,7 +233,7 @@ class Keeper:
     def _write(self, running: bool) -> None:
         now = self._clock()
         for role, nodes in self._nodes().items():
-            self._memories[role].keep(nodes, now, running)
+            self._memories[role].keep(nodes, now, running, self.left_on.get(role) if running else None)
         self._written = now
 
 

@@ -374,9 +374,9 @@ def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
         {"format": None},
         {"format": "leactl"},
         {"format": ["leactl-thermal"]},
-        {"format_version": 1},
-        {"format_version": 3},
-        {"format_version": "2"},
+        {"format_version": 2},
+        {"format_version": 4},
+        {"format_version": "3"},
         {"format_version": None},
         {"actuator": "rig.load"},
         {"actuator": None},
@@ -399,7 +399,18 @@ def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
 
 @pytest.mark.parametrize(
     "left_out",
-    ["format", "format_version", "actuator", "motor_sha256", "time", "boot", "since_boot_s", "running", "nodes_degC"],
+    [
+        "format",
+        "format_version",
+        "actuator",
+        "motor_sha256",
+        "time",
+        "boot",
+        "since_boot_s",
+        "running",
+        "nodes_degC",
+        "left_on_degC",
+    ],
 )
 def test_a_memory_that_lacks_a_key_is_hot(tmp_path, left_out):
     memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))

@@ -72,6 +72,34 @@ def test_a_run_that_died_left_its_winding_at_the_limit_and_its_housing_warmer():
     assert memory().recall(at(2 * 86400.0)).nodes == pytest.approx(28.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("left_on", "hottest"), [(94.9, 130.0), (154.2, 154.2)])
+def test_a_supply_that_nobody_has_switched_off_lets_nothing_cool(left_on, hottest):
+    memory().keep(WARM, NOW, running=True, left_on=left_on)
+    for seconds in (0.0, OVERDUE_S, 7200.0, 7 * 86400.0):
+        found = memory().recall(at(seconds))
+        assert (found.nodes.tolist(), found.left_on) == ([hottest] * 3, left_on)
+        assert found.known.startswith("a supply may heat it still, since 2027-")
+
+
+def test_a_supply_that_was_seen_off_at_the_end_lets_it_cool():
+    memory().keep(WARM, NOW, running=False, left_on=None)
+    assert memory().recall(at(600.0)).left_on is None
+    assert memory().recall(at(600.0)).nodes[0] < 80.0
+
+
+def test_a_supply_that_may_be_on_is_handed_on_until_a_run_has_seen_it_off():
+    memory().keep(WARM, NOW, running=True, left_on=140.0)
+    clock = [at(60.0)]
+    kept = memory()
+    keeper = Keeper({"test": kept}, lambda: {"test": kept.recall(clock[0]).nodes}, lambda: clock[0])
+    keeper.left_on["test"] = kept.recall(clock[0]).left_on
+    keeper.start()  # a run that dies before its devices are safe leaves it as it was
+    assert memory().recall(at(7200.0)).nodes.tolist() == [140.0] * 3
+    keeper.stop()
+    assert memory().recall(at(7200.0)).left_on is None
+    assert memory().recall(at(7 * 86400.0)).nodes == pytest.approx(28.0, abs=0.1)
+
+
 FAULTS = {
     "damaged": (lambda text: text.replace(":", ";"), "delimiter"),
     "cut short": (lambda text: text[: len(text.strip()) // 2], ""),
@@ -79,9 +107,9 @@ FAULTS = {
     "a list": (lambda text: "[1, 2]", ""),
     "no object": (lambda text: "null", ""),
     "nested": (lambda text: "[" * 100_000, ""),
-    "format": ({"format": "leactl-run"}, "format leactl-run 2, leactl-thermal 2 was expected"),
-    "version": ({"format_version": 3}, "format leactl-thermal 3, leactl-thermal 2 was expected"),
-    "of an earlier version": ({"format_version": 1}, "format leactl-thermal 1, leactl-thermal 2 was expected"),
+    "format": ({"format": "leactl-run"}, "format leactl-run 3, leactl-thermal 3 was expected"),
+    "version": ({"format_version": 4}, "format leactl-thermal 4, leactl-thermal 3 was expected"),
+    "of an earlier version": ({"format_version": 2}, "format leactl-thermal 2, leactl-thermal 3 was expected"),
     "another actuator": ({"actuator": "b7"}, "it is of actuator 'b7'"),
     "another motor": ({"motor_sha256": "0" * 64, "motor": "ak80"}, "it is of another motor file ('ak80')"),
     "of the future": ({"since_boot_s": UPTIME + 3600.0}, "it is of the future, 3.57e+03 s ahead of this boot's clock"),
@@ -103,6 +131,9 @@ FAULTS = {
     "nulls": ({"nodes_degC": [None, None, None]}, ""),
     "running in words": ({"running": "no"}, "running: true or false was expected"),
     "key missing": ("running", "running"),
+    "a supply in words": ({"left_on_degC": "off"}, "left_on_degC 'off': null or a temperature in degC was expected"),
+    "a supply of no temperature": ({"left_on_degC": math.nan}, "null or a temperature in degC was expected"),
+    "nothing of a supply": ("left_on_degC", "left_on_degC"),
 }
 
 
