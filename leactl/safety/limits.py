@@ -46,6 +46,7 @@ class Limits(Block):
         symmetric = {
             "q_axis_current": self.current_A,
             "q_axis_current_reference": self.current_A,
+            "d_axis_current": self.current_A,
             "velocity": self.velocity_rad_s,
             "velocity_reference": self.velocity_rad_s,
             "torque": self.torque_Nm,

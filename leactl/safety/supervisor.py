@@ -54,6 +54,7 @@ class _Guarded:
     axis: Axis
     panel: Panel
     current: int  # where the q-axis current stands among the values
+    direct: int | None  # where the d-axis current stands, of a drive that measures it
     velocity: int | None
     angle: int | None
     tracking: CurrentTracking
@@ -79,9 +80,9 @@ class _Guarded:
             self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
 
     @property
-    def places(self) -> tuple[int, int | None, int | None]:
-        """Where current, angle and velocity stand among the values."""
-        return self.current, self.angle, self.velocity
+    def places(self) -> tuple[int, int | None, int | None, int | None]:
+        """Where q-axis current, d-axis current, angle and velocity stand among the values."""
+        return self.current, self.direct, self.angle, self.velocity
 
     @property
     def measured_angle(self) -> float:
@@ -158,7 +159,8 @@ class Supervisor:
         settings = self._interlocks.current_disagreement
         tracking = CurrentTracking(role, axis.motion, settings, self._limits, need, self.trip)
         tracking.turn_to(judges=True)
-        return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"), tracking)
+        direct, velocity, angle = (place.get(name) for name in ("d_axis_current", "velocity", "angle"))
+        return _Guarded(axis, panel, place["q_axis_current"], direct, velocity, angle, tracking)
 
     def _by_torque(self, models: Mapping[str, TorqueModel]) -> list[Witnesses]:
         """What holds currents against the torque sensor, where there is one."""
@@ -330,7 +332,7 @@ class Supervisor:
             pace.look(now)
         flowing, stall = self._heating
         on_time = elapsed < stall
-        for place, guarded, tracking, motion, where, angle, velocity, look, log in self._judged:
+        for place, guarded, tracking, motion, where, direct, angle, velocity, look, log in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
@@ -342,6 +344,8 @@ class Supervisor:
                 speed = NAN if velocity is None else values[velocity]
                 tracking.look(current, speed, now)
             square, asked = current * current, guarded.asked
+            if direct is not None:
+                square += values[direct] ** 2  # it makes no torque, and as much heat
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
