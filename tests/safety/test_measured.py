@@ -43,6 +43,18 @@ def test_a_reading_makes_no_bound_cooler_and_none_trips_below_it(values):
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.01)
 
 
+AIR = StreamSpec("room", (ChannelSpec("air", "ambient_temperature", "bench", "room"),))
+
+
+def test_air_that_is_hotter_than_the_bench_file_tells_trips():
+    look = MeasuredStreams(guard_of(), [AIR], tripped)
+    for reading in (25.0, 32.9, -10.0, np.nan):  # 25 degC are told, 3 K allowed, and 5 K of the sensor
+        look.look(Row("room", 0.0, (reading,)))
+    told = r"the air is measured at 33\.1 degC; 33\.0 degC at the most was expected where the bench file tells 25 degC"
+    with pytest.raises(SafetyTrip, match=told):
+        look.look(Row("room", 0.1, (33.1,)))
+
+
 PAIR = StreamSpec("supply", tuple(ChannelSpec(n, n, "test", "supply") for n in ("line_voltage", "line_current")))
 
 

@@ -77,6 +77,7 @@ class ThermalGuard:
         self.roles, self._settings = tuple(motors), settings
         self.limit = settings.limit  # degC, of the hottest phase of any role
         self.boxes = {role: Box.of(motor) for role, motor in motors.items()}
+        self.told_ambient = settings.ambient  # degC
         boxes = list(self.boxes.values())
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)

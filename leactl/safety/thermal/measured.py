@@ -32,7 +32,7 @@ class Leads:
 
 
 class MeasuredStreams:
-    """Streams that measure windings, housings, and the current through the leads and the voltage at them."""
+    """Streams that measure windings, housings, the air, and the current through the leads and the voltage at them."""
 
     def __init__(
         self,
@@ -67,6 +67,9 @@ class MeasuredStreams:
             "line_current": self._leads,
         }
         place = {(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}
+        for (_role, quantity), index in place.items():
+            if quantity == "ambient_temperature":
+                yield partial(self._air, index)
         for (role, quantity), index in place.items():
             if role in self._guard.roles and quantity in known:
                 yield partial(known[quantity], role, index)
@@ -74,6 +77,15 @@ class MeasuredStreams:
             voltage, current = place.get((role, "line_voltage")), place.get((role, "line_current"))
             if voltage is not None and current is not None:
                 yield partial(self._resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
+
+    def _air(self, index: int, row: Row) -> None:
+        told = self._guard.told_ambient
+        most = told + max(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
+        if row.values[index] > most:
+            self._trip(
+                f"the air is measured at {row.values[index]:.1f} degC; {most:.1f} degC at the most was expected where"
+                f" the bench file tells {told:g} degC: correct its ambient_temperature_degC"
+            )
 
     def _winding(self, role: str, index: int, row: Row) -> None:
         self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
