@@ -36,6 +36,7 @@ ROOT_ATTRIBUTES: Final = (
 )
 CHANNEL_ATTRIBUTES: Final = ("units", "quantity", "role", "device", "long_name")
 SOURCES: Final = ("protocol", "bench", "model")
+OF_SCALES: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")  # HDF5's own attributes
 INSTRUMENT: Final = ("model", "serial", "firmware", "calibrated", "calibration_due")
 
 # Bytes of the fixed-length strings of a live file; SWMR allows no other kind. Numbers have no entry.
@@ -64,8 +65,7 @@ def to_python(value: Any) -> Any:
 
 def attributes(node: Any) -> dict[str, Any]:
     """Attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
-    of_hdf5 = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
-    return {name: to_python(node.attrs[name]) for name in node.attrs if name not in of_hdf5}
+    return {name: to_python(node.attrs[name]) for name in node.attrs if name not in OF_SCALES}
 
 
 def storable(text: str) -> str:

@@ -153,13 +153,14 @@ def texts_again_and_again(at, count, size):
     return attack
 
 
-def attribute_texts_again_and_again(count, size):
-    """The like in an attribute, in the oldest format, in which no checksum covers it."""
+def attribute_again_and_again(count, size, dtype, make, at="more"):
+    """The like in an attribute, in the oldest format, in which no checksum covers it; `make` makes a value."""
 
     def attack(file, outside):
-        group = file.create_group("more")
-        texts = np.array(["x" * size, *["y"] * (count - 1)], layout.TEXT)
-        group.attrs.create("more", texts)
+        values = np.empty(count, object)
+        for number in range(count):
+            values[number] = make(size if not number else 1)
+        file.require_group(at).attrs.create("more", values, dtype=dtype)
         file.flush()
 
     def patch(path):
@@ -182,6 +183,22 @@ def attribute_texts_again_and_again(count, size):
     attack.patch = patch
     attack.oldest = True
     return attack
+
+
+def arrays_in_one_another():
+    """A type whose header takes 24 bytes for each array."""
+    made = h5py.h5t.NATIVE_DOUBLE
+    for _ in range(2000):
+        made = h5py.h5t.array_create(made, (1,))
+    return made
+
+
+def nested_arrays_of_an_attribute(file, outside):
+    h5py.h5a.create(file.id, b"more", arrays_in_one_another(), h5py.h5s.create(h5py.h5s.SCALAR))
+
+
+def nested_arrays(file, outside):
+    h5py.h5d.create(file.id, b"more", arrays_in_one_another(), h5py.h5s.create(h5py.h5s.SCALAR))
 
 
 def long_text_attribute(size, at="/"):
@@ -372,7 +389,17 @@ ATTACKS = {
     "1 GiB in chunks of 32 MiB": many_packed(1 << 27, chunk=1 << 22),
     "1e5 texts of 1 MB that are one": texts_again_and_again("steps/name", 100_000, 1_000_000),
     "1000 texts of 10 MB that are one": texts_again_and_again("events/message", 1000, 10_000_000),
-    "an attribute of 2000 texts of 1 MB that are one": attribute_texts_again_and_again(2000, 1_000_000),
+    "an attribute of 2000 texts of 1 MB that are one": attribute_again_and_again(
+        2000, 1_000_000, layout.TEXT, lambda size: "x" * size
+    ),
+    "an attribute of 60 arrays of 16 MB that are one": attribute_again_and_again(
+        60, 16_000_000, h5py.vlen_dtype("u1"), lambda size: np.ones(size, "u1")
+    ),
+    "such an attribute of the root": attribute_again_and_again(
+        60, 16_000_000, h5py.vlen_dtype("u1"), lambda size: np.ones(size, "u1"), "/"
+    ),
+    "an attribute of 2000 arrays in one another": nested_arrays_of_an_attribute,
+    "a dataset of 2000 arrays in one another": nested_arrays,
     "an attribute of 60 MB of text": long_text_attribute(60_000_000),
     "a channel's attribute of 60 MB of text": long_text_attribute(60_000_000, "streams/loop/test_iq"),
     "a huge attribute": attribute("huge", np.zeros(10**7)),

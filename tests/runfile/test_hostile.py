@@ -10,7 +10,7 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.catalog.run_index import list_runs
-from leactl.runfile.hdf5 import opening, tree
+from leactl.runfile.hdf5 import opening, tree, value_types
 from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, unpacked
 from leactl.runfile.hdf5.swmr import (
     CHECKSUM_AT,
@@ -97,6 +97,10 @@ HOSTILE = {
     ),
     "/extra: a dataset without values": lambda file: file.create_dataset("extra", data=h5py.Empty("f8")),
     "/extra: values that are neither": lambda file: file.create_dataset("extra", (1,), h5py.ref_dtype),
+    "/: attribute 'more' holds neither numbers nor text": lambda file: file.attrs.create("more", [file.ref]),
+    "/setup: attribute 'more' holds neither": lambda file: file["setup"].attrs.create(
+        "more", 0, dtype=h5py.enum_dtype({f"{number}": number for number in range(300)}, "i4")
+    ),
 }
 
 
@@ -142,6 +146,7 @@ def test_the_manual_has_the_numbers_of_the_door():
         f"groups deeper than {tree.DEEPEST} in one another or more than {tree.MOST_OBJECTS:,} objects",
         f"more than {tree.MOST_NAMES:,} attributes, {tree.MOST_ATTRIBUTES >> 20} MiB of them on one object",
         f"or {tree.MOST_ATTRIBUTES_OF_FILE >> 20} MiB on all",
+        f"enumerations of more than {value_types.MOST_MEMBERS} members",
         f"a text of more than {MOST_BYTES >> 20} MiB, texts of more than {tree.MOST_TEXT >> 20} MiB",
         f"more than {tree.MOST_TEXTS:,} of them, and more than {tree.MOST_ROWS_OF_TABLE:,} rows",
         f"chunks above {tree.LARGEST_CHUNK >> 20} MiB",
@@ -297,6 +302,13 @@ def test_an_attribute_without_a_value_is_none_of_damage(complete: Path):
     changed(complete, lambda file: file.attrs.create("remark", h5py.Empty("f8")))
     with Run.open(complete) as run:
         assert run.attributes["remark"] == ""
+
+
+def test_numbers_texts_and_truth_values_of_other_makers_are_read(complete: Path):
+    values = {"flag": True, "flags": np.array([True, False]), "text": np.bytes_("a"), "number": np.float16(1)}
+    changed(complete, lambda file: file["setup"].attrs.update(values))
+    with Run.open(complete) as run:
+        assert [run.setup[name] for name in values] == [True, [True, False], "a", 1.0]
 
 
 def test_a_text_that_is_longer_than_its_file_is_not_waited_for(complete: Path):

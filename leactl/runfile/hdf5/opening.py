@@ -24,7 +24,9 @@ from leactl.runfile.hdf5.tree import (
     faults_of_foreign_tree,
     faults_of_texts_in_attributes,
     faults_of_tree,
+    is_read_of_run,
 )
+from leactl.runfile.hdf5.value_types import faults_of_attribute_types
 from leactl.yamlfile import shown
 
 TOO_NEW = (
@@ -173,7 +175,9 @@ def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
         size = attribute_bytes(file.id)
         texts = [Node("/", h5py.h5o.open(file.id, b"/"))]
         if faults := (
-            faults_of_attributes(size, "/") or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTES)
+            faults_of_attributes(size, "/")
+            or faults_of_attribute_types(file.id, "/", is_read_of_run)
+            or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTES)
         ):
             return faults
         root |= layout.attributes(file)

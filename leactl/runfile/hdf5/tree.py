@@ -16,6 +16,12 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
+from leactl.runfile.hdf5.value_types import (
+    attribute_names,
+    faults_of_attribute_types,
+    is_shallow,
+    is_text_of_any_length,
+)
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 DEEPEST: Final = 8  # groups in one another; the layout has 3
@@ -33,6 +39,9 @@ MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the 
 TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
 MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
 LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
+
+NEITHER: Final = ("values that are neither numbers nor text", "values that are neither numbers nor references")
+READ_OF_MAT: Final = (b"MATLAB_class", b"MATLAB_empty")  # of others, such as the names of fields, no value is read
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
 TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": layout.NOTES}
@@ -159,8 +168,11 @@ class Tree:
                 raise InputError(f"{path}: more than {MOST_NAMES} attributes in this file; fewer were expected")
             size = attribute_bytes(item)
             attributes += size
-            faults += faults_of_attributes(size, path)
-            if isinstance(item, h5py.h5d.DatasetID):
+            is_read = is_read_of_mat if self._foreign else is_read_of_run
+            faults += faults_of_attributes(size, path) or faults_of_attribute_types(item, path, is_read)
+            if isinstance(item, h5py.h5d.DatasetID) and not is_shallow(item.get_type()):
+                faults.append(f"{path}: {NEITHER[self._foreign]}")
+            elif isinstance(item, h5py.h5d.DatasetID):
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))
                 faults += faults_of_dataset(storage, path, self._foreign)
@@ -304,7 +316,7 @@ def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -
     elif storage.chunk_size > LARGEST_CHUNK:
         faults.append(f"{hdf5_path}: chunks of {storage.chunk_size} bytes; at most {LARGEST_CHUNK} were expected")
     elif storage.dtype.hasobject and not (is_reference(storage) if foreign else storage.is_text):
-        faults.append(f"{hdf5_path}: values that are neither numbers nor {'references' if foreign else 'text'}")
+        faults.append(f"{hdf5_path}: {NEITHER[foreign]}")
     elif storage.dtype.hasobject and foreign and storage.announced > MOST_OBJECTS:
         faults.append(f"{hdf5_path}: {storage.announced} references; at most {MOST_OBJECTS} were expected")
     return faults
@@ -313,6 +325,16 @@ def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -
 def is_reference(storage: Storage) -> bool:
     """Whether the values are references to objects of the file."""
     return h5py.check_ref_dtype(storage.dtype) is h5py.Reference
+
+
+def is_read_of_run(name: bytes) -> bool:
+    """Whether the value of this attribute is read, as all are but those of HDF5's dimension scales."""
+    return name.decode("utf-8", "surrogateescape") not in layout.OF_SCALES
+
+
+def is_read_of_mat(name: bytes) -> bool:
+    """Whether the value of this attribute of a MAT file is read."""
+    return name in READ_OF_MAT
 
 
 def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
@@ -350,8 +372,7 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
         of_item = 0
         for name in attribute_names(item):
             attribute = h5py.h5a.open(item, name)
-            kind = h5py.check_string_dtype(attribute.dtype)
-            if kind is None or kind.length is not None:
+            if not is_text_of_any_length(attribute.get_type()):
                 continue
             count = math.prod(attribute.shape)
             if count > 1 and count * longest > MOST_TEXT:
@@ -363,13 +384,6 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
                 return more or [f"more than {most} bytes of texts in attributes; fewer were expected"]
         total += of_item
     return []
-
-
-def attribute_names(item: Any) -> list[bytes]:
-    """Names of an object's attributes."""
-    names: list[bytes] = []
-    h5py.h5a.iterate(item, names.append)
-    return names
 
 
 def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
