@@ -241,6 +241,47 @@ def names(file, outside):
         group[f"{number}"] = h5py.SoftLink("/nowhere")
 
 
+def long_name_of_every_link(link):
+    """9000 links whose names in the oldest format, in which no checksum covers them, are all one of 60 kB."""
+
+    def attack(file, outside):
+        group = file.create_group("more")
+        group["l" * 60_000] = link(file)  # first, where the names of other groups stand in their own heaps
+        for number in range(9000):
+            group[f"k{number:05}"] = link(file)
+
+    def patch(path):
+        raw = bytearray(path.read_bytes())
+        long = raw.index(b"l" * 60_000)
+        heaps = [struct.unpack_from("<QQQ", raw, at + 8) for at in places(raw, b"HEAP")]
+        names = next(begin for size, _, begin in heaps if begin < long < begin + size)
+        for node in places(raw, b"SNOD"):
+            for entry in range(node + 8, node + 8 + 40 * struct.unpack_from("<H", raw, node + 6)[0], 40):
+                at = names + struct.unpack_from("<Q", raw, entry)[0]
+                if raw[at : at + 1] == b"k" and raw[at + 6 : at + 7] == b"\0":
+                    struct.pack_into("<Q", raw, entry, long - names)
+        path.write_bytes(raw)
+
+    attack.patch = patch
+    attack.oldest = True
+    return attack
+
+
+def places(raw, signature):
+    """Where a signature stands in a file."""
+    at = raw.find(signature)
+    while at >= 0:
+        yield at
+        at = raw.find(signature, at + 1)
+
+
+def links_again_and_again(file, outside):
+    """9000 links in a group of 900 names."""
+    names(file, outside)
+    for number in range(900):
+        file[f"more{number}"] = file["setup2"]
+
+
 def many_attributes(file, outside):
     for at in ("streams", "streams/loop", "streams/loop/test_iq", "setup", "parameters"):
         for number in range(6_000):
@@ -409,6 +450,9 @@ ATTACKS = {
     "5000 groups in one another": deep,
     "30,000 groups": crowd,
     "30,000 links": names,
+    "30,000 links in 900 groups": links_again_and_again,
+    "9000 objects of one name of 60 kB": long_name_of_every_link(lambda file: file["setup"]),
+    "9000 links of one name of 60 kB": long_name_of_every_link(lambda file: h5py.SoftLink("/setup")),
     "references": kind("streams/loop/test_iq", h5py.ref_dtype),
     "region references": kind("streams/loop/test_iq", h5py.regionref_dtype),
     "values of any length": kind("streams/loop/test_iq", h5py.vlen_dtype("f8")),

@@ -86,6 +86,10 @@ HOSTILE = {
     ),
     "lies in more than 8 groups": nested,
     "more than 10000 groups and datasets": crowd,
+    "/streams/'x{79} ...: a name of 60000 bytes; at most 1024": lambda file: file["streams"].create_group("x" * 60_000),
+    "more than 4194304 bytes of names": lambda file: [
+        file.create_group(f"{'x' * 1000}/{'x' * 1000}/{number}") for number in range(3000)
+    ],
     "/streams/loop: more than 8192 attributes": lambda file: [
         file["streams/loop"].attrs.create(f"more_{number}", number) for number in range(8200)
     ],
@@ -144,6 +148,7 @@ def test_the_manual_has_the_numbers_of_the_door():
     times, beside = tree.MOST_UNPACKED
     for words in (
         f"groups deeper than {tree.DEEPEST} in one another or more than {tree.MOST_OBJECTS:,} objects",
+        f"a name of more than {tree.LONGEST_NAME:,} bytes or {tree.MOST_PATHS >> 20} MiB of paths",
         f"more than {tree.MOST_NAMES:,} attributes, {tree.MOST_ATTRIBUTES >> 20} MiB of them on one object",
         f"or {tree.MOST_ATTRIBUTES_OF_FILE >> 20} MiB on all",
         f"enumerations of more than {value_types.MOST_MEMBERS} members",

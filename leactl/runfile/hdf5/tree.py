@@ -22,11 +22,14 @@ from leactl.runfile.hdf5.value_types import (
     is_shallow,
     is_text_of_any_length,
 )
+from leactl.yamlfile import shown
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 DEEPEST: Final = 8  # groups in one another; the layout has 3
 DEEPEST_FOREIGN: Final = 32  # structs and cells of other programs in one another
 MOST_OBJECTS: Final = 10_000  # groups and datasets; a run of the largest bench has about 100
+LONGEST_NAME: Final = 1 << 10  # bytes, of one object or link; MATLAB's have at most 63
+MOST_PATHS: Final = 1 << 22  # bytes of the paths of all objects: 400 for each of 10,000
 MOST_ROWS_OF_TABLE: Final = 1 << 17  # of steps, events and notes
 MOST_TEXTS: Final = 1 << 19  # in all datasets
 MOST_TEXT: Final = 1 << 26  # bytes of them
@@ -48,10 +51,10 @@ TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": lay
 
 
 class Node(NamedTuple):
-    """A group or dataset with its path in the file."""
+    """A group, dataset or link with its path in the file."""
 
     path: str
-    item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`
+    item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`; None: a link
 
 
 class Storage(NamedTuple):
@@ -159,8 +162,16 @@ class Tree:
         """Faults of single objects and of their sums, one line each, with the object's path."""
         faults: list[str] = []
         nodes: list[Node] = []
-        attributes = names = 0
-        for path, item in walk(file.id, faults, DEEPEST_FOREIGN if self._foreign else DEEPEST):
+        attributes = names = paths = 0
+        for count, (path, item) in enumerate(walk(file.id, DEEPEST_FOREIGN if self._foreign else DEEPEST), 1):
+            paths += len(path)
+            if count > MOST_OBJECTS:
+                raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
+            if paths > MOST_PATHS:
+                raise InputError(f"more than {MOST_PATHS} bytes of names; fewer were expected")
+            if item is None:
+                faults.append(f"{path}: a link instead of data; no link is followed")
+                continue
             self.items[path] = item
             nodes.append(Node(path, item))
             names += int(h5py.h5a.get_num_attrs(item))
@@ -176,8 +187,6 @@ class Tree:
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))
                 faults += faults_of_dataset(storage, path, self._foreign)
-            if len(self.items) > MOST_OBJECTS:
-                raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
         if attributes > MOST_ATTRIBUTES_OF_FILE and not faults:
             faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTES_OF_FILE} were expected")
         return (
@@ -273,31 +282,35 @@ class Tree:
         ]
 
 
-def walk(group: Any, faults: list[str], deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
-    """Every group and dataset below a group; soft and external links are added to `faults` and not followed."""
+def walk(group: Any, deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
+    """Every group and dataset below a group, and every soft and external link, which is not followed."""
     for name, kind in links(group):
-        node_path = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
+        text = name.decode("utf-8", "surrogateescape")
+        if len(name) > LONGEST_NAME:
+            raise InputError(f"{path}/{shown(text)}: a name of {len(name)} bytes; at most {LONGEST_NAME} were expected")
+        node_path = f"{path}/{text}"
         if depth == deepest:  # as where a group holds itself: what else is in it does not count
             raise InputError(f"{node_path}: lies in more than {deepest} groups; fewer were expected")
         if kind != h5py.h5l.TYPE_HARD:
-            faults.append(f"{node_path}: a link instead of data; no link is followed")
+            yield Node(node_path, None)
             continue
         node = Node(node_path, h5py.h5o.open(group, name))
         yield node
         if isinstance(node.item, h5py.h5g.GroupID):
-            yield from walk(node.item, faults, deepest, node_path, depth + 1)
+            yield from walk(node.item, deepest, node_path, depth + 1)
 
 
 def links(group: Any) -> list[tuple[bytes, int]]:
-    """Name and type of each link of a group, at most one more than a file may have objects."""
+    """Name and type of each link of a group, at most one more than a file may have objects, up to one too long."""
     named: list[tuple[bytes, int]] = []
 
     def take(name: bytes, link: Any) -> bool | None:
         named.append((name, link.type))
-        return len(named) > MOST_OBJECTS or None  # anything but None ends the iteration
+        # anything but None ends the iteration; a few bytes in the file may give every link the same long name
+        return len(named) > MOST_OBJECTS or len(name) > LONGEST_NAME or None
 
-    group.links.iterate(take, info=True)
-    return named
+    group.links.iterate(take, info=True, order=h5py.h5.ITER_NATIVE)  # in another order HDF5 first copies all names
+    return sorted(named)
 
 
 def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -> list[str]:
