@@ -275,6 +275,38 @@ def places(raw, signature):
         at = raw.find(signature, at + 1)
 
 
+def index_without_end(kind, level, change):
+    """Nodes of the oldest format's index of groups (0) or of chunks (1) lead to themselves."""
+
+    def attack(file, outside):
+        file.create_dataset("more", data=np.ones(20_000), chunks=(100,))
+        for number in range(2000):
+            file[f"crowd/{number}"] = file["setup"]
+
+    def patch(path):
+        raw = bytearray(path.read_bytes())
+        nodes = [at for at in places(raw, b"TREE") if (raw[at + 4], raw[at + 5]) == (kind, level)]
+        for at in nodes:
+            change(raw, at)
+        assert nodes
+        path.write_bytes(raw)
+
+    attack.patch = patch
+    attack.oldest = True
+    return attack
+
+
+def own_child(key_size):
+    def change(raw, at):
+        struct.pack_into("<Q", raw, at + 24 + key_size, at)
+
+    return change
+
+
+def own_sibling(raw, at):
+    struct.pack_into("<QQ", raw, at + 8, at, at)
+
+
 def links_again_and_again(file, outside):
     """9000 links in a group of 900 names."""
     names(file, outside)
@@ -450,6 +482,10 @@ ATTACKS = {
     "5000 groups in one another": deep,
     "30,000 groups": crowd,
     "30,000 links": names,
+    "chunks of a node that is its own child": index_without_end(1, 1, own_child(24)),
+    "chunks of a node that is its own sibling": index_without_end(1, 0, own_sibling),
+    "members of a node that is its own child": index_without_end(0, 1, own_child(8)),
+    "members of a node that is its own sibling": index_without_end(0, 0, own_sibling),
     "30,000 links in 900 groups": links_again_and_again,
     "9000 objects of one name of 60 kB": long_name_of_every_link(lambda file: file["setup"]),
     "9000 links of one name of 60 kB": long_name_of_every_link(lambda file: h5py.SoftLink("/setup")),

@@ -15,6 +15,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile import layout
+from leactl.runfile.hdf5.btrees import BTrees
 from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
 from leactl.runfile.hdf5.value_types import (
     attribute_names,
@@ -163,7 +164,10 @@ class Tree:
         faults: list[str] = []
         nodes: list[Node] = []
         attributes = names = paths = 0
-        for count, (path, item) in enumerate(walk(file.id, DEEPEST_FOREIGN if self._foreign else DEEPEST), 1):
+        btrees = BTrees(self._raw, file.id.get_create_plist().get_userblock())
+        btrees.check(h5py.h5g.get_objinfo(file.id, b"/").objno[0], "/")  # `h5o.get_info` would look at the tree
+        deepest = DEEPEST_FOREIGN if self._foreign else DEEPEST
+        for count, (path, item) in enumerate(walk(file.id, btrees, deepest), 1):
             paths += len(path)
             if count > MOST_OBJECTS:
                 raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
@@ -282,9 +286,9 @@ class Tree:
         ]
 
 
-def walk(group: Any, deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
+def walk(group: Any, btrees: BTrees, deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
     """Every group and dataset below a group, and every soft and external link, which is not followed."""
-    for name, kind in links(group):
+    for name, kind, header in links(group):
         text = name.decode("utf-8", "surrogateescape")
         if len(name) > LONGEST_NAME:
             raise InputError(f"{path}/{shown(text)}: a name of {len(name)} bytes; at most {LONGEST_NAME} were expected")
@@ -294,18 +298,22 @@ def walk(group: Any, deepest: int, path: str = "", depth: int = 0) -> Iterator[N
         if kind != h5py.h5l.TYPE_HARD:
             yield Node(node_path, None)
             continue
+        btrees.check(header, node_path)
         node = Node(node_path, h5py.h5o.open(group, name))
         yield node
         if isinstance(node.item, h5py.h5g.GroupID):
-            yield from walk(node.item, deepest, node_path, depth + 1)
+            yield from walk(node.item, btrees, deepest, node_path, depth + 1)
 
 
-def links(group: Any) -> list[tuple[bytes, int]]:
-    """Name and type of each link of a group, at most one more than a file may have objects, up to one too long."""
-    named: list[tuple[bytes, int]] = []
+def links(group: Any) -> list[tuple[bytes, int, int]]:
+    """Name and type of each link of a group, and the address of the object that a hard link leads to.
+
+    At most one more than a file may have objects, and none behind a name that is too long.
+    """
+    named: list[tuple[bytes, int, int]] = []
 
     def take(name: bytes, link: Any) -> bool | None:
-        named.append((name, link.type))
+        named.append((name, link.type, link.u))
         # anything but None ends the iteration; a few bytes in the file may give every link the same long name
         return len(named) > MOST_OBJECTS or len(name) > LONGEST_NAME or None
 

@@ -1,0 +1,168 @@
+"""Check B-trees of version 1, which index groups and chunks in HDF5's oldest format, before HDF5 walks them.
+
+No checksum covers their nodes, and HDF5 follows their addresses unchecked: a node that is its own child ends the
+process, and one that is its own sibling is looked at for ever. The trees of newer formats have checksums. An object's
+header tells where its tree begins (HDF5 file format 3.0: III.A.1 the tree, IV.A the header and its messages).
+"""
+
+import struct
+from collections.abc import Iterator
+from typing import BinaryIO, Final, NamedTuple
+
+from leactl.errors import InputError
+from leactl.runfile.hdf5.text_heaps import bytes_at
+
+LAYOUT, CONTINUATION, SYMBOL_TABLE = 0x08, 0x10, 0x11  # types of messages in a header
+CHUNKED: Final = 2  # class of a dataset's layout
+OF_GROUP, OF_CHUNKS = 0, 1  # types of trees
+NOWHERE: Final = (1 << 64) - 1
+FURTHEST: Final = 1 << 62  # byte of a file that a system can seek
+NODE: Final = struct.Struct("<4sBBHQQ")  # signature, type, level, children, left and right sibling
+ADDRESS: Final = struct.Struct("<Q")
+MOST_MESSAGES: Final = 1 << 19  # of all headers: 50 for each of 10,000 objects
+MOST_BYTES: Final = 1 << 26  # of all headers, which hold attributes and the smallest datasets
+MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chunks, which makes four million
+
+
+class Message(NamedTuple):
+    """A message of an object header."""
+
+    kind: int
+    body: bytes
+
+
+class Root(NamedTuple):
+    """Where a tree begins."""
+
+    kind: int
+    address: int
+    key_size: int  # bytes before each child's address
+
+
+class Node(NamedTuple):
+    """What a tree's node says of itself and of others."""
+
+    level: int
+    children: int
+    left: int
+    right: int
+
+
+class BTrees:
+    """The B-trees of version 1 of a file whose first byte is at `base`, each node of which may be met once."""
+
+    def __init__(self, raw: BinaryIO, base: int) -> None:
+        self._raw, self._base = raw, base
+        self._checked: set[int] = set()  # headers, since an object may have several names
+        self._met: set[int] = set()
+        self._messages_met = self._bytes_met = 0
+
+    def check(self, header: int, hdf5_path: str) -> None:
+        """Check the trees that the object header at an address refers to; what is no tree is left to HDF5.
+
+        Raises
+        ------
+        InputError : HDF5 might never reach the end of a tree.
+        """
+        if header in self._checked:
+            return
+        self._checked.add(header)
+        for message in self._messages(header):
+            if (root := root_in(message)) is not None and root.address != NOWHERE:
+                self._check_tree(root, hdf5_path)
+
+    def _check_tree(self, root: Root, hdf5_path: str) -> None:
+        """Meet the nodes of a tree level by level, from the root down."""
+        damaged = InputError(f"{hdf5_path}: damaged: the index of its members or chunks is no tree")
+        row, level = [root.address], None
+        nodes = 0
+        while row:
+            if (nodes := nodes + len(row)) > MOST_NODES:
+                raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
+            order = {address: number for number, address in enumerate(row)}
+            if len(order) < len(row) or not self._met.isdisjoint(order):
+                raise damaged
+            self._met |= order.keys()
+            below: list[int] = []
+            for number, address in enumerate(row):
+                if (node := self._node(address, root.kind)) is None:
+                    continue
+                level = node.level if level is None else level
+                left = -1 if node.left == NOWHERE else order.get(node.left, number)
+                right = len(row) if node.right == NOWHERE else order.get(node.right, number)
+                if node.level != level or not left < number < right:
+                    raise damaged
+                if level and len(below) + node.children <= MOST_NODES:
+                    below += self._children(address, node.children, root.key_size)
+                elif level:
+                    raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
+            row, level = below, (level or 0) - 1
+
+    def _node(self, address: int, kind: int) -> Node | None:
+        """The node at an address; None if there is none of this kind, which HDF5 reports itself."""
+        head = self._bytes(address, NODE.size)
+        if len(head) < NODE.size:
+            return None
+        signature, found_kind, level, children, left, right = NODE.unpack(head)
+        return Node(level, children, left, right) if (signature, found_kind) == (b"TREE", kind) else None
+
+    def _children(self, address: int, count: int, key_size: int) -> Iterator[int]:
+        """Addresses of the nodes below one."""
+        entry = key_size + ADDRESS.size
+        entries = self._bytes(address + NODE.size, count * entry)
+        for at in range(key_size, len(entries) - ADDRESS.size + 1, entry):
+            yield ADDRESS.unpack_from(entries, at)[0]
+
+    def _bytes(self, address: int, count: int) -> bytes:
+        """`count` bytes from an address; fewer where the file ends before."""
+        return bytes_at(self._raw, self._base + address, count) if address < FURTHEST else b""
+
+    def _messages(self, header: int) -> Iterator[Message]:
+        """Messages of an object header of version 1 or 2, those of its further blocks included."""
+        prefix = self._bytes(header, 64)
+        if prefix.startswith(b"OHDR\x02"):
+            flags = prefix[5]
+            at = 6 + (16 if flags & 0x20 else 0) + (4 if flags & 0x10 else 0)  # with times, with limits of attributes
+            width = 1 << (flags & 3)
+            blocks = [(header + at + width, int.from_bytes(prefix[at : at + width], "little"))]
+            head = struct.Struct("<BHB2x" if flags & 0x04 else "<BHB")  # with the order of creation
+            signature = checksum = 4
+        elif prefix.startswith(b"\x01"):
+            blocks = [(header + 16, int.from_bytes(prefix[8:12], "little"))]
+            head = struct.Struct("<HHB3x")
+            signature = checksum = 0
+        else:
+            return
+        for at, length in blocks:  # which grow in number while they are read
+            self._bytes_met += length
+            block = self._bytes(at, length) if self._bytes_met <= MOST_BYTES else b""
+            begin = 0
+            while begin + head.size <= len(block):
+                kind, body_size, _flags = head.unpack_from(block, begin)
+                begin += head.size
+                body = block[begin : begin + body_size]
+                begin += body_size
+                if kind == CONTINUATION and len(body) >= 16:
+                    further, further_length = struct.unpack_from("<QQ", body)
+                    blocks.append((further + signature, max(0, further_length - signature - checksum)))
+                self._messages_met += 1
+                yield Message(kind, body)
+            if self._messages_met > MOST_MESSAGES or self._bytes_met > MOST_BYTES:
+                raise InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_BYTES} bytes")
+
+
+def root_in(message: Message) -> Root | None:
+    """Where the tree begins that a message refers to; None if it refers to none of version 1."""
+    body = message.body
+    if message.kind == SYMBOL_TABLE and len(body) >= 16:
+        return Root(OF_GROUP, ADDRESS.unpack_from(body)[0], 8)
+    if message.kind != LAYOUT or len(body) < 16:
+        return None
+    if body[0] == 3 and body[1] == CHUNKED:
+        dimensions, at = body[2], 3
+    elif body[0] in (1, 2) and body[2] == CHUNKED:
+        dimensions, at = body[1], 8
+    else:
+        return None
+    # a key: a chunk's size, the filters that it went without, and its place in each dimension and in the value
+    return Root(OF_CHUNKS, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
