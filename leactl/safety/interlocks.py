@@ -8,17 +8,28 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, Limits, Positive
+from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, LONGEST_S, Age, Limits, Positive, trips_by
 from leactl.yamlblock import Block
 
 NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
 UNIT_KEYS = {"A": "A", "V": "V", "rad": "rad", "rad/s": "rad_s", "N*m": "Nm", "degC": "degC"}
 VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Duration = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Duration = Annotated[
+    float,
+    Field(strict=True, ge=0, allow_inf_nan=False, json_schema_extra={"maximum": LONGEST_S}),
+    AfterValidator(trips_by(LONGEST_S)),
+]
+LONGEST_STUCK_S = 86_400.0  # s, a day: a room's temperature in steps of 1 degC repeats for hours
+Stuck = Annotated[
+    Positive, AfterValidator(trips_by(LONGEST_STUCK_S)), Field(json_schema_extra={"maximum": LONGEST_STUCK_S})
+]
+SHORTEST_S = 1e-4  # between two readings, well below a period of any loop: a rate beyond a range in that never trips
+LARGEST_RATE = 1e7  # per second, of what no limit bounds: a thousand of any unit in `SHORTEST_S`
+LARGEST_FLOOR = 0.05  # of limits.current_A, ten times the default; a drive that is off has eight times the floor
 Place = tuple[str | int, ...]
 T = TypeVar("T")
 
@@ -45,8 +56,8 @@ class QuantityLimits(Block):
     trip_high: Finite | None = None
     for_s: Duration = 0.0  # how long beyond `trip` before it trips
     rate: Positive | None = None  # per second, between one reading and the next
-    stuck_s: Positive | None = None  # how long the very same value may repeat while others move
-    age_s: Positive | None = None  # instead of the limits' own
+    stuck_s: Stuck | None = None  # how long the very same value may repeat while others move
+    age_s: Age | None = None  # instead of the limits' own
 
     def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
         """Lowest and highest value that does not warn, or trip; infinite where nothing is said."""
@@ -299,8 +310,8 @@ class Interlocks(Block):
         return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
 
     def beyond(self, limits: Limits) -> list[tuple[Place, str]]:
-        """Trips that would come after a limit of the bench did, each with its place in the block."""
-        faults: list[tuple[Place, str]] = []
+        """Trips that would come after a limit of the bench did, or never, each with its place in the block."""
+        faults = [*self._too_fast(limits), *self._too_far(limits)]
         for quantity, entry, place in self.entries():
             bounds = limits.of(quantity)
             low, high = entry.window("trip")
@@ -313,6 +324,28 @@ class Interlocks(Block):
                     faults.append((place, f"{message}, which trip first; lower it, or raise the limit"))
                     break
         return faults
+
+    def _too_fast(self, limits: Limits) -> Iterator[tuple[Place, str]]:
+        """Rates that no reading within the limits can exceed, each with its place in the block."""
+        for quantity, entry, place in self.entries():
+            low, high = limits.of(quantity) or (-math.inf, math.inf)
+            most = min((high - low) / SHORTEST_S, LARGEST_RATE)
+            if entry.rate is not None and entry.rate > most:
+                key, unit = _key(entry.unit, "rate"), UNITS[quantity]
+                yield place, f"{key} {entry.rate:g} would never trip; {most:g} {unit} per second or less was expected"
+
+    def _too_far(self, limits: Limits) -> Iterator[tuple[Place, str]]:
+        """Disagreements that no readings within the limits can reach, each with its place in the block."""
+        allowed = (
+            ("current_disagreement", "floor_A", LARGEST_FLOOR * limits.current_A, "5 % of limits.current_A"),
+            ("torque_disagreement", "tolerance_Nm", limits.torque_Nm, "limits.torque_Nm"),
+            ("voltage_disagreement", "tolerance_V", limits.bus_voltage_high_V, "limits.bus_voltage_high_V"),
+            ("velocity_disagreement", "tolerance_rad_s", limits.velocity_rad_s, "limits.velocity_rad_s"),
+        )
+        for check, key, most, source in allowed:
+            value = getattr(getattr(self, check), key, None)
+            if value is not None and value > most:
+                yield (check, key), f"{value:g} would never trip; {most:g} ({source}) or less was expected"
 
     def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[Place, str]]:
         """Entries that nothing is measured for, and temperatures that no entry trips on, each with its place."""

@@ -1,8 +1,9 @@
 """Limits of a bench: what may be commanded, what may be measured, and how old a reading may be."""
 
+from collections.abc import Callable
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
@@ -11,7 +12,22 @@ LEADS = 2.0  # mean square current of the q axis that heats like a direct curren
 LEAST_CYCLIC_AGE_S = 0.05
 UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
+LONGEST_S = 60.0  # s, that a limit or an interlock may wait before it trips
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+
+
+def trips_by(most: float) -> Callable[[float], float]:
+    """Return a validator that refuses a time after which nothing is left to protect [s]."""
+
+    def check(value: float) -> float:
+        if value > most:
+            raise ValueError(f"it would never trip in time; {most:g} s or less was expected")
+        return value
+
+    return check
+
+
+Age = Annotated[Positive, AfterValidator(trips_by(LONGEST_S)), Field(json_schema_extra={"maximum": LONGEST_S})]
 
 
 class Limits(Block):
@@ -25,10 +41,10 @@ class Limits(Block):
     torque_Nm: Positive  # noqa: N815
     bus_voltage_low_V: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]  # noqa: N815
     bus_voltage_high_V: Positive  # noqa: N815
-    age_s: Positive
+    age_s: Age
     winding_temperature_degC: Annotated[float, Field(strict=True, gt=25, le=200)]  # noqa: N815
     ambient_temperature_degC: Annotated[float, Field(strict=True, ge=-40, le=60)] = UNKNOWN_AMBIENT_DEGC  # noqa: N815
-    cyclic_age_s: Positive | None = None  # None: three cycles, 50 ms at the least
+    cyclic_age_s: Age | None = None  # None: three cycles, 50 ms at the least
     angle_rad: Positive | None = None  # to either side of the encoder's zero; None: the shaft may turn on and on
     angle_leap_rad: Positive | None = None  # of a setpoint at once, for drives that limit their own speed on the way
 

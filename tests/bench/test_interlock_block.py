@@ -71,6 +71,36 @@ def refused(path):
             11,
             "interlocks.torque: a trip at 18 N*m is beyond the limits of -17 to 17 N*m, which trip first",
         ),
+        (
+            "torque: {trip_Nm: 3, for_s: 1e9}",
+            31,
+            "torque.for_s: 1000000000.0: it would never trip in time; 60 s or less was",
+        ),
+        ("torque: {age_s: 61}", 19, "torque.age_s: 61: it would never trip in time; 60 s or less was expected"),
+        (
+            "torque: {stuck_s: 1e9}",
+            21,
+            "torque.stuck_s: 1000000000.0: it would never trip in time; 86400 s or less was",
+        ),
+        (
+            "supply: {expected_V: 29.6, band_V: 5, for_s: 1e9}",
+            48,
+            "supply.for_s: 1000000000.0: it would never trip in time; 60",
+        ),
+        (
+            "torque: {rate_Nm_per_s: 4e5}",
+            11,
+            "rate_Nm_per_s 400000 would never trip; 340000 N*m per second or less was",
+        ),
+        ("q_axis_voltage: {rate_V_per_s: 1e300}", 19, "rate_V_per_s 1e+300 would never trip; 1e+07 V per second"),
+        (
+            "current_disagreement: {floor_A: 1e6}",
+            35,
+            "current_disagreement.floor_A: 1e+06 would never trip; 1.5 (5 % of limits.current_A) or less was expected",
+        ),
+        ("torque_disagreement: {tolerance_Nm: 18}", 39, "18 would never trip; 17 (limits.torque_Nm) or less"),
+        ("voltage_disagreement: {tolerance_V: 1e6}", 39, "would never trip"),
+        ("velocity_disagreement: {tolerance_rad_s: 1e6}", 44, "would never trip"),
         ("torque_disagreement: {tolerance_Nm: 1, for_s: 0}", 49, "for_s: 0: more than 0 was expected"),
         ("loop_overruns: {share_percent: 100}", 34, "share_percent: 100: less than 100 was expected"),
         ("clock: {jump_s: -1}", 19, "interlocks.clock.jump_s: -1: more than 0 was expected"),
@@ -82,6 +112,18 @@ def test_a_fault_is_one_line_with_its_place(tmp_path, interlocks, column, messag
     line = next(n for n, text in enumerate(path.read_text().splitlines(), 1) if text.strip() == interlocks)
     faults = refused(path)
     assert any(fault.startswith(f"{path}:{line}:{column}  ") and message in fault for fault in faults), faults
+
+
+@pytest.mark.parametrize("key", ["age_s", "cyclic_age_s"])
+def test_a_limit_of_age_that_nobody_lives_to_see_is_refused(tmp_path, key):
+    path = written(tmp_path, "torque: {trip_Nm: 3}")
+    text = path.read_text()
+    path.write_text(
+        text.replace("limits:\n", "limits:\n  cyclic_age_s: 0.1\n").replace(f"  {key}: ", f"  {key}: 1e9 # ")
+    )
+    assert any(
+        f"limits.{key}: 1000000000.0: it would never trip in time; 60 s or less" in fault for fault in refused(path)
+    )
 
 
 @pytest.mark.parametrize(
