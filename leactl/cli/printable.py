@@ -1,6 +1,8 @@
 """Output streams that escape control characters, so that text from run files or paths cannot steer a terminal."""
 
+import errno
 import io
+import os
 import re
 import sys
 
@@ -24,15 +26,40 @@ class Printable(io.TextIOWrapper):
         return super().write(printable(text))
 
 
+class Messages(Printable):
+    """The stream of messages; once its terminal has hung up, they are lost and the exit status alone tells the end."""
+
+    def write(self, text: str) -> int:
+        """Write text, or lose it where the terminal has hung up."""
+        try:
+            return super().write(text)
+        except OSError as fault:
+            self._discard(fault)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, or lose it where the terminal has hung up."""
+        try:
+            super().flush()
+        except OSError as fault:
+            self._discard(fault)
+
+    def _discard(self, fault: OSError) -> None:
+        """Redirect the stream to the null device, so that what is still buffered raises no error at exit."""
+        if fault.errno != errno.EIO:  # Linux's error for a terminal that has hung up
+            raise fault
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+
+
 _open: list[Printable] = []  # one that is let go of closes the stream beneath it
 
 
 def show_control_characters() -> None:
     """Make stdout and stderr escape control characters; the live view writes to `sys.__stderr__` unescaped."""
-    for name in ("stdout", "stderr"):
+    for name, kind in (("stdout", Printable), ("stderr", Messages)):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, Printable):
             lines = stream.line_buffering
-            fresh = Printable(stream.buffer, stream.encoding, stream.errors, "\n", lines, stream.write_through)
+            fresh = kind(stream.buffer, stream.encoding, stream.errors, "\n", lines, stream.write_through)
             _open.append(fresh)
             setattr(sys, name, fresh)

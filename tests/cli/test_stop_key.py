@@ -59,11 +59,18 @@ class Terminal:
         self.read_until(lambda: self.process.poll() is not None)
         return self.process.stdout.read()
 
+    def hang_up(self):
+        """Take the terminal away, as a closed window or a lost connection does."""
+        os.close(self.place)
+        os.close(self.hands)
+        self.hands = self.place = None
+
     def close(self):
         self.process.kill()
         self.process.communicate()
-        os.close(self.hands)
-        os.close(self.place)
+        for descriptor in (self.hands, self.place):
+            if descriptor is not None:
+                os.close(descriptor)
 
 
 @pytest.fixture
@@ -111,6 +118,16 @@ def test_a_signal_gives_the_terminal_back(terminal, number):
     at.process.send_signal(number)
     assert json.loads(at.wait())["reason"] == f"stopped by {number.name}"
     assert termios.tcgetattr(at.place) == at.before
+
+
+def test_a_terminal_that_hangs_up_stops_the_run(terminal):
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        pytest.skip("SIGHUP is ignored here, as under nohup, and so in every process that is started")
+    at = terminal()
+    at.press(b"")
+    at.hang_up()
+    answer = json.loads(at.process.communicate(timeout=PATIENCE_S)[0])
+    assert (at.process.returncode, answer["status"], answer["reason"]) == (4, "stopped", "stopped by SIGHUP")
 
 
 def test_a_trip_gives_the_terminal_back(terminal):
