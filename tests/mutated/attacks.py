@@ -296,6 +296,23 @@ def index_without_end(kind, level, change):
     return attack
 
 
+def free_block_that_follows_itself(file, outside):
+    """In the heap of a group's names, in the oldest format."""
+
+
+def free_for_ever(path):
+    raw = bytearray(path.read_bytes())
+    for at in places(raw, b"HEAP"):
+        size, free, names = struct.unpack_from("<QQQ", raw, at + 8)
+        if free < size:
+            struct.pack_into("<Q", raw, names + free, free)
+    path.write_bytes(raw)
+
+
+free_block_that_follows_itself.patch = free_for_ever
+free_block_that_follows_itself.oldest = True
+
+
 def own_child(key_size):
     def change(raw, at):
         struct.pack_into("<Q", raw, at + 24 + key_size, at)
@@ -486,6 +503,7 @@ ATTACKS = {
     "chunks of a node that is its own sibling": index_without_end(1, 0, own_sibling),
     "members of a node that is its own child": index_without_end(0, 1, own_child(8)),
     "members of a node that is its own sibling": index_without_end(0, 0, own_sibling),
+    "a free block that follows itself": free_block_that_follows_itself,
     "30,000 links in 900 groups": links_again_and_again,
     "9000 objects of one name of 60 kB": long_name_of_every_link(lambda file: file["setup"]),
     "9000 links of one name of 60 kB": long_name_of_every_link(lambda file: h5py.SoftLink("/setup")),

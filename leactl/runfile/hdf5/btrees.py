@@ -1,8 +1,9 @@
 """Check B-trees of version 1, which index groups and chunks in HDF5's oldest format, before HDF5 walks them.
 
 No checksum covers their nodes, and HDF5 follows their addresses unchecked: a node that is its own child ends the
-process, and one that is its own sibling is looked at for ever. The trees of newer formats have checksums. An object's
-header tells where its tree begins (HDF5 file format 3.0: III.A.1 the tree, IV.A the header and its messages).
+process, and one that is its own sibling is looked at for ever. So is a list of free blocks, in the heap of a group's
+names, that begins anew. The trees of newer formats have checksums. An object's header tells where its tree begins (HDF5
+file format 3.0: III.A.1 the tree, III.D the heap, IV.A the header and its messages).
 """
 
 import struct
@@ -17,6 +18,7 @@ CHUNKED: Final = 2  # class of a dataset's layout
 OF_GROUP, OF_CHUNKS = 0, 1  # types of trees
 NOWHERE: Final = (1 << 64) - 1
 FURTHEST: Final = 1 << 62  # byte of a file that a system can seek
+HEAP: Final = struct.Struct("<4s4xQQQ")  # signature, size of the names, first free block in them, their address
 NODE: Final = struct.Struct("<4sBBHQQ")  # signature, type, level, children, left and right sibling
 ADDRESS: Final = struct.Struct("<Q")
 MOST_MESSAGES: Final = 1 << 19  # of all headers: 50 for each of 10,000 objects
@@ -70,6 +72,21 @@ class BTrees:
         for message in self._messages(header):
             if (root := root_in(message)) is not None and root.address != NOWHERE:
                 self._check_tree(root, hdf5_path)
+            if message.kind == SYMBOL_TABLE and len(message.body) >= 16:
+                self._check_heap(ADDRESS.unpack_from(message.body, 8)[0], hdf5_path)
+
+    def _check_heap(self, heap: int, hdf5_path: str) -> None:
+        """Follow the free blocks of a group's names, from each of which HDF5 makes an entry of a list."""
+        if len(head := self._bytes(heap, HEAP.size)) < HEAP.size:
+            return
+        signature, size, free, names = HEAP.unpack(head)
+        met: set[int] = set()
+        while signature == b"HEAP" and free + ADDRESS.size <= size:
+            if free in met or len(met) > MOST_NODES:
+                raise InputError(f"{hdf5_path}: damaged: the free space among the names of its members has no end")
+            met.add(free)
+            block = self._bytes(names + free, ADDRESS.size)
+            free = ADDRESS.unpack(block)[0] if len(block) == ADDRESS.size else size
 
     def _check_tree(self, root: Root, hdf5_path: str) -> None:
         """Meet the nodes of a tree level by level, from the root down."""
