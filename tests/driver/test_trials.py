@@ -12,13 +12,13 @@ from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.scpi_supply.driver import ScpiSupply
 
 from leactl.driver import conformance, registry
-from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
+from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity, Mode
 from leactl.driver.probe import Sighting
 from leactl.emulation.trial import probing, running
 from leactl.emulation.trial.running import outcome, plain, try_driver
 from leactl.errors import DeviceError, InputError
 
-ANGLE, VELOCITY = 5, 4  # among the values of the drive
+CURRENT, ANGLE, VELOCITY = 3, 5, 4  # among the values of the drive
 
 
 class Sound(ElmoCan):
@@ -146,6 +146,55 @@ class HoldsOldValues(ElmoCan):
         self._answers.end(now)
 
 
+class OldCurrentAndAngle(ElmoCan):
+    """Gives the velocity of this cycle with the current and the angle of the one before the last."""
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        read = self.values[CURRENT], self.values[ANGLE]
+        self.before = [*getattr(self, "before", [read, read]), read][-3:]
+        self.values[CURRENT], self.values[ANGLE] = self.before[0]
+
+
+class MillivoltsOfTheBus(ElmoCan):
+    """Gives the voltage of its DC link in mV."""
+
+    def take(self):
+        return [row._replace(values=tuple(1000 * value for value in row.values)) for row in super().take()]
+
+
+class FirstVoltageOfTheBus(ElmoCan):
+    """Gives the first voltage of its DC link for ever."""
+
+    kept = None
+
+    def take(self):
+        rows = super().take()
+        self.kept = self.kept or (rows and rows[0].values)
+        return [row._replace(values=self.kept) for row in rows]
+
+
+class ReversedProfile(ElmoCan):
+    """Commands the other sense and ten times the current where the drive ramps it."""
+
+    factor = 1.0
+
+    def engage(self, mode):
+        super().engage(mode)
+        self.factor = -10.0 if mode is Mode.TORQUE_PROFILE else 1.0
+
+    def command(self, value):
+        super().command(self.factor * value)
+
+
+class FeedsItself(ElmoCan):
+    """Sends the host's sign of life with every cycle."""
+
+    def begin_cycle(self):
+        self.feed()
+        super().begin_cycle()
+
+
 class CutsLate(ElmoCan):
     """Waits in `stop_now`."""
 
@@ -227,6 +276,11 @@ PLANTED = [
     (Clips, "refuses what it cannot follow", "command(nan) is taken"),
     (Unguarded, "stops without its host", "after the host's last sign"),
     (HoldsOldValues, "leaves out what did not come", "still reads"),
+    (OldCurrentAndAngle, "reads each sample once", "q_axis_current reads 0 in the cycle in which 0.2 is true"),
+    (MillivoltsOfTheBus, "streams read what is there", "bus_voltage reads 29600 where 29.6 is true: milli-units?"),
+    (FirstVoltageOfTheBus, "streams read what is there", "bus_voltage reads 29.6 where 27 is true"),
+    (ReversedProfile, "follows its setpoint", "torque_profile: -15.0015 arrives where 1.5 was commanded"),
+    (FeedsItself, "stops unless it is fed", "after the host's last sign"),
     (CutsLate, "is cut at once", "stop_now waits"),
     (ClosesOnce, "comes and goes", "closed already"),
     (TakesAllWithIt, "reads si units", "taken the process with it"),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 
-from leactl.driver.contract import SAFE_STATE_S, Mode
+from leactl.driver.contract import SAFE_STATE_S, Mode, Row, SampleBlock
 from leactl.driver.far_end import Breakable
 from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Broken, Stand
 from leactl.errors import DeviceError, InputError, LeactlError
@@ -12,8 +12,17 @@ from leactl.errors import DeviceError, InputError, LeactlError
 ENGAGED_S = 5.0  # within which a drive has to enter operation or say that it does not
 NOTICED_S = 3.0  # within which a drive that answers no more has to be told
 NEAR = 0.01  # of a value, for resolution and rounding
+STEPS = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A, rad/s, rad: change from one cycle to the next
+LEAST_V = 0.1
 LEAST = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}  # A, rad/s, rad: the same beside zero
-SETPOINTS = {Mode.CURRENT: ("current", 1.5), Mode.VELOCITY: ("velocity", 2.0), Mode.ANGLE: ("angle", 0.5)}
+SETPOINTS = {
+    Mode.CURRENT: ("current", 1.5),
+    Mode.TORQUE_PROFILE: ("current", 1.5),
+    Mode.VELOCITY: ("velocity", 2.0),
+    Mode.ANGLE: ("angle", 0.5),
+}
+RAMP_S, RAMP_CYCLES = 10.0, 5  # within which a setpoint that the drive ramps arrives; cycles in which it rests then
+ROWS, ROWS_S = 2, 20.0  # of a stream after the machine has changed, and the time in which they have to come
 FACTORS = {
     "turns for radians": 1 / (2 * math.pi),
     "radians for turns": 2 * math.pi,
@@ -97,19 +106,59 @@ def meant(value: float, true: float) -> str:
 
 
 def reads_each_sample_once(stand: Stand) -> None:
-    """A row has what the drive sampled in its own cycle, not in one before it."""
-    stand.driver.open()
+    """A row has what the drive sampled in its own cycle, not in one before it.
+
+    In operation: a drive that is off may tell no current.
+    """
+    in_operation(stand)
+    machine = stand.machine
+    machine.current, machine.velocity, machine.angle = 0.0, 0.0, 0.0
+    stand.cycle()
     stand.cycle()
     for number in range(1, 40):
-        machine = stand.machine
-        machine.current, machine.velocity, machine.angle = 0.2 * number, 0.5 * number, 0.05 * number
+        machine.current, machine.velocity, machine.angle = (step * number for step in STEPS.values())
         stand.cycle()
-        read = stand.read("velocity")
-        if math.isnan(read) or abs(read - 0.5 * number) > NEAR * 0.5 * number + LEAST["velocity"]:
-            behind = number - read / 0.5
-            raise Broken(
-                f"velocity reads {read:.4g} in the cycle in which {0.5 * number:g} is true, {behind:.2g} behind"
-            )
+        for quantity, step in STEPS.items():
+            read, true = stand.read(quantity), step * number
+            if math.isnan(read) or abs(read - true) > NEAR * true + LEAST[quantity]:
+                raise Broken(
+                    f"{quantity} reads {read:.4g} in the cycle in which {true:g} is true,"
+                    f" {number - read / step:.2g} behind"
+                )
+
+
+def streams_read_what_is_there(stand: Stand) -> None:
+    """Voltages that come at their own pace, or beside the readings of a cycle, are what the machine has, in V."""
+    in_operation(stand)
+    for bus_voltage, voltage in ((29.6, 3.25), (27.0, -2.0)):
+        stand.machine.bus_voltage, stand.machine.voltage = bus_voltage, voltage
+        true = {"bus_voltage": bus_voltage, "q_axis_voltage": voltage}
+        for quantity, read in newest(stand).items():
+            if quantity in true and not abs(read - true[quantity]) <= NEAR * abs(true[quantity]) + LEAST_V:
+                raise Broken(
+                    f"{quantity} reads {read:.6g} where {true[quantity]:g} is true{meant(read, true[quantity])}"
+                )
+
+
+def newest(stand: Stand) -> dict[str, float]:
+    """The value of each channel after some cycles, by quantity."""
+    began, rows = stand.clock.now(), {spec.name: list[Row]() for spec in stand.driver.streams}
+    for _ in stand.cycles(ROWS_S):
+        for taken in stand.driver.take():
+            row = taken.last if isinstance(taken, SampleBlock) else taken
+            if row.time >= began:
+                rows[row.stream].append(row)
+        if all(len(came) >= ROWS for came in rows.values()):
+            break
+    else:
+        stream, came = min(rows.items(), key=lambda item: len(item[1]))
+        raise Broken(f"{stream}: {len(came)} rows in {ROWS_S:g} s of operation")
+    values = {channel.quantity: stand.read(channel.quantity) for channel in stand.motion.loop_channels}
+    for spec in stand.driver.streams:
+        values |= {
+            channel.quantity: value for channel, value in zip(spec.channels, rows[spec.name][-1].values, strict=True)
+        }
+    return values
 
 
 def leaves_out_what_did_not_come(stand: Stand) -> None:
@@ -172,9 +221,7 @@ def follows_its_setpoint(stand: Stand) -> None:
         name, value = SETPOINTS[mode]
         for asked in (value, -value):
             stand.motion.command(asked)
-            stand.cycle()
-            stand.cycle()
-            followed, reached = stand.machine.following
+            followed, reached = arrived(stand, mode)
             if followed != name:
                 raise Broken(f"the machine follows '{followed}' where '{mode}' was engaged")
             if abs(reached - asked) > NEAR * abs(asked) + 0.05:
@@ -189,6 +236,22 @@ def follows_its_setpoint(stand: Stand) -> None:
             pass
         if stand.machine.following[0] != "off":
             raise Broken(f"{mode}: the machine still follows {stand.machine.following} half a second after release()")
+
+
+def arrived(stand: Stand, mode: Mode) -> tuple[str, float]:
+    """What the machine follows two cycles after a command; where the drive ramps it, once that rests."""
+    stand.cycle()
+    stand.cycle()
+    followed = stand.machine.following
+    if mode is not Mode.TORQUE_PROFILE:
+        return followed
+    resting = 0
+    for _ in stand.cycles(RAMP_S):
+        resting = resting + 1 if stand.machine.following == followed else 0
+        followed = stand.machine.following
+        if resting == RAMP_CYCLES:
+            return followed
+    raise Broken(f"{mode}: the machine still changes what it follows {RAMP_S:g} s after command()")
 
 
 def begins_at_rest(stand: Stand) -> None:
@@ -287,6 +350,23 @@ def is_cut_at_once(stand: Stand) -> None:
 
 def stops_without_its_host(stand: Stand) -> None:
     """A drive that is said to listen for the host stops within that time once nothing comes, and not while it does."""
+    stops_unfed(stand, lambda seconds: stand.wait(seconds + PERIOD_S))
+
+
+def stops_unless_it_is_fed(stand: Stand) -> None:
+    """The same where the cycles go on, but nobody calls `feed`: a loop that has lost its supervisor is no host."""
+
+    def go_on(seconds: float) -> None:
+        with suppress(DeviceError):  # that it has stopped by itself is a fault
+            for _ in stand.cycles(seconds + PERIOD_S, feed=False):
+                pass
+        stand.wait(PERIOD_S)
+
+    stops_unfed(stand, go_on)
+
+
+def stops_unfed(stand: Stand, let_pass: Callable[[float], None]) -> None:
+    """Have a drive in operation stop by itself while time passes [s] without its host."""
     silence = stand.settings.host_silence_s
     if silence is None:
         return
@@ -297,7 +377,7 @@ def stops_without_its_host(stand: Stand) -> None:
         raise Broken(
             f"leaves operation although feed() is called every {PERIOD_S:g} s; host_silence_s is {silence:g} s"
         )
-    stand.wait(1.2 * silence + PERIOD_S)
+    let_pass(1.2 * silence)
     if stand.machine.following[0] != "off":
         raise Broken(
             f"the machine still follows {stand.machine.following} {1.2 * silence:.3g} s after the host's last sign;"
@@ -321,6 +401,7 @@ def comes_and_goes(stand: Stand) -> None:
 TRIALS = (
     reads_si_units,
     reads_each_sample_once,
+    streams_read_what_is_there,
     leaves_out_what_did_not_come,
     tells_whether_it_is_engaged,
     begins_at_rest,
@@ -331,5 +412,6 @@ TRIALS = (
     confirms_nothing_over_a_cut_cable,
     is_cut_at_once,
     stops_without_its_host,
+    stops_unless_it_is_fed,
     comes_and_goes,
 )

@@ -26,12 +26,11 @@ AMPLITUDE_V, PULSATION = 4.0, 2.0 * math.pi * 7.0
 class KnownMachine:
     """A motor that a drive turns: it notes what it is told, and its sensors show what the trial says."""
 
-    voltage, bus_voltage = 3.25, 29.6
-
     def __init__(self) -> None:
         self.following = ("off", 0.0)
         self.current: float | None = None  # A; the current that is commanded where the trial says none
         self.velocity, self.angle = 0.0, 0.25
+        self.voltage, self.bus_voltage = 3.25, 29.6
 
     def command(self, mode: str, value: float) -> None:
         """Follow a setpoint."""

@@ -106,11 +106,11 @@ class Stand:
         self.clock.sleep_until(began + PERIOD_S)
         return values
 
-    def cycles(self, seconds: float) -> Iterable[list[float]]:
+    def cycles(self, seconds: float, feed: bool = True) -> Iterable[list[float]]:
         """Cycles for as long."""
         end = self.clock.now() + seconds
         while self.clock.now() < end:
-            yield self.cycle()
+            yield self.cycle(feed)
 
     def read(self, quantity: str) -> float:
         """The last cycle's value of a quantity; NaN where the drive has no such channel."""
