@@ -261,6 +261,43 @@ class TakesEverything(ScpiSupply):
             super().supply(min(voltage, self.most[0]), min(current, self.most[1]))
 
 
+class MostVolts(ScpiSupply):
+    """Sets its highest voltage whatever it is told."""
+
+    def supply(self, voltage, current):
+        super().supply(voltage, current)
+        super().supply(self.most[0], current)
+
+
+class DoubleBusCurrent(ScpiSupply):
+    """Gives twice the current on a DC link."""
+
+    example = ScpiSupply.example | {"feeds": "bus"}
+
+    def take(self):
+        return [row._replace(values=(row.values[0], 2 * row.values[1])) for row in super().take()]
+
+
+class Unprotected(ScpiSupply):
+    """Takes the level of its protection and does nothing with it."""
+
+    def protect(self, level): ...
+
+
+class ProtectedInWords(ScpiSupply):
+    """Refuses what is above the level of its protection, which the instrument does not know."""
+
+    level = math.inf
+
+    def protect(self, level):
+        self.level = level
+
+    def supply(self, voltage, current):
+        if voltage > self.level:
+            raise InputError(f"{voltage} V are above {self.level} V")
+        super().supply(voltage, current)
+
+
 PLANTED = [
     (SafeInWords, "is off when it says so", "confirmed while the machine follows"),
     (SafeUnheard, "confirms nothing", "answers nothing and goes on"),
@@ -290,6 +327,10 @@ PLANTED = [
     (AlwaysSupplying, "is off when met", "before switch_on()"),
     (OffInWords, "is off when it says so", "confirmed while 2 A flow"),
     (TakesEverything, "refuses what it cannot give", "is taken"),
+    (MostVolts, "gives what it is told", "1.8 V and 3 A at the terminals; 1.2 V and 2 A were expected"),
+    (DoubleBusCurrent, "gives what it is told", "bus_current reads 4 where 2 is true"),
+    (Unprotected, "protects what it feeds", "as asked for, after protect(1.5)"),
+    (ProtectedInWords, "protects what it feeds", "by a failure, after protect(1.5)"),
 ]
 
 

@@ -3,7 +3,7 @@
 import math
 from contextlib import suppress
 
-from leactl.driver.contract import PowerSupply
+from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.driver.far_end import FailingSupply
 from leactl.emulation.trial.drives import confirmed
 from leactl.emulation.trial.known import LOAD_OHM
@@ -11,6 +11,8 @@ from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError, InputError
 
 ASKED_V, ASKED_A = 3.0, 2.0  # of which the load takes 2 A at 1.2 V
+LIMITED = ((ASKED_V, ASKED_A), (1.2, 3.0))  # by its current, and by its voltage: the load takes 2 A at 1.2 V
+PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection, and by how much a supply that fails passes what it was told
 SWITCHED_S = 5.0
 NEAR = 0.02
 LOOKS_S = 0.01
@@ -34,10 +36,15 @@ def listen(stand: Stand, seconds: float) -> list[float]:
 
 def switched_on(stand: Stand) -> None:
     """Open the supply and have it put out."""
-    supply = supply_of(stand)
     stand.driver.open()
     listen(stand, 0.2)
-    supply.supply(ASKED_V, ASKED_A)
+    switch_on(stand, ASKED_V, ASKED_A)
+
+
+def switch_on(stand: Stand, volts: float, amperes: float) -> None:
+    """Have an open supply put out so much."""
+    supply = supply_of(stand)
+    supply.supply(volts, amperes)
     supply.switch_on()
     end = stand.clock.now() + SWITCHED_S
     while not supply.supplying:
@@ -50,20 +57,57 @@ def gives_what_it_is_told(stand: Stand) -> None:
     """Voltage in V and current in A arrive at the terminals, and are measured as they are there."""
     supply = supply_of(stand)
     switched_on(stand)
-    newest = listen(stand, 2.0)
+    for volts, amperes in LIMITED:
+        supply.supply(volts, amperes)
+        newest = listen(stand, 2.0)
+        flowing = min(amperes, volts / LOAD_OHM)
+        compare(stand, newest, (flowing * LOAD_OHM, flowing))
+        if not supply.supplying:
+            raise Broken("supplying is false while the output is on")
+
+
+def compare(stand: Stand, newest: list[float], expected: tuple[float, float]) -> None:
+    """Hold voltage and current at the terminals against what was asked for, and the readings against the terminals."""
     volts, amperes = stand.bench.load.fed
-    true = ASKED_A * LOAD_OHM, ASKED_A
-    if abs(volts - true[0]) > NEAR * true[0] or abs(amperes - true[1]) > NEAR * true[1]:
+    if abs(volts - expected[0]) > NEAR * expected[0] or abs(amperes - expected[1]) > NEAR * expected[1]:
         raise Broken(
-            f"{volts:.4g} V and {amperes:.4g} A at the terminals; {true[0]:g} V and {true[1]:g} A were expected"
+            f"{volts:.4g} V and {amperes:.4g} A at the terminals; {expected[0]:g} V and {expected[1]:g} A were expected"
         )
-    channels = stand.driver.streams[0].channels
-    for channel, value in zip(channels, newest, strict=False):
-        expected = {"line_voltage": volts, "bus_voltage": volts, "line_current": amperes}.get(channel.quantity)
-        if expected is not None and not abs(value - expected) <= NEAR * expected + 0.05:
-            raise Broken(f"{channel.quantity} reads {value:.4g} where {expected:.4g} is true")
-    if not supply.supplying:
-        raise Broken("supplying is false while the output is on")
+    for channel, value in zip(stand.driver.streams[0].channels, newest, strict=False):
+        true = {"voltage": volts, "current": amperes}.get(channel.quantity.removeprefix("line_").removeprefix("bus_"))
+        if true is not None and not abs(value - true) <= NEAR * true + 0.05:
+            raise Broken(f"{channel.quantity} reads {value:.4g} where {true:.4g} is true")
+
+
+def protects_what_it_feeds(stand: Stand) -> None:
+    """A voltage above the level of `protect` is refused; the supply's own failure to keep it trips the output."""
+    supply = supply_of(stand)
+    if not isinstance(supply, ProtectedSupply):
+        return
+    stand.driver.open()
+    listen(stand, 0.2)
+    supply.protect(PROTECTED_V)
+    highest = PROTECTED_V * (1.0 + supply.trip_accuracy.share) + supply.trip_accuracy.beside
+    switch_on(stand, *LIMITED[1])
+    with suppress(InputError):
+        supply.supply(1.5 * highest, min(supply.most[1], 2.0 * highest / LOAD_OHM))
+        not_above(stand, highest, "as asked for,")
+    if isinstance(stand.far_end, FailingSupply):
+        supply.supply(0.9 * PROTECTED_V, 3.0)
+        listen(stand, 1.0)
+        stand.far_end.lose_regulation(BEYOND)
+        not_above(stand, highest, "by a failure,")
+
+
+def not_above(stand: Stand, highest: float, how: str) -> None:
+    """Raise where more than this voltage [V] stays at the terminals."""
+    with suppress(DeviceError):  # a protection that trips is a fault
+        listen(stand, 1.0)
+    volts = stand.bench.load.fed[0]
+    if volts > highest:
+        raise Broken(
+            f"{volts:.4g} V stay at the terminals, {how} after protect({PROTECTED_V:g}); no output was expected"
+        )
 
 
 def is_off_when_met(stand: Stand) -> None:
@@ -159,6 +203,7 @@ def tells_silence(stand: Stand) -> None:
 TRIALS = (
     is_off_when_met,
     gives_what_it_is_told,
+    protects_what_it_feeds,
     switches_off,
     refuses_what_it_cannot_give,
     is_off_when_it_says_so,
