@@ -3,12 +3,15 @@
 import math
 import os
 import time
+from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 from leactl_plugins.elmo_can.commissioning import Commissioning
 from leactl_plugins.elmo_can.driver import ElmoCan
 from leactl_plugins.elmo_can.probe import ElmoProbe
+from leactl_plugins.elmo_recorder_csv.driver import ElmoRecorderCsv
 from leactl_plugins.scpi_supply.driver import ScpiSupply
 
 from leactl.driver import conformance, registry
@@ -240,6 +243,27 @@ class StampsNow(Ads1115):
         return [row._replace(time=row.time + 0.5) for row in super().take()]
 
 
+class FirstReading(Ads1115):
+    """Gives the first reading of a thermometer for ever, under new stamps."""
+
+    example: ClassVar = {
+        "inputs": [Ads1115.example["inputs"][0] | {"quantity": "ambient_temperature", "scale_per_V": 10.0}]
+    }
+
+    def take(self):
+        rows = super().take()
+        self.kept = {row.stream: row.values for row in reversed(rows)} | getattr(self, "kept", {})
+        return [row._replace(values=self.kept[row.stream]) for row in rows]
+
+
+class Milliseconds(ElmoRecorderCsv):
+    """Takes the seconds of a record for milliseconds."""
+
+    def read_files(self, paths):
+        record = super().read_files(paths)
+        return replace(record, time=1000.0 * record.time)
+
+
 class AlwaysSupplying(ScpiSupply):
     """Supplies in its own opinion."""
 
@@ -324,6 +348,8 @@ PLANTED = [
     (MilliUnits, "measures what is there", "1000 times"),
     (Repeats, "measures what is there", "a sample comes twice"),
     (StampsNow, "measures what is there", "before the moment at which a sample is taken"),
+    (FirstReading, "measures what is there", "where"),
+    (Milliseconds, "reads its own files", "its unit of time?"),
     (AlwaysSupplying, "is off when met", "before switch_on()"),
     (OffInWords, "is off when it says so", "confirmed while 2 A flow"),
     (TakesEverything, "refuses what it cannot give", "is taken"),

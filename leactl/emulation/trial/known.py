@@ -7,20 +7,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from leactl.driver.far_end import PAIRS
 from leactl.emulation.clock import EmulatedClock
 
 LOAD_OHM = 0.6
-BASES = {  # value at time zero and change in a second, in SI units and degC
-    "torque": (1.0, 0.2),
-    "bus_voltage": (29.6, 0.05),
-    "line_current": (2.0, 0.1),
-    "line_voltage": (1.2, 0.06),
-    "winding_temperature": (41.0, 0.5),
-    "housing_temperature": (33.0, 0.25),
-    "ambient_temperature": (24.0, 0.05),
+BASES = {  # value before a quantity begins to rise, in SI units and degC
+    "torque": 1.0,
+    "q_axis_current": 2.0,
+    "velocity": 3.0,
+    "angle": 0.5,
+    "bus_voltage": 29.6,
+    "line_current": 2.0,
+    "line_voltage": 1.2,
+    "winding_temperature": 41.0,
+    "housing_temperature": 33.0,
+    "ambient_temperature": 24.0,
 }
-OTHER = (1.5, 0.1)
-AMPLITUDE_V, PULSATION = 4.0, 2.0 * math.pi * 7.0
+OTHER = 1.5
+RISE = 0.5  # of its base, by which a quantity rises while it is measured: a reading that is kept is far off by then
+AMPLITUDE_V = 4.0
+HIGHEST_HZ = 7.0  # of the voltages at the leads
+TURN_PER_SAMPLE = 0.01  # of the voltages at the leads: a slow instrument's answer may take a tenth of its period
 
 
 class KnownMachine:
@@ -61,10 +68,12 @@ class KnownTerminals:
 
     def __init__(self) -> None:
         self.chance = np.random.default_rng(0)
+        self.frequency_Hz = HIGHEST_HZ
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
         """Voltages [V] of a pair at these times."""
-        return np.asarray(AMPLITUDE_V * np.sin(PULSATION * times - 2.0 * math.pi * pair / 3.0), np.float64)
+        turns = self.frequency_Hz * times - pair / 3.0
+        return np.asarray(AMPLITUDE_V * np.sin(2.0 * math.pi * turns), np.float64)
 
 
 class KnownBench:
@@ -74,6 +83,12 @@ class KnownBench:
         self._clock = clock
         self.machines: dict[str, KnownMachine] = {}
         self.load, self.leads = KnownLoad(), KnownTerminals()
+        self.rises_from, self.rises_for = 0.0, 1.0  # s, within which every quantity rises by `RISE`
+
+    def rise(self, duration: float, interval: float = 0.0) -> None:
+        """Let every quantity rise from now on; a device measures it for a duration [s], once in an interval [s]."""
+        self.rises_from, self.rises_for = self._clock.now(), duration
+        self.leads.frequency_Hz = min(HIGHEST_HZ, TURN_PER_SAMPLE / interval) if interval > 0.0 else HIGHEST_HZ
 
     def machine(self, role: str) -> KnownMachine:
         """What the drive of this role turns."""
@@ -85,8 +100,10 @@ class KnownBench:
 
     def true_value(self, quantity: str, time: Any) -> Any:
         """Value of a quantity at one time [s] or many."""
-        begins, rises = BASES.get(quantity, OTHER)
-        return begins + rises * time
+        if quantity in PAIRS:
+            return self.leads.voltages(np.asarray(time, np.float64), PAIRS.index(quantity))
+        risen = np.maximum(time - self.rises_from, 0.0) / self.rises_for
+        return BASES.get(quantity, OTHER) * (1.0 + RISE * risen)
 
     def terminals(self, role: str) -> KnownTerminals:
         """The three leads of this role's motor."""

@@ -6,20 +6,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leactl.driver.contract import Row, SampleBlock
-from leactl.driver.far_end import PAIRS
 from leactl.driver.file_records import BatchSource
 from leactl.emulation.trial.drives import confirmed
+from leactl.emulation.trial.known import RISE
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError
 
 MEASURED_S, RECORDED_S = 1.0, 20.0
-LOOKS_S = 0.002
+SAMPLES = 10  # that are to be measured at least
+SLOWEST_S = 60.0  # between two samples of the slowest channel
+LOOKS, LOOKS_S = 500, 0.002  # into a device while it measures, and the least time between two of them
+STEP_S = 0.01  # between two values of a machine while it is recorded
+NEAR_SLOPE = 0.05
+COARSEST = 0.25  # of a quantity's rise: the largest step between two values that an instrument may show
 NEAR = 0.01  # of the range of what was measured, and of a value
 LATE_S = 0.1  # by which a stamp may lie before the moment at which its row is taken
+OF_MACHINE = ("q_axis_current", "velocity", "angle", "bus_voltage")  # what a drive's own recorder may have
 Samples = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # by channel, times and values
 
 
-def taken(stand: Stand, seconds: float) -> tuple[Samples, list[tuple[float, float]]]:
+def taken(stand: Stand, seconds: float, looks_s: float = LOOKS_S) -> tuple[Samples, list[tuple[float, float]]]:
     """What a device gives while time passes; stamps with the moments at which they were taken."""
     gathered: dict[str, tuple[list[float], list[float]]] = {}
     moments: list[tuple[float, float]] = []
@@ -34,40 +40,52 @@ def taken(stand: Stand, seconds: float) -> tuple[Samples, list[tuple[float, floa
                     times, values = gathered.setdefault(name, ([], []))
                     times.append(row.time)
                     values.append(float(value))
-        stand.wait(LOOKS_S)
+        stand.wait(looks_s)
     return {name: (np.asarray(times), np.asarray(values)) for name, (times, values) in gathered.items()}, moments
 
 
-def truth(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What a quantity truly was."""
-    if quantity in PAIRS:
-        return stand.bench.leads.voltages(times, PAIRS.index(quantity))
-    return np.asarray(stand.bench.true_value(quantity, times), np.float64)
+def interval_of(stand: Stand) -> float:
+    """Time [s] between two samples of the slowest channel, by its first two stamps."""
+    names = [channel.name for spec in stand.driver.streams for channel in spec.channels]
+    stamps: dict[str, list[float]] = {name: [] for name in names}
+    end, seconds = stand.clock.now() + 2.0 * SLOWEST_S, 2.0 * LOOKS_S
+    while stand.clock.now() < end:
+        for name, (times, _) in taken(stand, seconds)[0].items():
+            stamps[name] += times.tolist()
+        if all(len(times) > 1 for times in stamps.values()):
+            return max(times[1] - times[0] for times in stamps.values())
+        seconds = min(2.0 * seconds, 1.0)
+    lacking, count = min(((name, len(times)) for name, times in stamps.items()), key=lambda item: item[1])
+    raise Broken(f"{lacking}: {count} samples in {2.0 * SLOWEST_S:g} s")
 
 
 def measures_what_is_there(stand: Stand) -> None:
     """Every channel has the quantity that it is named for, in its unit, at the time of its stamp, each sample once."""
     stand.driver.open()
-    samples, moments = taken(stand, MEASURED_S)
+    interval = interval_of(stand)
+    seconds = max(MEASURED_S, SAMPLES * interval)
+    stand.bench.rise(seconds, interval)
+    began, looks_s = stand.clock.now(), max(LOOKS_S, min(seconds / LOOKS, 0.5 * LATE_S))
+    samples, moments = taken(stand, seconds, looks_s)
     early = [taken_at - stamp for stamp, taken_at in moments] or [0.0]
-    if min(early) < -1e-9 or max(early) > LATE_S + MEASURED_S / max(len(moments), 1):
+    if min(early) < -1e-9 or max(early) > LATE_S + seconds / max(len(moments), 1):
         raise Broken(f"stamps lie {min(early):.3g} to {max(early):.3g} s before the moment at which a sample is taken")
     channels = {channel.name: channel for spec in stand.driver.streams for channel in spec.channels}
     for name, channel in channels.items():
         times, values = samples.get(name, (np.empty(0), np.empty(0)))
-        if len(times) < 2:
-            raise Broken(f"{name}: {len(times)} samples in {MEASURED_S:g} s")
         if np.any(np.diff(times) <= 0.0):
             raise Broken(f"{name}: stamps do not increase: a sample comes twice, or out of order")
-        true = truth(stand, channel.quantity, times)
-        compare(name, values, true)
+        times, values = times[times >= began], values[times >= began]
+        if len(times) < 2:
+            raise Broken(f"{name}: {len(times)} samples in {seconds:g} s, although two came {interval:g} s apart")
+        compare(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
 
 
 def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -> None:
     """Hold what was measured against the truth."""
     if np.isnan(values).any():
         raise Broken(f"{name}: {int(np.isnan(values).sum())} of {len(values)} samples are NaN although all is well")
-    allowed = NEAR * float(np.max(np.abs(true))) + 1e-3
+    allowed = NEAR * float(np.max(np.abs(true))) + 1e-3 + shown_step(values, true)
     off = np.abs(values - true)
     if float(np.max(off)) > allowed:
         worst = int(np.argmax(off))
@@ -75,6 +93,13 @@ def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -
         raise Broken(
             f"{name} reads {values[worst]:.6g} where {true[worst]:.6g} is true; all together {ratio:.4g} times"
         )
+
+
+def shown_step(values: NDArray[np.float64], true: NDArray[np.float64]) -> float:
+    """Step between the values that an instrument shows; 0 where there is none, or where it hides what happens."""
+    steps = np.diff(np.unique(values))
+    step = float(np.min(steps)) if len(steps) else 0.0
+    return step if step <= COARSEST * float(np.ptp(true)) and np.allclose(steps / step, np.round(steps / step)) else 0.0
 
 
 def tells_silence(stand: Stand) -> None:
@@ -112,29 +137,38 @@ def comes_and_goes(stand: Stand) -> None:
 
 
 def reads_its_own_files(stand: Stand) -> None:
-    """A record that its program has written is read with the quantities that were there, and increasing stamps."""
-    source = stand.driver
+    """A record that its program has written is read with the quantities that were there, rising in its time as then."""
+    source, bench, machine = stand.driver, stand.bench, stand.machine
     assert isinstance(source, BatchSource)
-    machine = stand.machine
-    machine.current, machine.velocity, machine.angle = 2.0, 3.0, 0.5
     stand.driver.open()
-    stand.wait(RECORDED_S)
+    bench.rise(RECORDED_S)
+    end = stand.clock.now() + RECORDED_S
+    while (now := stand.clock.now()) < end:
+        machine.current, machine.velocity, machine.angle, machine.bus_voltage = (
+            float(bench.true_value(quantity, now)) for quantity in OF_MACHINE
+        )
+        stand.wait(STEP_S)
     files = source.exports.fresh()
     if not files:
         raise Broken(f"its far end has left no file after {RECORDED_S:g} s")
     record = source.read_files(files)
     if np.any(np.diff(record.time) <= 0.0):
         raise Broken("stamps of a record do not increase")
-    known = {"q_axis_current": 2.0, "velocity": 3.0, "angle": 0.5, "bus_voltage": machine.bus_voltage}
-    of_drive = {channel.quantity for channel in record.channels} & {"q_axis_current", "velocity", "angle"}
     for place, channel in enumerate(record.channels):
-        values = record.values[:, place]
-        if of_drive:
-            compare(channel.name, values, np.full(len(values), known[channel.quantity]))
-            continue
-        low, high = (float(stand.bench.true_value(channel.quantity, at)) for at in (-RECORDED_S, RECORDED_S))
-        if np.isnan(values).any() or values.min() < low - 1.0 or values.max() > high + 1.0:
-            raise Broken(f"{channel.name} reads {values.min():.5g} to {values.max():.5g}; {low:g} to {high:g} is true")
+        low, high = (float(bench.true_value(channel.quantity, time)) for time in (0.0, end))
+        compare_record(channel.name, record.time, record.values[:, place], low, high)
+
+
+def compare_record(name: str, time: NDArray[np.float64], values: NDArray[np.float64], low: float, high: float) -> None:
+    """Hold a recorded channel against a truth that rises evenly; a record may begin before the rise."""
+    if np.isnan(values).any() or values.min() < low - NEAR * low or values.max() > high + NEAR * high:
+        raise Broken(f"{name} reads {values.min():.5g} to {values.max():.5g}; {low:.5g} to {high:.5g} is true")
+    late = slice(len(time) // 2, None)
+    slope, true = float(np.polyfit(time[late] - time[-1], values[late], 1)[0]), RISE * low / RECORDED_S
+    if abs(slope - true) > NEAR_SLOPE * true:
+        raise Broken(
+            f"{name} rises by {slope:.4g} in a second of its record where {true:.4g} is true: its unit of time?"
+        )
 
 
 STREAMS = (measures_what_is_there, tells_silence, is_harmless, comes_and_goes)
