@@ -21,8 +21,10 @@ from leactl.bench.wire_trace import (
     NOT_TAKEN,
     SENT,
     TraceLine,
+    expect_calls,
     expect_can_frames,
     frame_text,
+    is_unlike,
     outcome_text,
     read_trace,
 )
@@ -278,15 +280,16 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
 
     Raises
     ------
-    InputError : no trace, a trace of another bench, or one whose CAN frames are in a separate log.
+    InputError : no trace, a trace of another bench, one without calls, or one whose CAN frames are in a separate log.
     """
     lines = read_trace(path)
     wired = [device for device in devices if device.entry.bus]
     buses = sorted({device.entry.bus or "" for device in wired})
     expect_can_frames(path, lines, [name for name in buses if isinstance(file.buses[name], CanBus)])
+    left_out = {device.name for device in devices} - {device.name for device in wired}
+    expect_calls(path, lines, left_out)
     wiring = ReplayWiring(lines, buses)
     bench = Bench(file, wired, wiring)
-    left_out = {device.name for device in devices} - {device.name for device in wired}
     ends = _ends_of(lines)
     calls, raised, cut_short = 0, list[str](), False
     for line in lines:
@@ -304,7 +307,7 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
             outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
-        if end is not None and outcome != end.text:
+        if end is not None and is_unlike(outcome, end.text):
             difference = Difference(
                 end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{outcome}'"
             )

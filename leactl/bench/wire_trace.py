@@ -8,14 +8,15 @@ import copy
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+import zlib
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from leactl.bench.benchfile import CanBus, I2cBus, LineBus
 from leactl.bench.wiring import Wiring
-from leactl.driver.contract import Confirmation
+from leactl.driver.contract import Confirmation, Row, SampleBlock
 from leactl.driver.i2c_port import SmBus, swapped
 from leactl.driver.serial_port import SerialLine
 from leactl.errors import InputError
@@ -180,14 +181,30 @@ def frame_text(message: "can.Message") -> str:
 
 
 def outcome_text(result: Any, error: BaseException | None = None) -> str:
-    """The reproducible result of a call as JSON: an error, readings, or a confirmation; else null."""
+    """The reproducible result of a call as JSON: an error, readings, notices, or a confirmation; else null."""
     if error is not None:
         return json.dumps({"raised": type(error).__name__, "text": str(error)})
     if isinstance(result, Confirmation):
         return json.dumps({"safe": result.safe})
-    if isinstance(result, list) and all(isinstance(value, float) for value in result):
-        return json.dumps(result)
+    if isinstance(result, Mapping):  # of a tare
+        return json.dumps({name: float(value) for name, value in result.items()})
+    if isinstance(result, list | tuple):
+        return json.dumps([_reproducible(part) for part in result])
     return "null"
+
+
+def _reproducible(part: Any) -> Any:
+    """A part of a result without its stamp: the clock is read some microseconds apart in a replay."""
+    if isinstance(part, SampleBlock):  # a fast converter's values as text would take too much of a cycle
+        return [part.stream, len(part.times), zlib.crc32(part.values.tobytes())]
+    if isinstance(part, Row):
+        return [part.stream, [float(value) for value in part.values], part.fault]
+    return part if isinstance(part, str) else float(part)
+
+
+def is_unlike(outcome: str, stands: str) -> bool:
+    """Whether a call ended otherwise than a trace has it; older traces have null for rows, notices and tares."""
+    return outcome != stands and (stands != "null" or "raised" in json.loads(outcome))
 
 
 class TracedWiring:
@@ -353,6 +370,17 @@ def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
         if kind == FAILED:
             text = re.sub(r"\\(.)", lambda escaped: "\n" if escaped[1] == "n" else escaped[1], text)
         yield TraceLine(number, seconds, owner, kind, text)
+
+
+def expect_calls(path: Path, lines: Sequence[TraceLine], left_out: Container[str]) -> None:
+    """Refuse a trace that has nothing to replay.
+
+    Raises
+    ------
+    InputError : the trace has no call of a device or bus but of those that are left out.
+    """
+    if not any(line.kind == CALLED and line.owner not in left_out for line in lines):
+        raise InputError(f"{path}: holds no call of a device on a bus; a trace of a whole run was expected")
 
 
 def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:

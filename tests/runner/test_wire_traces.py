@@ -6,15 +6,18 @@ from contextlib import suppress
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from leactl_plugins.elmo_can.driver import ElmoCan
 from leactl_plugins.elmo_serial.driver import ElmoSerial
 
 from leactl.bench import benchfile
 from leactl.bench.wire_replay import ReplayWiring, replay
-from leactl.bench.wire_trace import HEAD, KINDS, TracedCan, TraceLine, WireTrace, frame_text, read_trace
+from leactl.bench.wire_trace import HEAD, KINDS, TracedCan, TraceLine, WireTrace, frame_text, outcome_text, read_trace
+from leactl.driver.contract import Row, SampleBlock
 from leactl.errors import InputError
 from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
@@ -109,6 +112,65 @@ def test_a_reading_that_differs_is_named(traced, tmp_path):
     told = json.loads(leactl("driver", "replay", changed, "--bench", bench, "--json").stdout)
     assert told["difference"]["owner"] == "drive_test"
     fits_the_page("A trace, replayed", told)
+
+
+class Volt(float):
+    """A number that is not Python's own, as numpy's are."""
+
+
+@pytest.mark.parametrize(
+    ("result", "text"),
+    [
+        ([Row("s", 1.5, (Volt(2.0), math.nan), "over range")], '[["s", [2.0, NaN], "over range"]]'),
+        ((), "[]"),
+        ([SampleBlock("fast", np.arange(2.0), np.ones((2, 1)))], '[["fast", 2, 2946827343]]'),
+        (["drive: 2 answers came late"], '["drive: 2 answers came late"]'),
+        ({"torque": Volt(0.25)}, '{"torque": 0.25}'),
+    ],
+)
+def test_what_a_call_gave_stands_in_the_trace_without_its_stamp(result, text):
+    assert outcome_text(result) == text
+
+
+@pytest.mark.parametrize("method", ["take", "notices"])
+def test_a_row_and_a_notice_that_differ_are_named(traced, monkeypatch, method):
+    trace, bench = traced("can")
+    given = getattr(ElmoCan, method)
+
+    def wrong(self):
+        if method == "notices":
+            return [*given(self), "all is well"]
+        return [row._replace(values=tuple(2 * value for value in row.values)) for row in given(self)]
+
+    monkeypatch.setattr(ElmoCan, method, wrong)
+    found = replayed(trace, bench)
+    assert found.difference.came.startswith(f"{method} ended with '[")
+
+
+def test_a_trace_that_has_no_rows_yet_is_replayed_without_them(traced, tmp_path):
+    trace, bench = traced("can")
+    lines, method = trace.read_text().splitlines(keepends=True), {}
+    for number, line in enumerate(lines[1:], start=1):
+        time, owner, kind, text = line.split(" ", 3)
+        if kind == "=":
+            method[owner] = text.split()[0]
+        elif kind == "~" and method[owner] in ("take", "notices", "tare") and text != "[]\n":
+            lines[number] = f"{time} {owner} ~ null\n"
+    old = tmp_path / "old.trace"
+    old.write_text("".join(lines))
+    assert old.stat().st_size < trace.stat().st_size
+    assert replayed(old, bench).difference is None
+
+
+def test_a_trace_without_calls_is_no_success(traced, tmp_path):
+    trace, bench = traced("can")
+    wires = tmp_path / "wires.trace"
+    wires.write_text("".join(line for line in trace.read_text().splitlines(True) if line.split()[2] not in "=~"))
+    for text in (wires.read_text(), f"{HEAD}\n"):
+        wires.write_text(text)
+        done = leactl("driver", "replay", wires, "--bench", bench)
+        assert done.returncode == 2
+        assert "holds no call of a device on a bus" in done.stderr
 
 
 def test_a_trace_that_was_cut_off_is_replayed_as_far_as_it_goes(traced, tmp_path):
