@@ -59,6 +59,7 @@ class WireReport:
     notes: list[str] = field(default_factory=list)  # a line each
     fault: str = ""  # why it could not be asked, or not to the end
     asked: bool = False  # something was sent
+    heard: bool = False  # a note tells of what came over the wire, not of a probe that failed
     complete: bool = False  # nothing ended it before its end
 
     def note(self, text: str) -> None:
@@ -327,6 +328,7 @@ def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance
                 report.note(f"the probe of {name} was ended: more than {MOST_OF_A_KIND} answers")
                 return
             if isinstance(seen, str):
+                report.heard = True
                 report.note(f"{name}: {seen}")
             else:
                 yield seen
@@ -420,6 +422,8 @@ def ask_line(
 ) -> None:
     """Ask one device by each probe, over one line after another (rates, or ports), until a probe recognises it.
 
+    A probe that fails at one of them keeps none of the others from being asked.
+
     Raises
     ------
     DeviceError : the line is absent, each of the ports refuses, or the connection fails.
@@ -442,7 +446,7 @@ def ask_line(
             raise DeviceError(f"{report.name}: the device is gone: {error}") from None
         finally:
             connection.close()
-        if report.answered or report.notes:
+        if report.answered or report.heard:
             return
     if not spoken:
         raise DeviceError("; ".join(refused))
@@ -474,6 +478,7 @@ def _ask_over(
     while (seconds_left := until - clock.now()) > 0.0 and unasked < FLOOD_BYTES:
         unasked += len(watched.read(seconds_left))
     if unasked >= FLOOD_BYTES:
+        report.heard = True
         report.note(f"only listened: bytes come without a question at {how(line)}, such as {watched.heard!r}")
         return watched.heard
     for name, probe in sorted(probes.items()):

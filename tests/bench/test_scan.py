@@ -28,7 +28,7 @@ from leactl.bench.scan import (
 from leactl.driver import registry
 from leactl.driver.conversation import Unreadable
 from leactl.driver.far_end import FdFrame, Frame
-from leactl.driver.probe import CanProbe, I2cProbe, Sighting
+from leactl.driver.probe import CanProbe, I2cProbe, LineProbe, Sighting
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.trial.known import KnownBench
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
@@ -505,10 +505,11 @@ class LineBench:
 
         return Taped()
 
-    def scan(self, rates=()):
-        rates = rates or rates_of(LINES.values())
+    def scan(self, rates=(), further=None):
+        probes = LINES | (further or {})
+        rates = rates or rates_of(probes.values())
         lines = [SerialBus(kind="serial", port="/dev/ttyUSB0", baudrate=rate) for rate in rates]
-        ask_line(self.report, self.connect, self.clock, LINES, lines, QUIET)
+        ask_line(self.report, self.connect, self.clock, probes, lines, QUIET)
         assert set(self.said) <= ASKED
         return self.report
 
@@ -561,6 +562,31 @@ def test_every_shipped_probe_on_a_line_is_tried_here():
 def test_a_silent_line_is_told_with_the_rates_that_were_tried():
     report = LineBench().scan()
     assert report.notes == ["silent at 9600, 19200, 38400, 57600, 115200 baud"]
+
+
+class FailsAt(LineProbe):
+    """Breaks, or waits for ever, at each of its rates."""
+
+    def __init__(self, baudrates, hangs):
+        self.baudrates, self._hangs = baudrates, hangs
+
+    def ask(self, port):
+        while self._hangs:
+            port.wait(port.clock.now() + 1.0)
+        raise KeyError("cheese")
+        yield ""
+
+
+@pytest.mark.parametrize("hangs", [False, True], ids=["breaks", "hangs"])
+@pytest.mark.parametrize("baudrates", [(9600,), (9600, 115200)])
+def test_a_probe_that_fails_hides_no_device_at_another_rate(baudrates, hangs):
+    bench = LineBench(baudrate=115200)
+    bench.wire.device = far_end("elmo_serial", bench.clock)
+    report = bench.scan(further={"a_foreign_one": FailsAt(baudrates, hangs)})
+    (each,) = report.answered
+    assert (each.driver, each.line.baudrate) == ("elmo_serial", 115200)
+    (note,) = report.notes
+    assert note.startswith(f"the probe of a_foreign_one {'was ended' if hangs else 'breaks with KeyError'}")
 
 
 class Talker:
