@@ -91,6 +91,43 @@ def test_cells_that_may_be_no_pixels_are_refused_until_a_setting_says_what_they_
     assert read(tmp_path, text, **given, **settings).values[0, 0] == value
 
 
+AXES = {  # of four rows or columns
+    "whole numbers as decimals": ("0.0", "1.0", "2.0", "3.0"),
+    "every other pixel": ("0", "2", "4", "6"),
+    "downwards": ("3", "2", "1", "0"),
+    "mm": ("0.0", "0.5", "1.0", "1.5"),
+    "mm, rounded": ("0.33", "0.67", "1.00", "1.33"),
+    "about the middle": ("-1.5", "-0.5", "0.5", "1.5"),
+}
+SLOPE = [[f"{20 + row + 0.25 * column:.2f}" for column in range(4)] for row in range(4)]
+
+
+def rows_of(*rows):
+    return "".join(";".join(row) + "\n" for row in rows)
+
+
+@pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
+def test_an_axis_is_no_row_and_no_column_of_pixels(tmp_path, axis):
+    given = {"regions": CORNER, "time": {"frame_rate_Hz": 1.0}, "unit": "degC", "delimiter": ";", "decimal": "."}
+    beside = rows_of(*([place, *row] for place, row in zip(axis, SLOPE, strict=True)))
+    with pytest.raises(InputError, match=r"line 1: the first cells rise or fall evenly.*; index_column says"):
+        read(tmp_path, beside, **given)
+    assert read(tmp_path, beside, **given, index_column=True).values[0, 0] == 20.0
+    above = rows_of(axis, *SLOPE)
+    with pytest.raises(InputError, match=r"line 1: rises or falls evenly.*; skip_lines"):
+        read(tmp_path, above, **given)
+    assert read(tmp_path, above, **given, skip_lines=1).values[0, 0] == 20.0
+    assert read(tmp_path, above, **given, frame_size=[5, 4]).values[0, 0] == float(axis[0])
+    both = rows_of(["", *axis], *([place, *row] for place, row in zip(axis, SLOPE, strict=True)))
+    with pytest.raises(InputError, match="line 1: rises or falls evenly"):
+        read(tmp_path, both, **given)
+
+
+def test_pixels_that_rise_evenly_both_ways_are_pixels(tmp_path):
+    given = {"regions": CORNER, "time": {"frame_rate_Hz": 1.0}, "unit": "degC", "delimiter": ";"}
+    assert read(tmp_path, rows_of(*SLOPE), **given).values[0, 0] == 20.0
+
+
 @pytest.mark.parametrize(
     ("text", "settings", "words"),
     [
@@ -99,6 +136,8 @@ def test_cells_that_may_be_no_pixels_are_refused_until_a_setting_says_what_they_
         (FRAME, {"frame_size": [4, 3]}, "3 rows of 3 cells; 4 of 3 were expected"),
         (FRAME + FRAME[:18], {"frame_size": [3, 3]}, "4 rows of 3 cells; 3 of 3 were expected"),
         ("0;20.11\n1;23.14\n3;26.17\n", {"index_column": True}, "line 3: '3' is not the next number of a row"),
+        ("0.0;20.11\n0.5;23.14\n1.5;26.17\n", {"index_column": True}, "line 3: '1.5' is not the next number of a row"),
+        ("1;20.11\n3;23.14\n", {"index_column": True}, "line 2: '3' is not the next number of a row"),
         ('"20.11;21.12\n23.14;24.15\n', {}, "line 1: unexpected end of data"),
     ],
 )

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,7 +45,9 @@ STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "
 NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 FRAME_LABEL = re.compile(r"[^\W\d_]+\s*[0-9]+")  # `Frame 12`, in the first cell of the first row of a frame
 SIZE_NAMES = (("height", "imageheight"), ("width", "imagewidth"))  # of rows and of columns, in lower case
-FEWEST_COUNTED = 3  # rows or columns that count by one, which pixels hardly do
+FEWEST_COUNTED = 3  # rows or columns that rise or fall evenly, as an axis does and pixels hardly do
+ROUGHEST = 1 / 3  # of an axis' step: what its rounding may move a number by
+NUMBER = re.compile(r"[+-]?[0-9]+([.,][0-9]+)?")
 HINT = "skip_lines, index_column and frame_size tell which cells are pixels"
 
 
@@ -289,18 +292,23 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
 
     Raises
     ------
-    InputError : rows or columns are numbered, or a row is labelled, and no setting says so; or row numbers have a gap.
+    InputError : an axis or numbers of rows or columns, or a label of a row, of which no setting says that they are none
+        or pixels; or row numbers that have a gap.
     """
     first = frames[0]
     index = int(settings.index_column is True)
     above = strip_cells(first.cells(0))[index:]
+    left = [cell for row in range(len(first.rows)) for cell in first.cells(row)[index : index + 1]]
+    is_stated = settings.frame_size is not None and None not in settings.frame_size
     if len(above) >= FEWEST_COUNTED and counts_by_one(above):
         raise InputError(f"{first.path}: line {first.line}: counts its columns, which are no pixels; {HINT}")
+    if is_axis(above, left) and not is_stated:
+        what = "rises or falls evenly, as the places of columns do, and the rows below it do not go on so"
+        raise InputError(f"{first.path}: line {first.line}: {what}; {HINT}")
     for frame in frames:
         cells = [frame.cells(row)[0].strip("\"' ") for row in range(len(frame.rows))]
         filled = [cell for cell in cells if cell and not FRAME_LABEL.fullmatch(cell)]
-        if settings.index_column is True and filled and not (len(filled) == len(cells) and counts_by_one(filled)):
-            row = next(row for row in range(len(cells)) if not counts_by_one(cells[: row + 1]))
+        if settings.index_column is True and filled and (row := row_out_of_order(cells)) is not None:
             raise InputError(f"{frame.path}: line {frame.line + row}: {cells[row]!r} is not the next number of a row")
         if settings.index_column is not None:
             continue
@@ -310,9 +318,19 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
             what = f"line {frame.line}: the first cell of every row is empty"
         elif len(cells) >= FEWEST_COUNTED and counts_by_one(cells):
             what = f"line {frame.line}: the first cells count the rows"
+        elif is_axis(cells, strip_cells(frame.cells(0))):
+            what = f"line {frame.line}: the first cells rise or fall evenly, as the places of rows do"
         else:
             continue
         raise InputError(f"{frame.path}: {what}; index_column says whether first cells are pixels")
+
+
+def row_out_of_order(cells: Sequence[str]) -> int | None:
+    """The first row whose number or place does not go on from those above it; None where all do."""
+    if counts_by_one(cells) or (len(cells) >= FEWEST_COUNTED and is_even(cells)):
+        return None
+    goes_on = counts_by_one if all(cell.isdecimal() for cell in cells) else is_even
+    return next(row for row in range(len(cells)) if not goes_on(cells[: row + 1]))
 
 
 def counts_by_one(cells: Sequence[str]) -> bool:
@@ -321,6 +339,29 @@ def counts_by_one(cells: Sequence[str]) -> bool:
         return False
     numbers = [int(cell.strip("\"' ")) for cell in cells]
     return all(after == before + 1 for before, after in pairwise(numbers))
+
+
+def is_axis(cells: Sequence[str], across: Sequence[str]) -> bool:
+    """Whether cells rise or fall evenly, behind a corner that may be empty, and those across from the corner do not.
+
+    Pixels that rise evenly both ways are a slope.
+    """
+    of_axis = cells[1:] if cells and not cells[0].strip("\"' ") else cells
+    return min(len(of_axis), len(across)) >= FEWEST_COUNTED and is_even(of_axis) and not is_even(across)
+
+
+def is_even(cells: Sequence[str]) -> bool:
+    """Whether cells are numbers each of which differs from the one before by the same step, up to its rounding."""
+    texts = [cell.strip("\"' ") for cell in cells]
+    if not all(NUMBER.fullmatch(text) for text in texts):
+        return False
+    numbers = [Decimal(text.replace(",", ".")) for text in texts]
+    if len(numbers) < 2:
+        return True
+    step = (numbers[-1] - numbers[0]) / (len(numbers) - 1)
+    off = max(abs(number - numbers[0] - step * place) for place, number in enumerate(numbers))
+    digit = max(Decimal(1).scaleb(int(number.as_tuple().exponent)) for number in numbers)
+    return step != 0 and (off < digit / 1000 or (off <= digit < 1 and digit <= Decimal(ROUGHEST) * abs(step)))
 
 
 def refuse_halves(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
