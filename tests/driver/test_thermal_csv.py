@@ -178,6 +178,48 @@ def test_marks_of_range_and_of_nothing_become_nan_and_are_counted(tmp_path):
     assert "R2 Avg (°C): 2 missing: NaN" in told(record)
 
 
+MAX = {"a": {"column": "Max", "quantity": "winding_temperature"}}
+
+
+@pytest.mark.parametrize(
+    ("cell", "unit", "words"),
+    [
+        ("-300.0", "degC", "line 3, column 'Max': -300 degC is not above absolute zero; unit says.*, missing which"),
+        ("-273.15", "degC", "line 3, column 'Max': -273.15 degC is not above"),
+        ("-5.1", "K", "line 3, column 'Max': -5.1 K is not above"),
+        ("0.00", "K", "line 3, column 'Max': 0 K is not above"),
+        ("-459.7", "degF", "line 3, column 'Max': -459.7 degF is not above"),
+    ],
+)
+def test_a_temperature_that_cannot_be_is_refused_after_its_unit(tmp_path, cell, unit, words):
+    given = {"regions": MAX, "time": {"column": "Time"}, "unit": unit}
+    text = f"Time (s),Max\n0,298.1\n1,{cell}\n2,298.3\n"
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, text, **given)
+    assert np.isnan(read(tmp_path, text, **given, missing=[cell]).values[1, 0])
+    pixels = {"regions": {"a": {"quantity": "winding_temperature", "rows": [0, 1], "columns": [0, 1]}}, "unit": unit}
+    with pytest.raises(InputError, match=r"region a: .* is not above absolute zero"):
+        read(tmp_path, f"298.1;298.4\n{cell};298.3\n", **pixels, time={"frame_rate_Hz": 10.0})
+
+
+@pytest.mark.parametrize(
+    ("cells", "unit", "words"),
+    [
+        (("25.1", "3276.7"), "degC", "line 3, column 'Max': 3277 degC, and 0 more above 200 degC: .* missing decides"),
+        (("298.1", "873.15"), "K", "line 3, column 'Max': 600 degC, and 0 more above 200 degC"),
+        (
+            ("2981", "2982"),
+            "K",
+            "no temperature is below 2708 degC: are they in another unit, or counts",
+        ),
+    ],
+)
+def test_a_temperature_that_no_actuator_has_is_told_after_its_unit(tmp_path, cells, unit, words):
+    given = {"regions": MAX, "time": {"column": "Time"}, "unit": unit}
+    record = read(tmp_path, f"Time (s),Max\n0,{cells[0]}\n1,{cells[1]}\n", **given)
+    assert re.search(words, told(record))
+
+
 def stamped(*stamps, values=None):
     values = values or range(len(stamps))
     return "Time,R1 Avg (°C),R2 Avg (°C)\n" + "".join(

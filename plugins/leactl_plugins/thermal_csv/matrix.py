@@ -28,12 +28,12 @@ from leactl_plugins.thermal_csv.series import (
     HOTTEST,
     Array,
     CameraFile,
+    checked_celsius,
     emissivity_remarks,
-    hot_remarks,
+    heat_remarks,
     missing_remarks,
     odd_number_remarks,
     row_times,
-    to_celsius,
     unit_in,
 )
 from leactl_plugins.thermal_csv.settings import CameraRegion, ThermalCsvSettings
@@ -116,9 +116,10 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
     asides = [aside for frame in frames for aside in frame.above]
     headings = {name: name for name in cells}
     unit = unit_in(paths[0], settings, headings, numbers, asides)
+    pixels = {name: checked_celsius(name, numbers[name].values, unit, place) for name in settings.regions}
     values = np.stack(
         [
-            STATISTICS[region.statistic](to_celsius(numbers[name].values, unit).reshape(len(frames), -1), axis=1)
+            STATISTICS[region.statistic](pixels[name].reshape(len(frames), -1), axis=1)
             for name, region in settings.regions.items()
         ],
         axis=1,
@@ -130,7 +131,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         plain = read_numbers({line: stamps}, settings, lambda _, row: where(row), {})[0][line]
     clock = row_times(len(frames), stamps, plain, line, settings, where)
     remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
-    remarks += odd_number_remarks(cells_by_region, in_sight, convention, place) + hot_remarks(values, settings)
+    remarks += odd_number_remarks(cells_by_region, in_sight, convention, place) + heat_remarks(pixels, unit, place)
     return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
 
 

@@ -17,6 +17,7 @@ from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames
 
 Array = npt.NDArray[np.float64]
 COLDEST, HOTTEST = -460.0, 6000.0  # range of cameras in any of the units
+ABSOLUTE_ZERO_DEGC, ZERO_WITHIN = -273.15, 0.01  # and how near to it a rounded number is
 HOT_DEGC = 200.0  # above which no part of an actuator stays, and below room temperature in kelvin
 NEAR = 10.0  # of any unit, by which a number may lie outside the range of those around it
 FEWEST_USUAL = 2  # numbers with a decimal mark by which others are judged
@@ -66,10 +67,15 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     if table.repeated_headers:
         remarks.append(f"{table.repeated_headers + 1} blocks under the same headings")
     remarks += emissivity_remarks(table.asides) + emissivity_column_remarks(table)
-    values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
+    by_heading = {
+        headings[name]: checked_celsius(headings[name], numbers.values, unit, table.place)
+        for name, numbers in by_name.items()
+    }
+    values = np.stack([by_heading[headings[name]] for name in by_name], axis=1)
     region_cells = {heading: cells[heading] for heading in headings.values()}
     in_sight = {text for of_column in region_cells.values() for text in of_column}
-    remarks += odd_number_remarks(region_cells, in_sight, convention, table.place) + hot_remarks(values, settings)
+    remarks += odd_number_remarks(region_cells, in_sight, convention, table.place)
+    remarks += heat_remarks(by_heading, unit, table.place)
     return CameraFile(clock, values, where, remarks)
 
 
@@ -132,11 +138,21 @@ def unit_after_slash(heading: str) -> str | None:
     return unit_named(re.split(r"[/_ ]", heading)[-1]) if re.search(r"/|°|℃|℉|deg[CF]$", heading) else None
 
 
-def to_celsius(values: Array, unit: str) -> Array:
-    """Convert temperatures to degC."""
+def checked_celsius(name: str, values: Array, unit: str, place: Where) -> Array:
+    """Convert the temperatures of a column or a region to degC.
+
+    Raises
+    ------
+    InputError : one is not above absolute zero, as a mark of a missing number or a wrong unit makes it.
+    """
     conversion = converter(unit, "winding_temperature")
     assert conversion is not None
     converted: Array = conversion.factor * (values - conversion.zero)
+    if (cold := np.flatnonzero(converted <= ABSOLUTE_ZERO_DEGC + ZERO_WITHIN)).size:
+        raise InputError(
+            f"{place(name, int(cold[0]))}: {values[cold[0]]:.6g} {unit} is not above absolute zero; unit says what"
+            f" numbers are in, missing which of them mark a missed sample"
+        )
     return converted
 
 
@@ -189,12 +205,27 @@ def number_in(text: str) -> str:
     return cell.number.lower() if cell else ""
 
 
-def hot_remarks(values: Array, settings: ThermalCsvSettings) -> list[str]:
-    """A remark on temperatures that a setting calls degC although no part of an actuator is that hot throughout."""
-    coldest = float(np.nanmin(values, initial=np.inf))
-    if settings.unit != "degC" or not HOT_DEGC < coldest < np.inf:
+def heat_remarks(columns: Mapping[str, Array], unit: str, place: Where) -> list[str]:
+    """A remark on temperatures [degC] above those of any part of an actuator: all of them, or some with the first.
+
+    Parameters
+    ----------
+    columns : by heading or region.
+    unit : in which they stand in the file.
+    """
+    coldest = min(float(np.nanmin(values, initial=np.inf)) for values in columns.values())
+    if HOT_DEGC < coldest < np.inf:
+        otherwise = "in kelvin, or counts" if unit == "degC" else "in another unit, or counts"
+        return [f"no temperature is below {coldest:.4g} degC: are they {otherwise}? unit decides"]
+    hot = {name: np.flatnonzero(values > HOT_DEGC) for name, values in columns.items()}
+    first = next((name for name, rows in hot.items() if rows.size), None)
+    if first is None:
         return []
-    return [f"no temperature is below {coldest:.4g} degC: are they in kelvin, or counts? unit decides"]
+    row = int(hot[first][0])
+    return [
+        f"{place(first, row)}: {columns[first][row]:.4g} degC, and {sum(rows.size for rows in hot.values()) - 1} more"
+        f" above {HOT_DEGC:g} degC: do they mark a missed sample? missing decides"
+    ]
 
 
 def emissivity_remarks(asides: list[Aside]) -> list[str]:
