@@ -357,10 +357,11 @@ def stops_unless_it_is_fed(stand: Stand) -> None:
     """The same where the cycles go on, but nobody calls `feed`: a loop that has lost its supervisor is no host."""
 
     def go_on(seconds: float) -> None:
+        end = stand.clock.now() + seconds + PERIOD_S
         with suppress(DeviceError):  # that it has stopped by itself is a fault
             for _ in stand.cycles(seconds + PERIOD_S, feed=False):
                 pass
-        stand.wait(PERIOD_S)
+        stand.clock.sleep_until(end)
 
     stops_unfed(stand, go_on)
 
