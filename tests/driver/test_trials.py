@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 from typing import ClassVar
 
+import numpy as np
 import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 from leactl_plugins.elmo_can.commissioning import Commissioning
@@ -17,8 +18,10 @@ from leactl_plugins.scpi_supply.driver import ScpiSupply
 from leactl.driver import conformance, registry
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity, Mode
 from leactl.driver.probe import Sighting
-from leactl.emulation.trial import probing, running
+from leactl.emulation.trial import measuring, probing, running
+from leactl.emulation.trial.known import BASES, RISE
 from leactl.emulation.trial.running import outcome, plain, try_driver
+from leactl.emulation.trial.stand import Broken
 from leactl.errors import DeviceError, InputError
 
 CURRENT, ANGLE, VELOCITY = 3, 5, 4  # among the values of the drive
@@ -373,6 +376,13 @@ def faults_of(driver):
 def test_a_planted_defect_is_found_and_named(driver, trial, said):
     faults = faults_of(driver)
     assert any(name.startswith(trial) and said in fault for name, fault in faults), faults
+
+
+def test_a_display_s_steps_are_allowed_for_and_readings_that_are_kept_are_not():
+    true = BASES["torque"] * (1.0 + RISE * np.arange(100) / 100)
+    measuring.compare("torque", np.round(true, 1), true)
+    with pytest.raises(Broken, match="torque reads"):
+        measuring.compare("torque", np.repeat(true[::20], 20), true)
 
 
 class OffByOne(ElmoProbe):

@@ -24,7 +24,9 @@ BASES = {  # value before a quantity begins to rise, in SI units and degC
     "ambient_temperature": 24.0,
 }
 OTHER = 1.5
-RISE = 0.5  # of its base, by which a quantity rises while it is measured: a reading that is kept is far off by then
+# of its base, by which a quantity rises while it is measured: a reading that is kept is far off by then; no round
+# number, so that readings which are kept for some samples each are not the multiples that a display shows
+RISE = 0.47
 AMPLITUDE_V = 4.0
 HIGHEST_HZ = 7.0  # of the voltages at the leads
 TURN_PER_SAMPLE = 0.01  # of the voltages at the leads: a slow instrument's answer may take a tenth of its period

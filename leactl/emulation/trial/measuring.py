@@ -17,7 +17,8 @@ SAMPLES = 10  # that are to be measured at least
 SLOWEST_S = 60.0  # between two samples of the slowest channel
 LOOKS, LOOKS_S = 500, 0.002  # into a device while it measures, and the least time between two of them
 STEP_S = 0.01  # between two values of a machine while it is recorded
-NEAR_SLOPE = 0.05
+FEWEST_ROWS, NEAR_SLOPE = 4, 0.05  # of a record, and how near its rise in a second has to be to the true one
+UNLIKE_MULTIPLE = 0.01  # of a step, by which a value may lie beside a multiple of it
 COARSEST = 0.25  # of a quantity's rise: the largest step between two values that an instrument may show
 NEAR = 0.01  # of the range of what was measured, and of a value
 LATE_S = 0.1  # by which a stamp may lie before the moment at which its row is taken
@@ -96,10 +97,13 @@ def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -
 
 
 def shown_step(values: NDArray[np.float64], true: NDArray[np.float64]) -> float:
-    """Step between the values that an instrument shows; 0 where there is none, or where it hides what happens."""
+    """Step of which all values that an instrument shows are multiples; 0 if there is none or it hides what happens."""
     steps = np.diff(np.unique(values))
     step = float(np.min(steps)) if len(steps) else 0.0
-    return step if step <= COARSEST * float(np.ptp(true)) and np.allclose(steps / step, np.round(steps / step)) else 0.0
+    if not 0.0 < step <= COARSEST * float(np.ptp(true)):
+        return 0.0
+    counts = values / step
+    return step if float(np.max(np.abs(counts - np.round(counts)))) < UNLIKE_MULTIPLE else 0.0
 
 
 def tells_silence(stand: Stand) -> None:
@@ -152,6 +156,8 @@ def reads_its_own_files(stand: Stand) -> None:
     if not files:
         raise Broken(f"its far end has left no file after {RECORDED_S:g} s")
     record = source.read_files(files)
+    if len(record.time) < FEWEST_ROWS:
+        raise Broken(f"{len(record.time)} rows are read of {RECORDED_S:g} s; {FEWEST_ROWS} were expected at least")
     if np.any(np.diff(record.time) <= 0.0):
         raise Broken("stamps of a record do not increase")
     for place, channel in enumerate(record.channels):
