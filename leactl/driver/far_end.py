@@ -118,7 +118,10 @@ class FailingSupply(Protocol):
         """Make the output stay on; `admits` says whether the supply reports it as on."""
 
     def lose_regulation(self, share: float) -> None:
-        """Put out only this share of the set voltage and current, and report that it does not regulate."""
+        """Put out this share of the set voltage and current, and report that it does not regulate.
+
+        A share above 1 is a supply that passes its levels: its over-voltage protection trips.
+        """
 
     def mend(self) -> None:
         """Return to normal operation."""
