@@ -29,7 +29,7 @@ OTHER = 1.5
 RISE = 0.47
 AMPLITUDE_V = 4.0
 HIGHEST_HZ = 7.0  # of the voltages at the leads
-TURN_PER_SAMPLE = 0.01  # of the voltages at the leads: a slow instrument's answer may take a tenth of its period
+TURN_PER_SAMPLE = 0.004  # of the voltages at the leads: a slow instrument's answer may take a part of its period
 
 
 class KnownMachine:
@@ -85,7 +85,7 @@ class KnownBench:
         self._clock = clock
         self.machines: dict[str, KnownMachine] = {}
         self.load, self.leads = KnownLoad(), KnownTerminals()
-        self.rises_from, self.rises_for = 0.0, 1.0  # s, within which every quantity rises by `RISE`
+        self.rises_from, self.rises_for = 0.0, 5.0  # s, within which every quantity rises by `RISE`
 
     def rise(self, duration: float, interval: float = 0.0) -> None:
         """Let every quantity rise from now on; a device measures it for a duration [s], once in an interval [s]."""

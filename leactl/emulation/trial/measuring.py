@@ -12,7 +12,8 @@ from leactl.emulation.trial.known import RISE
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError
 
-MEASURED_S, RECORDED_S = 1.0, 20.0
+MEASURED_S = 5.0  # at least, in which a quantity rises by `RISE`: by no more than `NEAR` of a value within `LATE_S`
+RECORDED_S = 20.0
 SAMPLES = 10  # that are to be measured at least
 SLOWEST_S = 60.0  # between two samples of the slowest channel
 LOOKS, LOOKS_S = 500, 0.002  # into a device while it measures, and the least time between two of them
