@@ -168,6 +168,29 @@ def test_the_watchdog_is_armed_before_closed_loop_and_its_time_read_back(make_be
     assert bench.clock.now() - began <= 0.151
 
 
+def test_a_drive_that_has_restarted_since_it_was_opened_is_not_engaged(bench):
+    bench.far.stored[endpoints.WATCHDOG_TIMEOUT] = 10.0
+    bench.far.restart()
+    bench.drive.engage(Mode.CURRENT)
+    with pytest.raises(DeviceFault, match=r"drive: axis0\.config\.watchdog_timeout is 10 s although 0\.1 s was set"):
+        bench.cycles(3.0)
+    assert bytes.fromhex("08000000") not in bench.sent(0x07)
+
+
+def test_a_drive_that_restarts_on_the_way_into_operation_is_not_engaged(bench):
+    bench.far.stored[endpoints.WATCHDOG_TIMEOUT] = 10.0
+    mend = bench.wire.disturb(
+        lambda frame, source: None if source is None and frame == (BASE | 0x07, b"\x08\0\0\0") else 0.0
+    )
+    bench.drive.engage(Mode.CURRENT)
+    while bytes.fromhex("08000000") not in bench.sent(0x07):
+        bench.cycle()
+    bench.far.restart()
+    mend()
+    with pytest.raises(DeviceFault, match=r"drive: axis0\.config\.watchdog_timeout is 10 s although 0\.1 s was set"):
+        bench.cycles(3.0)
+
+
 def test_cycles_that_nobody_supervised_feed_no_watchdog(bench):
     bench.engage(Mode.CURRENT)
     bench.drive.command(5.0)

@@ -48,6 +48,7 @@ FOLLOWED = {
     Mode.VELOCITY: (VELOCITY, ControlMode.VELOCITY, InputMode.PASSTHROUGH),
     Mode.ANGLE: (ANGLE, ControlMode.POSITION, InputMode.PASSTHROUGH),
 }
+READ_BACK = (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG, endpoints.WATCHDOG_TIMEOUT)
 ENCODER, IQ = range(2)  # the readings that are asked for every cycle
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
@@ -149,7 +150,7 @@ class OdriveCan(EngagingDrive):
         if self.axis_state != AxisState.IDLE:
             raise DeviceError(f"{self.name}: the axis does not become idle, state {self.axis_state}")
         self._read_scales()
-        self._take_over(endpoints.WATCHDOG_TIMEOUT, 1e-3 * self.settings.watchdog_ms)
+        self._take_over(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
         self._take_over(endpoints.ENCODER_PERIOD, 0)
         self._take_over(endpoints.CURRENT_PERIOD, 0)
         self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
@@ -201,8 +202,12 @@ class OdriveCan(EngagingDrive):
 
     @property
     def engaged(self) -> bool:
-        """Whether the axis reports closed loop, in the demanded mode and with its watchdog armed."""
-        return self._asked_closed_loop and self.axis_state == AxisState.CLOSED_LOOP_CONTROL and self._is_ready()
+        """Whether the axis reports closed loop, after it has reported the demanded mode and an armed watchdog."""
+        return (
+            self._asked_closed_loop
+            and self.axis_state == AxisState.CLOSED_LOOP_CONTROL
+            and (self._enable_by == -math.inf or self._is_ready())
+        )
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
@@ -299,16 +304,23 @@ class OdriveCan(EngagingDrive):
         self._reference, self._control_mode, self._input_mode = FOLLOWED.get(mode, (ANGLE, 0, 0))
         self._enable_by, self._ask_at = math.inf, -math.inf
         self._asked_closed_loop, self.axis_state = False, AxisState.UNDEFINED
-        for path in (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG):
+        for path in READ_BACK:
             self._parameters.shown.pop(path, None)
 
+    def _ask_back(self) -> None:
+        """Query anew what the drive must report before it is engaged."""
+        for path in READ_BACK:
+            self._parameters.shown.pop(path, None)
+            self._parameters.ask(path)
+
     def _is_ready(self) -> bool:
-        """Whether the drive reports the demanded mode and an armed watchdog."""
+        """Whether the drive reports the demanded mode, and a watchdog that is armed with the time set at `open`."""
         shown = self._parameters.is_shown
         return (
             shown(endpoints.CONTROL_MODE, self._control_mode)
             and shown(endpoints.INPUT_MODE, self._input_mode)
             and shown(endpoints.ENABLE_WATCHDOG, 1.0)
+            and shown(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
         )
 
     def _go_towards_operation(self, now: float) -> None:
@@ -325,13 +337,13 @@ class OdriveCan(EngagingDrive):
         elif not self._is_ready():
             self._send(Command.SET_CONTROLLER_MODE, MODES.pack(self._control_mode, self._input_mode))
             self._parameters.tell(endpoints.ENABLE_WATCHDOG, 1)
-            for path in (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG):
-                self._parameters.ask(path)
+            self._ask_back()
         elif self.axis_state != AxisState.CLOSED_LOOP_CONTROL:
             if not self._supervised:
                 return
             self._send_input()  # before it counts: what another host has left there must not be followed for a moment
             self._set_state(AxisState.CLOSED_LOOP_CONTROL)
+            self._ask_back()  # a drive that has restarted since it reported them follows the command all the same
             self._asked_closed_loop = True
         self._ask_at = now + RETRY_S
 
@@ -355,6 +367,12 @@ class OdriveCan(EngagingDrive):
             return
         if self._enable_by == -math.inf:
             raise DeviceFault(f"{self.name}: left operation by itself, state {self.axis_state}")
+        expected, timeout = self.settings.host_silence_s, self._parameters.shown.get(endpoints.WATCHDOG_TIMEOUT)
+        if timeout is not None and not self._parameters.is_near(timeout, expected):
+            raise DeviceFault(
+                f"{self.name}: {endpoints.WATCHDOG_TIMEOUT} is {timeout:g} s although {expected:g} s was set when it"
+                " was opened: it has restarted, or another host has set it; open it again"
+            )
         if now > self._enable_by:
             missing = "" if self._is_ready() else "; it has not shown the mode asked for and an armed watchdog"
             raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: state {self.axis_state}{missing}")

@@ -56,6 +56,7 @@ class OdriveEmulator:
             endpoints.ENCODER_PERIOD: 10,
             endpoints.CURRENT_PERIOD: 0,
         }
+        self.stored = dict(self.parameters)
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
         self.state, self.errors = AxisState.IDLE, 0
         self.frozen = False
@@ -207,6 +208,12 @@ class OdriveEmulator:
     def freeze(self, frozen: bool) -> None:
         """Stop answering and keep the last demand (`frozen` True), or return to normal."""
         self.frozen = frozen
+
+    def restart(self) -> None:
+        """Come back from a loss of power: idle, without errors, with the stored parameters."""
+        self.frozen, self.state, self.errors = False, AxisState.IDLE, 0
+        self.parameters = dict(self.stored)
+        self._machine.command("off", 0.0)
 
     def fault(self, code: int) -> None:
         """Go idle with an error of the power stage; the protocol has no CiA 301 error codes."""
