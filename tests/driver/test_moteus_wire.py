@@ -158,6 +158,37 @@ def test_a_command_that_is_not_renewed_stops_the_controller_in_the_time_asked_fo
         bench.cycles(0.1)
 
 
+def test_a_controller_that_has_restarted_since_it_was_opened_is_not_engaged(moteus_bench):
+    moteus_bench.far.restart()
+    moteus_bench.drive.engage(Mode.CURRENT)
+    with pytest.raises(DeviceFault, match=r"drive: servo\.timeout_mode is 12 although 0 was set when it was opened"):
+        moteus_bench.cycles(3.0)
+    assert moteus_bench.commands() == []
+
+
+def test_the_time_out_mode_is_read_back_again_where_text_is_lost_or_left(moteus_bench):
+    far, polled = moteus_bench.far, []
+
+    def passes(frame, source):
+        if source and frame.data[:2] == b"\x41\x01":
+            polled.append(frame)
+            return None if len(polled) == 3 else 0.0  # the first has what was left, the second nothing
+        return 0.0
+
+    moteus_bench.wire.disturb(passes)
+    far._text = b"12.0\r\n"  # of a question that somebody else has asked
+    moteus_bench.engage(Mode.CURRENT)
+    assert len(polled) == 5
+
+
+def test_a_time_out_mode_that_does_not_read_back_is_no_operation(moteus_bench):
+    moteus_bench.wire.disturb(lambda frame, source: None if source and frame.data[:2] == b"\x41\x01" else 0.0)
+    moteus_bench.drive.engage(Mode.CURRENT)
+    with pytest.raises(NoAnswer, match=r"not in operation after 2 s: mode 0.*; servo\.timeout_mode was not answered"):
+        moteus_bench.cycles(3.0)
+    assert moteus_bench.commands() == []
+
+
 def test_cycles_that_nobody_supervised_renew_nothing(moteus_bench):
     moteus_bench.engage(Mode.CURRENT)
     moteus_bench.drive.command(5.0)

@@ -4,6 +4,8 @@ Source: mjbots, `docs/protocol/diagnostic.md` and `docs/reference/configuration.
 set here is held in the controller's memory alone, and lost when it is switched off: `conf write` is never sent.
 """
 
+import math
+
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier, padded, poll_for_text, text_to_device
@@ -35,6 +37,9 @@ class Configuration:
         self._answered = identifier(host | FROM_HOST, node)
         self._came = [False]
         self._text = b""
+        self._parameter = ""  # that `continue_reading` asks for, once what an earlier host has left is thrown away
+        self._is_asked, self._heard = False, b""
+        self._ask_again_at = -math.inf
 
     def on_text(self, text: bytes) -> None:
         """Take what a poll has brought, nothing included."""
@@ -47,7 +52,9 @@ class Configuration:
         ------
         DeviceError : the controller does not have it; `NoAnswer` where it does not answer.
         """
-        answer = self._ask(f"conf get {parameter}")
+        return self._number_in(parameter, self._ask(f"conf get {parameter}"))
+
+    def _number_in(self, parameter: str, answer: str) -> float:
         try:
             return float(answer)
         except ValueError:
@@ -67,13 +74,41 @@ class Configuration:
         if not abs(kept - value) <= NEAR * abs(value):
             raise DeviceError(f"{self._name}: {parameter} is {kept:g} although {value:g} was written ('{answer[:40]}')")
 
+    def begin_reading(self, parameter: str) -> None:
+        """Begin to query a parameter within the control loop; `continue_reading` goes on with it."""
+        self._parameter, self._ask_again_at = parameter, -math.inf
+
+    def continue_reading(self) -> float | None:
+        """Send the next frames of the query without waiting; returns the value once it has come.
+
+        What was lost is asked for again after `answer_timeout_s`.
+
+        Raises
+        ------
+        DeviceError : the bus is closed, full or gone, or the answer is no number.
+        """
+        now = self._port.clock.now()
+        if now >= self._ask_again_at:
+            self._is_asked, self._heard, self._ask_again_at = False, b"", now + self._timeout_s
+        elif not self._came[0]:
+            return None
+        elif self._is_asked:
+            self._heard += self._text
+            if b"\n" in self._heard:
+                return self._number_in(self._parameter, _first_line(self._heard))
+        elif not self._text:
+            self._send_line(f"conf get {self._parameter}")
+            self._is_asked = True
+        self._send_poll()
+        return None
+
     def _ask(self, line: str) -> str:
         """Send a line and wait for the first line of what comes; what an earlier host has left is thrown away."""
         for _ in range(TRIES):
             until = self._port.clock.now() + self._timeout_s
             while self._poll(until):
                 pass
-            self._port.send_fd(self._unanswered, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
+            self._send_line(line)
             answer = b""
             while self._port.clock.now() < until:
                 part = self._poll(until)
@@ -81,13 +116,23 @@ class Configuration:
                     break
                 answer += part
                 if b"\n" in answer:
-                    return answer.partition(b"\n")[0].strip().decode("ascii", "replace")
+                    return _first_line(answer)
                 if not part:
                     self._port.clock.sleep_until(min(until, self._port.clock.now() + AGAIN_S))
         raise NoAnswer(f"{self._name}: '{line}' was not answered in {TRIES} times {self._timeout_s:g} s")
 
     def _poll(self, until: float) -> bytes | None:
         """Text that waits in the controller; None where the poll is not answered."""
+        self._send_poll()
+        return self._text if self._port.pump_until(self._came, until) else None
+
+    def _send_line(self, line: str) -> None:
+        self._port.send_fd(self._unanswered, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
+
+    def _send_poll(self) -> None:
         self._came[0] = False
         self._port.send_fd(self._answered, padded(poll_for_text(CHANNEL, MOST_TEXT)))
-        return self._text if self._port.pump_until(self._came, until) else None
+
+
+def _first_line(text: bytes) -> str:
+    return text.partition(b"\n")[0].strip().decode("ascii", "replace")

@@ -103,7 +103,8 @@ class MoteusCan(Driver):
         self._quiet_until = -math.inf
         self._supervised = False  # since the last command, so that the next one may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
-        self._seen_stopped = False
+        self._timeout_mode = NAN  # as it has read back since the mode to follow changed last
+        self._prepared = False  # it has reported since that it is stopped, with the time-out mode that `open` set
         self._enable_by = math.inf
         self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller shows
         self._samples = 0
@@ -236,7 +237,7 @@ class MoteusCan(Driver):
         """True where the controller has told that it follows commands, each of which runs out in the time asked for."""
         return (
             self._mode is not Mode.OFF
-            and self._seen_stopped
+            and self._prepared
             and self.reported_mode == OperatingMode.POSITION
             and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.NEAR
         )
@@ -285,10 +286,12 @@ class MoteusCan(Driver):
         A command is what keeps the controller going: none is sent that no supervised cycle came before.
         """
         command = b""
-        if self._mode is not Mode.OFF and self._seen_stopped:
+        if self._mode is not Mode.OFF and self._prepared:
             command = self._demand() if self._supervised else b""
         elif self.reported_mode not in (OperatingMode.STOPPED, OperatingMode.FAULT):  # a stop would clear a fault
             command = STOP
+        elif self._mode is not Mode.OFF and math.isnan(self._timeout_mode):
+            self._read_timeout_mode()
         # every second question at the most, so that the time-out is reported as well
         with_supply = self._with_supply and not self._had_supply and (self._mode is Mode.OFF or self.engaged)
         self._supervised, self._had_supply = False, with_supply
@@ -360,7 +363,14 @@ class MoteusCan(Driver):
         self._mode, self._value = mode, 0.0
         self._reference = FOLLOWED.get(mode, ANGLE)
         self._enable_by, self._supervised = math.inf, False
-        self._seen_stopped, self.reported_mode, self._reported_timeout = False, None, NAN
+        self._prepared, self.reported_mode, self._reported_timeout = False, None, NAN
+        self._timeout_mode = NAN
+        self._configuration.begin_reading(conf.TIMEOUT_MODE)
+
+    def _read_timeout_mode(self) -> None:
+        """Go on reading what the controller does on a time-out: one that has restarted has forgotten it."""
+        read = self._configuration.continue_reading()
+        self._timeout_mode = NAN if read is None else read
 
     def _demand(self) -> bytes:
         """The command of the mode; until the controller is in operation the angle is where the shaft is."""
@@ -395,14 +405,21 @@ class MoteusCan(Driver):
         if self._mode is Mode.OFF or engaged:
             return
         state = f"mode {self.reported_mode}, commands valid for {self._reported_timeout:g} s"
-        if self._seen_stopped and self.reported_mode == OperatingMode.TIMEOUT:
+        if self._prepared and self.reported_mode == OperatingMode.TIMEOUT:
             raise DeviceFault(
                 f"{self.name}: no command came for {self.settings.watchdog_ms} ms and it has stopped by itself: {state}"
             )
         if self._enable_by == -math.inf:
             raise DeviceFault(f"{self.name}: left operation by itself: {state}")
+        if not (math.isnan(self._timeout_mode) or self._timeout_mode == conf.TIMEOUT_STOPPED):
+            raise DeviceFault(
+                f"{self.name}: {conf.TIMEOUT_MODE} is {self._timeout_mode:g} although {conf.TIMEOUT_STOPPED} was set"
+                " when it was opened: it has restarted, or another host has set it; open it again"
+            )
         if now > self._enable_by:
             where = "" if abs(self._turns) <= FARTHEST_TURNS else f"; the shaft is at {self._turns:g} turns"
+            if math.isnan(self._timeout_mode):
+                where += f"; {conf.TIMEOUT_MODE} was not answered"
             raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{where}")
 
     def _hold_torque_against_current(self, answer: Mapping[int, float]) -> None:
@@ -517,5 +534,5 @@ class MoteusCan(Driver):
             supply = (values[Register.VOLTAGE], values[Register.TEMPERATURE])
             self._rows.append(Row(f"{self.name}_supply", self._clock.now(), supply))
         if self.reported_mode == OperatingMode.STOPPED:
-            self._seen_stopped = True
+            self._prepared = self._timeout_mode == conf.TIMEOUT_STOPPED
         self._limited = 0 if self.reported_mode == OperatingMode.FAULT else self.fault

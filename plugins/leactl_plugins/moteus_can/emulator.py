@@ -74,6 +74,7 @@ class MoteusEmulator:
             "motor.Kv": TORQUE_FACTOR / (0.6 if torque_constant is None else torque_constant),
             "motor_position.rotor_to_output_ratio": 1.0,
         }
+        self.stored = dict(self.parameters)
         self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
         self._commanded = dict(COMMANDS)
         self._wanted = int(OperatingMode.STOPPED)  # mode of the last command
@@ -364,6 +365,14 @@ class MoteusEmulator:
     def freeze(self, frozen: bool) -> None:
         """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
         self.frozen = frozen
+
+    def restart(self) -> None:
+        """Come back from a loss of power: stopped, without faults, with the stored parameters."""
+        self.frozen, self.mode, self.fault_code = False, int(OperatingMode.STOPPED), 0
+        self.parameters, self._commanded = dict(self.stored), dict(COMMANDS)
+        self._expires = self._enabled_at = math.inf
+        self._line, self._text = b"", b""
+        self._machine.command("off", 0.0)
 
     def fault(self, code: int) -> None:
         """Take the power away with the maker's code that is nearest to this one of CiA 301."""
