@@ -23,7 +23,7 @@ class Irregular:
     def __str__(self) -> str:
         return (
             f"{self.late} answers came after their cycle, {self.lost} were lost, {self.surplus} came unasked;"
-            " a row holds the answer to its own cycle or none"
+            " a row holds none that is known to be of another cycle"
         )
 
 
@@ -34,6 +34,9 @@ class Answers:
     is missing, the drive is watched: an answer then belongs to the earliest request without one, and a row takes only
     answers to its own request. A lost answer would shift all later ones for ever; therefore, once each request has
     brought one answer for `IN_STEP_S`, answers that are still missing are taken for lost.
+
+    The kinds of one request come in their order. Where the drive is not watched, a frame that comes twice is noticed by
+    it: the last kind then comes before the others of its request.
     """
 
     def __init__(self, count: int) -> None:
@@ -91,6 +94,10 @@ class Answers:
         if self._owed[which]:
             self._unplaced += 1
         return not self._owed[which] and not self._too_many
+
+    def leave_out(self) -> None:
+        """Count an answer that came before the kinds that precede it: it is one to an earlier request, come twice."""
+        self.irregular.surplus += 1
 
     def end(self, now: float) -> list[bool]:
         """End a cycle of a watched drive or with a missing answer; returns, by kind, whether the row may hold it."""

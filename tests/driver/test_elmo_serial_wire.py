@@ -537,7 +537,8 @@ def test_a_late_answer_stands_in_no_row(bench):
     assert right == [number not in (20, 21) for number in range(60)]
     bench.drive.release()
     assert bench.drive.notices() == [
-        "1 answers came after their cycle, 0 were lost, 0 came unasked; a row holds the answer to its own cycle or none"
+        "1 answers came after their cycle, 0 were lost, 0 came unasked;"
+        " a row holds none that is known to be of another cycle"
     ]
 
 

@@ -165,14 +165,27 @@ def test_of_thousands_of_cycles_with_random_stalls_no_row_is_stale_and_each_late
     assert irregular.surplus <= irregular.lost
 
 
-def test_an_answer_that_comes_twice_is_noticed_at_the_next_heartbeat_and_puts_nothing_off_for_long(make_link):
-    link = make_link(0.001)
-    link.ages(100)
+@pytest.mark.parametrize(("identifier", "unasked"), [(0x181, 0), (0x281, 1)])
+@pytest.mark.parametrize("rate", [1000, 100])
+def test_an_answer_that_comes_twice_makes_no_row_stale(make_link, rate, identifier, unasked):
+    link = make_link(1 / rate)
+    link.ages(round(1.2 * rate))  # watched for a second after it was opened
+    while link.bench.drive._answers.watched:
+        link.ages(1)
     bus = link.bench.port.bus
-    for frame in [frame for frame in link.far.last_answers if frame.identifier == 0x281]:
+    for frame in [frame for frame in link.far.last_answers if frame.identifier == identifier]:
         bus.arrived.append(frame)  # as a CAN controller does after a disturbed end of frame
+    assert link.ages(200) == [FRESH] * 200
+    assert [f"{unasked} came unasked" in text for text in link.bench.drive.notices()] == [True] * unasked
+
+
+def test_answers_that_all_come_twice_are_noticed_at_the_next_heartbeat(make_link):
+    link = make_link(0.001)
+    link.ages(1100)
+    bus = link.bench.port.bus
+    bus.arrived.extend(link.far.last_answers)
     ages = link.ages(200)
     stale = [age for age in ages if age not in (FRESH, EMPTY)]
     assert len(stale) <= 34  # cycles between two heartbeats of the host, a third of 100 ms apart
     assert ages[-100:] == [FRESH] * 100
-    assert any("1 came unasked" in text for text in link.bench.drive.notices())
+    assert any("2 came unasked" in text for text in link.bench.drive.notices())

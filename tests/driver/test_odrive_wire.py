@@ -369,6 +369,27 @@ def test_a_late_answer_is_no_later_cycles_reading(bench):
     assert any("came after their cycle" in text for text in bench.drive.notices())
 
 
+@pytest.mark.parametrize(("command", "unasked"), [(0x09, 0), (0x14, 1)])
+def test_an_answer_that_comes_twice_makes_no_row_stale(bench, command, unasked):
+    bench.cycles(1.5)  # watched for a second after it was opened
+    receive = bench.far.receive
+
+    def twice(frame, now):
+        answers = receive(frame, now)
+        if frame.identifier == BASE | command:
+            bench.far.receive = receive
+            return answers * 2
+        return answers
+
+    while bench.drive._answers.watched:
+        bench.cycle()
+    bench.far.receive = twice
+    for number in range(200):
+        bench.shaft.velocity, bench.shaft.following = float(number), ("current", 0.1 * number)
+        assert bench.cycle()[3:5] == [pytest.approx(0.1 * number, rel=1e-6), pytest.approx(number)]
+    assert [f"{unasked} came unasked" in text for text in bench.drive.notices()] == [True] * unasked
+
+
 def test_a_drive_that_shows_no_life_is_told(bench):
     bench.wire.disturb(lambda frame, source: None if source and bench.far.is_sign_of_life(frame) else 0.0)
     with pytest.raises(NoAnswer, match=r"no heartbeat of node 1 for 0\.160 s"):

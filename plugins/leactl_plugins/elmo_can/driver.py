@@ -527,7 +527,11 @@ class ElmoCan(Driver):
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 8:
             answers = self._answers
-            if answers.watched and not answers.take(MOTION, self._clock.now()):
+            if answers.watched:
+                if not answers.take(MOTION, self._clock.now()):
+                    return
+            elif not answers.came[STATUS]:
+                answers.leave_out()
                 return
             counts, speed = _motion.unpack(data)
             position = self._position
@@ -541,7 +545,11 @@ class ElmoCan(Driver):
         voltage = self.settings.q_axis_voltage
         if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
             answers = self._answers
-            if answers.watched and not answers.take(VOLTAGE, self._clock.now()):
+            if answers.watched:
+                if not answers.take(VOLTAGE, self._clock.now()):
+                    return
+            elif not answers.came[MOTION]:
+                answers.leave_out()
                 return
             self.values[7] = int.from_bytes(data, "little", signed=True) * voltage.scale_V
             answers.came[VOLTAGE] = True

@@ -487,7 +487,11 @@ class OdriveCan(EngagingDrive):
     def _on_iq(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == TWO_FLOATS.size:
             answers = self._answers
-            if answers.watched and not answers.take(IQ, self._clock.now()):
+            if answers.watched:
+                if not answers.take(IQ, self._clock.now()):
+                    return
+            elif not answers.came[ENCODER]:
+                answers.leave_out()
                 return
             self.values[3] = self.settings.sign * TWO_FLOATS.unpack(data)[1] / AMPLITUDE
             answers.came[IQ] = True
