@@ -528,3 +528,15 @@ def test_the_only_output_may_be_named():
     bench = SupplyBench(output=1)
     bench.supply.open()
     assert b"OUTP OFF" in bench.lines()
+
+
+def test_an_output_that_gives_less_than_it_is_said_to_regulate_is_a_fault(make_supply):
+    bench = make_supply(**SEVERAL["spd3303"])
+    bench.energise(3.0, 0.9)
+    bench.far.lose_regulation(0.5)
+    began = bench.clock.now()
+    row = bench.until(lambda rows: rows and rows[-1].fault)[-1]
+    assert row.fault == (
+        "supply: out of regulation, 0.270 V and 0.450 A at constant voltage; 3.000 V and 0.900 A are set"
+    )
+    assert 1.0 <= bench.clock.now() - began < 2.0

@@ -314,6 +314,29 @@ def test_a_protection_of_its_own_is_raised_before_a_larger_current_and_lowered_a
     ]
 
 
+def test_a_protection_is_raised_before_a_larger_voltage_with_the_same_current(bench):
+    bench.supply.open()
+    bench.supply.protect(4.0)
+    bench.supply.supply(3.0, 9.0)
+    bench.supply.switch_on()
+    bench.until(lambda _: bench.supply.supplying)
+    bench.lines()
+    bench.supply.protect(8.0)
+    bench.supply.supply(5.0, 9.0)
+    assert bench.until(lambda rows: rows and rows[-1].values[0] > 4.5)[-1].fault == ""
+    levels = [line for line in bench.lines() if line.startswith((b"VOLT", b"CURR")) and b"?" not in line]
+    assert levels == [b"CURR 9.0000", b"VOLT:PROT 8.0000", b"VOLT:PROT:STAT ON", b"VOLT 5.0000"]
+
+
+def test_a_voltage_falls_before_the_protection_does_though_the_current_rises(bench):
+    bench.energise(5.0, 9.0)
+    bench.supply.protect(4.0)
+    bench.supply.supply(3.0, 9.5)
+    assert bench.until(lambda rows: rows and rows[-1].values[0] < 3.5)[-1].fault == ""
+    levels = [line for line in bench.lines() if line.startswith((b"VOLT", b"CURR")) and b"?" not in line]
+    assert levels == [b"VOLT 3.0000", b"VOLT:PROT 4.0000", b"VOLT:PROT:STAT ON", b"CURR 9.5000"]
+
+
 def test_a_protection_switches_the_output_off_by_itself(bench):
     bench.energise(8.0, 9.0)  # 5.4 V
     bench.supply.protect(5.0)
@@ -395,8 +418,24 @@ def test_what_the_supply_does_by_itself_is_a_fault_not_a_value(bench, fault, sai
     assert all(math.isnan(value) for value in row.values)
 
 
+def test_levels_that_a_person_sets_at_the_panel_are_a_fault_within_a_second(bench):
+    bench.energise(8.0, 9.0)
+    looked = bench.clock.now() + 1.5
+    assert not any(row.fault for row in bench.until(lambda _: bench.clock.now() >= looked))
+    assert bench.lines().count(b"CURR?") == 1
+    bench.far.leave_on(7.0, 9.0)
+    began = bench.clock.now()
+    row = bench.until(lambda rows: rows and rows[-1].fault)[-1]
+    assert row.fault == "supply: set to 7.000 V and 9.000 A by itself; 8.000 V and 9.000 A were commanded"
+    assert all(math.isnan(value) for value in row.values)
+    assert bench.clock.now() - began < 2.0
+    bench.far.leave_on(8.0, 9.0)
+    bench.until(lambda rows: rows and not rows[-1].fault)
+
+
 def test_an_output_that_goes_on_by_itself_is_a_fault(bench):
     bench.supply.open()
+    bench.supply.supply(5.0, 5.0)
     bench.rows()
     bench.far.leave_on(5.0, 5.0)
     assert bench.until(lambda rows: rows and rows[-1].fault)[-1].fault == "supply: the output is on by itself"

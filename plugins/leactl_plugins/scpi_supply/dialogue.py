@@ -3,13 +3,14 @@
 Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 from leactl.driver.contract import Confirmation, TripAccuracy
 from leactl.driver.conversation import Pause, Query, Script, ask
-from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
+from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import answers, models
 from leactl_plugins.scpi_supply.answers import ErrorEntry, InstrumentIdentity
@@ -26,6 +27,7 @@ from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
+SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 PAUSES = 5  # some 10 ms each, in which the last command leaves: a closed line drops what it has not sent
 IDENTIFY = Query("*IDN?", answers.identity, patient=True)
 
@@ -38,6 +40,13 @@ class ProtectionBefore(NamedTuple):
     armed: bool
 
 
+class CommandedLevels(NamedTuple):
+    """Levels of the output, as commanded."""
+
+    voltage: float
+    current: float
+
+
 class ScpiDialogue:
     """Dialogue with the supply of these settings."""
 
@@ -48,7 +57,10 @@ class ScpiDialogue:
         self.met: InstrumentIdentity | None = None  # who answered last
         self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
         self._armed_at = settings.voltage_limit_V
-        self._held = 0.0  # A, the level of the current
+        self._held = CommandedLevels(0.0, self._dialect.least_current)
+        self._looked = 0.0  # s, at what is set
+        self._regulation = Regulation()
+        self._panel = ""  # what was set there
         self._found: list[ProtectionBefore] = []  # protections of whoever had the supply before, to be put back
         volts, amperes = models.most(settings.model, output)
         reading = partial(answers.reading, form=self._dialect.reading)
@@ -105,14 +117,15 @@ class ScpiDialogue:
             has armed at a lower level than the limit, an output that cannot be switched off.
         """
         settings, dialect = self._settings, self._dialect
-        self._found, self._held = [], 0.0
+        self._found, self._panel = [], ""
         yield from self.output_off(off_trouble)
         before = yield from self._errors()
         yield from self._demand()
         if settings.output_range:
             yield dialect.set_range.format(settings.output_range.upper())
+        self._held = CommandedLevels(0.0, dialect.least_current)
         yield from self._written(dialect.voltage, 0.0)
-        yield from self._written(dialect.current, dialect.least_current)
+        self._looked = yield from self._written(dialect.current, dialect.least_current)
         protections = [
             (dialect.over_voltage, "voltage_limit_V", settings.voltage_limit_V),
             (dialect.over_current, "current_limit_A", settings.current_limit_A),
@@ -160,20 +173,29 @@ class ScpiDialogue:
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
 
-        The voltage follows the current: the protection is raised before a larger one, and lowered after a smaller one.
+        What falls is set first, then the protection, then what rises: neither does a level that is on its way trip the
+        protection, nor does more flow than the protection is meant for.
 
         Raises
         ------
         DeviceError : one comes back as another.
         """
-        larger = current > self._held
-        if larger:
-            yield from self._protected()
-        yield from self._written(self._dialect.current, max(current, self._dialect.least_current))
-        yield from self._written(self._dialect.voltage, voltage)
-        self._held = current
-        if not larger:
-            yield from self._protected()
+        dialect, before = self._dialect, self._held
+        wanted = CommandedLevels(voltage, max(current, dialect.least_current))
+        self._looked, seen = math.inf, 0.0  # not at levels that are on their way
+        self._regulation.begin_anew()
+        levels = (
+            (dialect.current, wanted.current, before.current),
+            (dialect.voltage, wanted.voltage, before.voltage),
+        )
+        for level, value, earlier in levels:
+            if value <= earlier:
+                seen = yield from self._written(level, value)
+        yield from self._protected()
+        for level, value, earlier in levels:
+            if value > earlier:
+                seen = yield from self._written(level, value)
+        self._held, self._looked, self._panel = wanted, seen, ""
 
     def _protected(self) -> Script[None]:
         level, protection = self.trips_at, self._dialect.over_voltage
@@ -205,12 +227,13 @@ class ScpiDialogue:
         ------
         DeviceFault : the instrument says that it is not.
         """
+        self._regulation.begin_anew()
         yield self._dialect.switch.format("ON" if on else "OFF")
         if (yield from ask(self._dialect.on)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
-        """Measure voltage and current, and read output, condition, errors and protections."""
+        """Measure voltage and current, and read output, condition, errors, protections; each `SETTINGS_S` levels."""
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
@@ -221,8 +244,29 @@ class ScpiDialogue:
         mode = REGULATED.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
+        if current.seen - self._looked >= SETTINGS_S:
+            self._looked = current.seen
+            self._panel = yield from self._changed()
+        fault = fault or self._panel or (self._astray((voltage.value, current.value), mode, current.seen) if on else "")
         notices = tuple(f"error {number}, {text}" for number, text in errors)
         return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
+
+    def _changed(self) -> Script[str]:
+        """Text that names levels that are not the commanded ones; empty if both are."""
+        volts: float = yield from ask(Query(self._dialect.voltage.query, answers.number))
+        amperes: float = yield from ask(Query(self._dialect.current.query, answers.number))
+        wanted = self._held
+        if abs(volts - wanted.voltage) <= _off_by(wanted.voltage) and (
+            abs(amperes - wanted.current) <= _off_by(wanted.current)
+        ):
+            return ""
+        return f"set to {_levels_text(volts, amperes)} by itself; {_levels_text(*wanted)} were commanded"
+
+    def _astray(self, measured: tuple[float, float], mode: str, moment: float) -> str:
+        """Text that tells that the output does not give the level that it is said to regulate; empty if it does."""
+        if not self._regulation.is_lost(measured, self._held, mode == REGULATED[1], moment):
+            return ""
+        return f"out of regulation, {_levels_text(*measured)} at {mode}; {_levels_text(*self._held)} are set"
 
     def _tripped(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
@@ -240,12 +284,14 @@ class ScpiDialogue:
         if (yield from ask(Query(protection.tripped, answers.truth))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
-    def _written(self, level: Level, value: float) -> Script[None]:
-        """Write a level and read it back; raise if it differs by more than rounding."""
+    def _written(self, level: Level, value: float) -> Script[float]:
+        """Write a level and read it back; raise if it differs by more than rounding; returns when it was read [s]."""
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
-        held = yield from ask(Query(level.query, answers.number))
-        if not abs(held - value) <= _off_by(value):
-            raise DeviceError(f"{level.command.split()[0]} holds {held:g} after {value:g} was written")
+        held = yield Query(level.query, answers.number)
+        assert held is not None
+        if not abs(held.value - value) <= _off_by(value):
+            raise DeviceError(f"{level.command.split()[0]} holds {held.value:g} after {value:g} was written")
+        return held.seen
 
     def _errors(self) -> Script[tuple[ErrorEntry, ...]]:
         """Read the error queue until it is empty."""
@@ -260,6 +306,10 @@ class ScpiDialogue:
 def _armed(protection: Protection) -> Script[bool]:
     """Whether a protection is armed; one without a switch always is."""
     return bool((yield from ask(Query(protection.armed, answers.truth)))) if protection.switch else True
+
+
+def _levels_text(volts: float, amperes: float) -> str:
+    return f"{volts:.3f} V and {amperes:.3f} A"
 
 
 def _off_by(value: float) -> float:
