@@ -147,6 +147,62 @@ def test_the_channel_stands_on_an_emulated_bench_by_the_lines_of_the_guide(tmp_p
     assert re.search(r"ambient_temperature .* degC .* room", done.stdout), done.stdout + done.stderr
 
 
+UNASKED = """
+import math
+
+from leactl.driver.serial_port import SerialPort
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
+from leactl_room_meter import driver
+from leactl_room_meter.driver import RoomMeter
+
+
+class Instrument:
+    '''Tells ten times the time, 20 ms after it is asked, and one line unasked at 0.52 s.'''
+
+    answers, unasked_at = [], 0.52
+
+    @property
+    def due(self):
+        return min([self.unasked_at, *(moment for moment, _ in self.answers)])
+
+    def receive(self, data, now):
+        self.answers += [(now + 0.02, f"{10 * now:.2f}".encode() + driver.LINE_END)] * data.count(driver.LINE_END)
+
+    def tick(self, now):
+        sent = b"".join(answer for moment, answer in self.answers if moment <= now)
+        self.answers = [answer for answer in self.answers if answer[0] > now]
+        if now >= self.unasked_at:
+            self.unasked_at, sent = math.inf, sent + b"OVERLOAD" + driver.LINE_END
+        return sent
+
+
+driver.value_of = float
+clock = EmulatedClock()
+wire = SerialWire(clock, 11 / 9600)
+wire.device = Instrument()
+settings = RoomMeter.Settings(period_s=0.1)
+room = RoomMeter("room", "test", settings, SerialPort(lambda: EmulatedSerialLine(wire), clock), clock)
+room.open()
+rows = []
+while clock.now() < 2.0:
+    rows += room.take()
+    clock.sleep_until(clock.now() + 0.002)
+assert wire.device.unasked_at == math.inf and len(rows) >= 18
+assert all(abs(row.values[0] - 10 * row.time) < 0.1 for row in rows if not row.fault), rows
+assert sum(bool(row.fault) for row in rows) <= 1, rows
+"""
+
+
+@pytest.mark.parametrize("unasked_at", [0.52, 0.57])
+def test_a_line_that_came_unasked_puts_no_later_row_off(tmp_path, unasked_at):
+    folder = installed(scaffold.write_package("room_meter", "serial", "ambient_temperature", tmp_path))
+    fill_in("serial", folder)
+    (tmp_path / "unasked.py").write_text(UNASKED.replace("0.52", str(unasked_at)))
+    done = said(folder, tmp_path, "unasked")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture
 def binary(tmp_path):
     folder = installed(scaffold.write_package("room_meter", "serial", "ambient_temperature", tmp_path))
