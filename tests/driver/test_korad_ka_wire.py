@@ -396,6 +396,24 @@ def test_more_than_it_can_give_is_told(here):
     assert f"a round was lost: {complaint}" in here.supply.notices()
 
 
+def test_a_line_that_is_never_silent_is_told(here):
+    here.energise()
+    tick, next_byte = here.far.tick, here.clock.now()
+
+    def chatter(now):
+        nonlocal next_byte
+        sent = tick(now)
+        while next_byte <= now:
+            sent, next_byte = sent + b"\xff", next_byte + 0.09
+        return sent
+
+    here.far.tick = chatter
+    began = here.clock.now()
+    with pytest.raises(NoAnswer, match=r"supply: the line was never silent for 0\.1 s within 0\.5 s"):
+        here.until(lambda _: False, 10.0)
+    assert here.clock.now() - began < 3.0
+
+
 def test_a_late_answer_is_not_taken_for_the_next_query_s(here):
     here.energise()
     here.until(lambda _: bytes(here.said).endswith(b"VOUT1?"))

@@ -20,6 +20,7 @@ from leactl_plugins.korad_ka.settings import KoradKaSettings
 ON, OFF = "OUT1", "OUT0"
 END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
 QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
+LONGEST_CHATTER_S = 0.5  # of a line; a late answer has passed by then
 LEAST_MARK, MARKS = 100, 100  # settings from 1.00 V to 1.99 V
 TRIES, LOOKS = 3, 10  # at settings that are not taken; at the state until a switched output has risen or fallen
 SETTINGS_S = 1.0  # between two looks at what is set
@@ -73,8 +74,16 @@ class KoradDialogue:
         self.met: KoradIdentity | None = None
 
     def in_step(self) -> Script[None]:
-        """Wait until nothing has come for `QUIET_S`."""
+        """Wait until nothing has come for `QUIET_S`.
+
+        Raises
+        ------
+        NoAnswer : something comes again and again for `LONGEST_CHATTER_S`.
+        """
+        until = self._port.clock.now() + LONGEST_CHATTER_S
         while not self._port.silent_for(QUIET_S):
+            if self._port.clock.now() >= until:
+                raise NoAnswer(f"the line was never silent for {QUIET_S:g} s within {LONGEST_CHATTER_S:g} s")
             yield Pause()
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
