@@ -249,6 +249,23 @@ def test_a_drive_of_another_firmware_is_refused_with_both(make_bench, tmp_path):
         bench.drive.open()
 
 
+def test_two_drives_of_one_node_are_told_at_the_start(make_bench):
+    bench, shaft = make_bench(), Shaft()
+    table = endpoints.read_table("emulated")
+    bench.wire.attach(OdriveEmulator(NODE, shaft, table, torque_constant=CONSTANT, current_soft_max=40.0))
+    with pytest.raises(DeviceError, match="drive: two drives answer as node 1; connect one of them alone"):
+        bench.drive.open()
+    assert (bench.shaft.following[0], shaft.following[0]) == ("off", "off")
+
+
+def test_a_late_version_is_no_second_drive(make_bench):
+    bench = make_bench()
+    late = [0.3]
+    bench.wire.disturb(lambda frame, source: late.pop() if source and frame.identifier == BASE and late else 0.0)
+    bench.drive.open()
+    assert late == []
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [

@@ -54,6 +54,7 @@ AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-
 TURN = 2.0 * math.pi
 FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
 ENABLE_TIME_S, RETRY_S = 2.0, 0.1
+SECOND_ANSWER_S = 0.01  # within which another drive of the same node has answered too
 QUIET_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
@@ -79,6 +80,7 @@ class OdriveCan(EngagingDrive):
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._identity = Identity()
         self._version: tuple[int, ...] = ()
+        self._versions = 0  # that came since the drive was asked first
         self._beat, self._version_came = [False], [False]  # since it was last waited for
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
@@ -136,7 +138,7 @@ class OdriveCan(EngagingDrive):
 
         Raises
         ------
-        DeviceError : the drive is absent, has another firmware than the table, or refuses a setting;
+        DeviceError : the drive is absent, shares its node, has another firmware than the table, or refuses a setting;
             `DeviceFault` where it has an error.
         """
         self._connect()
@@ -399,9 +401,17 @@ class OdriveCan(EngagingDrive):
         }
 
     def _meet(self) -> None:
-        """Check that the drive answers and has the firmware of the table of endpoints."""
-        if not any(self._has_taken_all(self._clock.now() + 0.25) for _ in range(3)):
+        """Check that one drive of this node answers and has the firmware of the table of endpoints."""
+        self._versions = 0
+        asked = next((count for count in (1, 2, 3) if self._has_taken_all(self._clock.now() + 0.25)), 0)
+        if not asked:
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
+        self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
+        if self._versions > asked:
+            raise DeviceError(
+                f"{self.name}: two drives answer as node {self.settings.node}; connect one of them alone and give it"
+                " another axis0.config.can.node_id"
+            )
         protocol, (board, firmware) = self._version[0], hardware_and_firmware(self._version)
         self._identity = Identity(f"ODrive {board}", "", firmware)
         table = self.settings.table
@@ -468,6 +478,7 @@ class OdriveCan(EngagingDrive):
     def _on_version(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == VERSION.size:
             self._version, self._version_came[0] = VERSION.unpack(data), True
+            self._versions += 1
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == HEARTBEAT.size:
