@@ -27,6 +27,14 @@ def bench(make_bench):
     return bench
 
 
+@pytest.fixture
+def here():
+    """A bench in this process, whose frames a test may add to."""
+    bench = ElmoBench()
+    yield bench
+    bench.close()
+
+
 def controlwords(bench):
     words = [struct.unpack_from("<H", data)[0] for data in bench.sent(0x201)]
     return [word for word, before in zip(words, [None, *words], strict=False) if word != before]
@@ -197,6 +205,49 @@ def test_an_emergency_message_ends_the_cycle(bench):
     bench.far.fault(0x3310, 235)
     with pytest.raises(DeviceFault, match=r"0x3310 \(over-voltage\).*drive code 235"):
         bench.cycle()
+
+
+def test_an_emergency_message_of_another_length_is_one_of_unknown_code(here):
+    here.drive.open()
+    here.cycle()
+    here.port.bus.arrived.append(Frame(0x081, bytes.fromhex("102303")))
+    with pytest.raises(DeviceFault, match=r"emergency of unknown code: 3 bytes \(102303\), 8 were expected"):
+        here.cycle()
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (Frame(0x181, bytes(8)), "drive: TPDO1 has 8 bytes, 7 were mapped"),
+        (Frame(0x281, bytes(4)), "drive: TPDO2 has 4 bytes, 8 were mapped"),
+    ],
+)
+def test_a_pdo_of_another_length_is_named_with_both(here, frame, said):
+    here.port.open()
+    here.port.bus.arrived.append(frame)  # of an earlier mapping: it means nothing before the node's start
+    here.drive.open()
+    here.cycle()
+    here.port.bus.arrived.append(frame)
+    with pytest.raises(DeviceFault, match=said):
+        here.cycle()
+
+
+@pytest.mark.parametrize("answer", ["8079600000000206", "4b79600010270000", "4279600010270000"])
+def test_a_bus_voltage_that_is_refused_is_noticed_once(here, answer):
+    receive = here.far.receive
+
+    def receive_and_refuse(frame, now):
+        refused = frame.identifier == 0x601 and frame.data[1:3] == b"\x79\x60"
+        return [Frame(0x581, bytes.fromhex(answer))] if refused else receive(frame, now)
+
+    here.far.receive = receive_and_refuse
+    here.drive.open()
+    for _ in range(300):
+        here.cycle()
+    assert here.drive.take() == []
+    assert [text for text in here.drive.notices() if "0x6079" in text] == [
+        f"0x6079 (bus voltage) is answered by {answer}; 43796000 and four bytes were expected: there is no bus voltage"
+    ]
 
 
 def test_a_drive_that_leaves_operation_is_never_enabled_again(bench):

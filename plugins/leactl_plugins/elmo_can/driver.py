@@ -46,6 +46,7 @@ OFF, ENABLED = Mode.OFF, DriveState.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
 ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
+BUS_VOLTAGE = bytes.fromhex("796000")  # index and subindex in an SDO frame
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 NAN, NEVER = math.nan, -math.inf
 LATE_S = 0.05  # that an answer may be late, which is as old as the supervisor lets a reading be at 60 Hz and above
@@ -95,6 +96,7 @@ class _Standing:
         self.operational = False  # and has said since that it did
         self.most_per_mille = 0  # of its rated current that it lets flow
         self.modes = ALL_MODES  # bits of those that it knows
+        self.voltage_refused = False  # 0x6079 was answered otherwise than by four bytes
         self.echoes = False  # the bus brings back what the host sends
         self.safe = False  # it has confirmed so, and nothing was asked of it since
         self.interpolation: tuple[int, int] | None = None  # units and exponent of 0x60C2 that it had before
@@ -523,6 +525,8 @@ class ElmoCan(Driver):
                 return
             self.values[3] = current * self._current_per_mille
             answers.came[STATUS] = True
+        else:
+            self._refuse_length(1, data, 7)
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 8:
@@ -540,10 +544,22 @@ class ElmoCan(Driver):
             values, scale = self.values, self._angle_per_count
             position.counts, values[4], values[5] = counts, speed * scale, counts * scale
             answers.came[MOTION] = position.located = True
+        else:
+            self._refuse_length(2, data, 8)
+
+    def _refuse_length(self, number: int, data: bytearray, expected: int) -> None:
+        """End the run for a PDO of another length than mapped; before the node's start an earlier mapping may show."""
+        if self._standing.started and not self._emergency:
+            self._emergency = (
+                f"TPDO{number} has {len(data)} bytes, {expected} were mapped: another master has mapped it since"
+            )
 
     def _on_voltage(self, data: bytearray, _timestamp: float) -> None:
         voltage = self.settings.q_axis_voltage
-        if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
+        if voltage is None:
+            return
+        length = 2 if voltage.type == "i16" else 4
+        if len(data) == length:
             answers = self._answers
             if answers.watched:
                 if not answers.take(VOLTAGE, self._clock.now()):
@@ -553,6 +569,8 @@ class ElmoCan(Driver):
                 return
             self.values[7] = int.from_bytes(data, "little", signed=True) * voltage.scale_V
             answers.came[VOLTAGE] = True
+        else:
+            self._refuse_length(3, data, length)
 
     def _on_clock(self, data: bytearray, _timestamp: float) -> None:
         if self.settings.drive_clock is not None and len(data) == 4:
@@ -584,12 +602,18 @@ class ElmoCan(Driver):
         self._standing.echoes = True
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
-        if data[:4] == b"\x43\x79\x60\x00":
+        if data[1:4] != BUS_VOLTAGE:
+            self._sdo.on_frame(data, timestamp)
+        elif data[0] == 0x43 and len(data) == 8:  # four bytes
             self._standing.rows.append(
                 Row(f"{self.name}_supply", self._clock.now(), (int.from_bytes(data[4:8], "little") * 1e-3,))
             )
-        else:
-            self._sdo.on_frame(data, timestamp)
+        elif not self._standing.voltage_refused:
+            self._standing.voltage_refused = True
+            self._standing.notices.append(
+                f"0x6079 (bus voltage) is answered by {bytes(data).hex()}; 43796000 and four bytes were expected: there"
+                " is no bus voltage"
+            )
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
         """Only "operational" counts as alive; frames from before the node's start may still arrive after it."""
@@ -615,7 +639,7 @@ class ElmoCan(Driver):
             standing.notices.append(f"the drive limits its demand by itself (bit 11 of statusword 0x{word:04X})")
 
     def _on_emergency(self, data: bytearray, _timestamp: float) -> None:
-        if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:
+        if len(data) != emergency.LENGTH or emergency.code_of(data) != emergency.CODE_RESET:
             self._emergency = emergency.describe(data)
 
     def _judge(self, now: float) -> None:
