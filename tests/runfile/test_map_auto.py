@@ -321,6 +321,36 @@ def test_the_side_of_a_channel_by_its_name(tmp_path):
     assert "role load by its name" in stream.channels["brake_torque_Nm"].why
 
 
+OF_FIELD_ORIENTED_CONTROL = {
+    "i_d [A]": ("d_axis_current", "A"), "id_A": ("d_axis_current", "A"), "i_q [A]": ("q_axis_current", "A"),
+    "u_d [V]": ("d_axis_voltage", "V"), "u_q [V]": ("q_axis_voltage", "V"), "V_bus": ("bus_voltage", "V"),
+    "I_bus [A]": ("bus_current", "A"), "I_dc [A]": ("bus_current", "A"), "i_supply": ("bus_current", "A"),
+    "battery_i": ("bus_current", "A"), "voltage_ab [V]": ("phase_voltage_ab", "V"), "v_q [V]": ("q_axis_voltage", "V"),
+    "current position [rad]": ("angle", "rad"), "current velocity [rad/s]": ("velocity", "rad/s"),
+    "current_torque_Nm": ("torque", "N*m"), "motor_current_A": ("q_axis_current", "A"), "torque constant": None,
+    "i_a": None, "i_b": None, "current_w": None, "voltage_c [V]": None, "max_current [A]": None, "v_d": None,
+    "motor_id": None,
+}  # fmt: skip
+
+
+def test_names_of_field_oriented_control(tmp_path):
+    """The axis, the bus or the phase decides, not the letter i or u; a phase is no channel."""
+    csv(tmp_path / "a.csv", {"t": T} | dict.fromkeys(OF_FIELD_ORIENTED_CONTROL, VOLTS))
+    (stream,) = streams_of(survey(tmp_path / "a.csv"), {})
+    taken = {channel.column: (channel.quantity, channel.units[0]) for channel in stream.channels.values()}
+    assert taken == {name: meaning for name, meaning in OF_FIELD_ORIENTED_CONTROL.items() if meaning}
+    assert stream.left_out["i_a"] == stream.left_out["voltage_c [V]"] == "its name says a phase"
+
+
+@pytest.mark.parametrize("name", ["current [N]", "voltage_mA", "winding temp [rad]", "current [kVA/s]", "vbus (W/m)"])
+def test_a_unit_that_is_not_of_the_quantity_is_asked_for(tmp_path, name):
+    csv(tmp_path / "a.csv", {"t": T, name: VOLTS / 10})
+    (stream,) = streams_of(survey(tmp_path / "a.csv"), {})
+    (channel,) = stream.channels.values()
+    assert len(channel.units) > 1
+    assert any(why.startswith("yet its unit is") for why in channel.why)
+
+
 @pytest.mark.parametrize("values", [np.round(74 + VOLTS - 24), np.round(1000 * VOLTS)])
 def test_whole_numbers_are_counts_of_any_size(tmp_path, values):
     np.savez(tmp_path / "a.npz", t=T, vbus=values, iq=np.round(EFFORT * 5))

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from leactl import yamlfile
 from leactl.quantities import UNITS
 from leactl.tables.text_table import UNIT_IN_BRACKETS, unit_of
-from leactl.units import SECONDS, known_units
+from leactl.units import CONVERSIONS, SECONDS, known_units
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 TIME: Final = frozenset({"t", "time", "timestamp", "stamp", "seconds", "ms", "us", "clock"})
@@ -54,6 +54,11 @@ ALIASES: Final = {
 }
 OF_ANY_SHAFT: Final = ("value", "measured", "actual", "estimate", "state", "log")
 ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # behind an underscore they are "measured", a count, a gain
+UNITS_OF_TWO: Final = ("1/s", "s^-1", "rps")  # rad/s to some and rev/s to others: the numbers may decide
+EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
+BY_LETTERS: Final = {units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")}  # in brackets
+_AMPERES_OR_VOLTS: Final = re.compile(r"_m?[AV]\Z")
+_UNIT_SIGN: Final = re.compile(r"[/^*·°%]")
 
 
 class Meaning(NamedTuple):
@@ -63,6 +68,7 @@ class Meaning(NamedTuple):
     role: str
     units: str
     why_not: str = ""  # why it is taken for no channel
+    doubt: str = ""  # the unit that does not fit the quantity
 
 
 @cache
@@ -78,36 +84,71 @@ def words_of(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def meaning_of(name: str) -> Meaning:
-    """Meaning of a column's name: of its part after the last dot or slash if that has a quantity, else of the whole."""
-    plain = UNIT_IN_BRACKETS.sub("", name) if units_in_brackets(name) else name
+def meaning_of(name: str, declared: str = "") -> Meaning:
+    """Meaning of a column's name: of its part after the last dot or slash if that has a quantity, else of the whole.
+
+    A quantity fits the unit in the name, or the one that the file declares, if any does; otherwise the meaning has a
+    doubt, and no number decides what the column is.
+    """
+    plain = without_unit(name)
     last = re.split(r"[./]", re.sub(r"\[[^\]]*\]$", "", plain))[-1]
     whole = words_of(plain)
     if refused := [word for word in words_of(last) if word in table()["none"]]:
         return Meaning("", "", "", f"its name says {refused[0]}")
-    quantity = quantity_of(words_of(last)) or quantity_of(whole)
+    said = declared if declared in EVERY_UNIT else units_of(name, list(EVERY_UNIT))
+    rule = rule_of(words_of(last), name, said) or rule_of(whole, name, said)
+    if rule is not None and "left_out" in rule:
+        return Meaning("", "", "", f"its name says {rule['left_out']}")
+    quantity = str(rule["quantity"]) if rule is not None else ""
     if not quantity:
         quantity = next((kind for kind in ("angle", "velocity", "torque") if units_of(name, known_units(kind))), "")
     if not quantity:
         return Meaning("", "", units_of(name, list(SECONDS)), "its name says nothing known")
+    doubt = "" if fits(name, said, quantity) else f"yet its unit is {said}"
+    if not said and (text := unknown_unit(name)):
+        doubt = f"yet its unit is {text}, which is not known"
     if any(word in table()["setpoint"] for word in whole) and f"{quantity}_reference" in UNITS:
         quantity = f"{quantity}_reference"
     role = next((role for role in ("load", "bench") if any(word in table()[role] for word in whole)), "")
-    return Meaning(quantity, role, units_of(name, known_units(quantity)))
+    return Meaning(quantity, role, units_of(name, known_units(quantity)), doubt=doubt)
 
 
-def quantity_of(words: list[str]) -> str:
-    """Quantity of the first rule that the words satisfy; empty if there is none."""
-    for rule in table()["rules"]:
-        if all(any(word in group for word in words) for group in rule["all"]):
-            return str(rule["quantity"])
-    return ""
+def rule_of(words: list[str], name: str, said: str) -> dict[str, Any] | None:
+    """The first rule that the words satisfy, if possible of a quantity that the unit fits; None if there is none."""
+    satisfied = [
+        rule
+        for rule in table()["rules"]
+        if all(any(word in group for word in words) for group in rule["all"])
+        and (not rule.get("only_with_unit") or (said and fits(name, said, rule["quantity"])))
+    ]
+    fitting = [rule for rule in satisfied if fits(name, said, rule.get("quantity", ""))]
+    return next(iter(fitting or satisfied), None)
+
+
+def fits(name: str, said: str, quantity: str) -> bool:
+    """Whether the unit of a column, if it has any, is one of a quantity; `rads` stands for rad and for rad/s."""
+    return not said or not quantity or said in known_units(quantity) or bool(units_of(name, known_units(quantity)))
+
+
+def unknown_unit(name: str) -> str:
+    """The text in brackets at the end of a name that has a sign of units and is none that is known; else empty."""
+    text = unit_of(name)
+    return text if _UNIT_SIGN.search(text) and not units_in_brackets(name) and text not in UNITS_OF_TWO else ""
+
+
+def without_unit(name: str) -> str:
+    """A name without the unit at its end, so that the A of `motor_current_A` is not taken for a phase."""
+    if units_in_brackets(name) or unknown_unit(name):
+        return UNIT_IN_BRACKETS.sub("", name)
+    return _AMPERES_OR_VOLTS.sub("", name)
 
 
 def units_in_brackets(name: str) -> str:
     """The unit in brackets at the end of a name; empty if the brackets hold no unit, such as an index."""
     units = unit_of(name)
-    return units if any(units.lower() in known for known in ALIASES.values()) else ""
+    if any(units.lower() in known for known in ALIASES.values()):
+        return units
+    return BY_LETTERS.get(re.sub(r"[*.· ]", "", units), "")
 
 
 def units_of(name: str, known: list[str]) -> str:
@@ -122,6 +163,8 @@ def units_of(name: str, known: list[str]) -> str:
             is_unit = written or (units not in ONLY_IN_BRACKETS and _case(ending, units))
             if is_unit and ending.lower() in aliases and units in known:
                 return units
+    if written in known:
+        return written
     return words_alone(name) if words_alone(name) in known else ""
 
 
@@ -142,7 +185,8 @@ def units_named(text: str) -> str:
 
 def shaft_of(name: str) -> frozenset[str]:
     """The words of a name without those of quantity, setpoint and unit: they identify the shaft."""
-    other_words = {word for rule in table()["rules"] for group in rule["all"] for word in group}
+    kinds = [rule["all"] for rule in table()["rules"] if "left_out" not in rule]
+    other_words = {word for groups in kinds for group in groups for word in group}
     other_words |= {
         *table()["setpoint"],
         "value",

@@ -141,7 +141,7 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
         channel.scale, channel.scale_of, channel.sign = documented.scale, documented.scale_of, documented.sign
         channel.location = documented.location
         return channel
-    meaning = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name)
+    meaning = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name, column.units)
     quantity = column.quantity or meaning.quantity
     if not quantity:
         return meaning.why_not
@@ -151,12 +151,13 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
         return ProposedChannel(
             column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
         )
-    if meaning.units:
+    if meaning.units and converter(meaning.units, quantity):
         return ProposedChannel(
             column.name, quantity, role, (meaning.units,), [f"{meaning.units} stands in its name", *of_role]
         )
     likely = [units for units in LIKELY_UNITS[known_units(quantity)[0]] if converter(units, quantity)]
-    return ProposedChannel(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
+    reasons = [f"{quantity} by its name", *([meaning.doubt] if meaning.doubt else []), *of_role]
+    return ProposedChannel(column.name, quantity, role, tuple(likely), reasons, is_settled=bool(meaning.doubt))
 
 
 def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
