@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
 from leactl.errors import InputError
+from leactl.gap.signals.record import REACH, bridging_interval, near, pace
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.verify.integrity import refuse_altered
 
@@ -63,6 +64,7 @@ def distance(first: Channel, second: Channel) -> Distance | None:
         return None
     stamps = second.time[there]
     inside = measured & (first.time >= stamps[0]) & (first.time <= stamps[-1])
+    inside &= near(first.time, stamps, REACH * max(bridging_interval(stamps), pace(first.time)))
     if inside.sum() < FEWEST:
         return None
     time, ours = first.time[inside], first.values[inside]

@@ -30,25 +30,27 @@ LOOP = [
 DAQ = [ChannelSpec("torque", "torque", "test", "sensor")]
 
 
+HEAD = RunInfo(
+    run_id="20261121T100000Z-staircase-0001",
+    protocol="staircase",
+    bench="bench-1",
+    actuator="lea-1",
+    condition="design",
+    operator="someone",
+    simulated=False,
+    mechanical="locked",
+    software="elsewhere",
+    created="2026-11-21T10:00:00Z",
+    sources={"protocol": "name: staircase\n"},
+    setup={"drive_gain": 2.0},
+)
+
+
 @pytest.fixture
 def run(tmp_path):
-    info = RunInfo(
-        run_id="20261121T100000Z-staircase-0001",
-        protocol="staircase",
-        bench="bench-1",
-        actuator="lea-1",
-        condition="design",
-        operator="someone",
-        simulated=False,
-        mechanical="locked",
-        software="elsewhere",
-        created="2026-11-21T10:00:00Z",
-        sources={"protocol": "name: staircase\n"},
-        setup={"drive_gain": 2.0},
-    )
     time = 0.001 * np.arange(3000)
     reference = 10.0 * (time > 1.0)
-    writer = RunWriter(tmp_path, info, {"loop": LOOP, "daq": DAQ})
+    writer = RunWriter(tmp_path, HEAD, {"loop": LOOP, "daq": DAQ})
     none = np.zeros_like(time)
     writer.append("loop", time, np.stack([reference, reference, none, none, none], axis=1))
     writer.append("daq", time[::2] + 2e-4, 0.49 * reference[::2, None])
@@ -90,6 +92,37 @@ def test_a_simulated_run_has_the_channels_and_clocks_of_the_measured_one(run, mo
     assert level == pytest.approx(0.49 * 10.0 * (1 - 0.1 * 0.16), abs=0.21)
     assert leactl("runs", "verify", out).returncode == 0
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_stretch_without_its_input_is_told_and_not_simulated(tmp_path, model_file):
+    time = 0.001 * np.arange(3000)
+    drive = 5.0 * np.sin(6.0 * time)
+    missing = (time > 0.9) & (time < 1.4)
+    paths = []
+    for name, spoilt in (("whole", False), ("spoilt", True)):
+        given = np.where(missing & spoilt, np.nan, drive)
+        given[50] = np.nan  # one sample alone is bridged
+        info = replace(HEAD, run_id=f"20261121T100000Z-friction-{name}", mechanical="free")
+        with RunWriter(tmp_path, info, {"loop": LOOP[:1] + LOOP[2:4]}) as writer:
+            writer.append("loop", time, np.stack([given, np.sin(time), np.cos(time)], axis=1))
+        paths.append(writer.path)
+    answers = [leactl("gap", "simulate", model_file, path, "--out", tmp_path / f"{path.stem}-sim.h5") for path in paths]
+    assert "is missing" not in answers[0].stderr + answers[0].stdout
+    note = "q_axis_current_reference of test is missing from 0.9"
+    assert note in answers[1].stderr + answers[1].stdout
+    whole, spoilt = (Run.open(tmp_path / f"{path.stem}-sim.h5") for path in paths)
+    with whole, spoilt:
+        speeds = [run.channel("velocity").values for run in (whole, spoilt)]
+        assert np.isfinite(speeds[0][time > 0.5]).all()
+        assert np.isnan(speeds[1][missing]).all()
+        np.testing.assert_array_equal(speeds[1][time < 0.89], speeds[0][time < 0.89])
+        np.testing.assert_allclose(speeds[1][time > 2.1], speeds[0][time > 2.1], rtol=0.01)
+    answer = leactl(
+        "gap", "compare", tmp_path / f"{paths[0].stem}-sim.h5", tmp_path / f"{paths[1].stem}-sim.h5", "--json"
+    )
+    (of_speed,) = (each for each in json.loads(answer.stdout)["channels"] if each["quantity"] == "velocity")
+    common = np.isfinite(speeds[0]) & np.isfinite(speeds[1])
+    assert abs(of_speed["samples"] - common.sum()) <= 4  # rows beside the stretch are within reach
 
 
 def test_by_default_it_stands_beside_the_run_under_a_name_of_its_own(run, model_file):

@@ -14,7 +14,8 @@ from leactl.errors import InputError
 from leactl.gap.replay import replay
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle
-from leactl.gap.signals.record import Clocked, Key, read_record
+from leactl.gap.replay.unknown_inputs import unknown_samples
+from leactl.gap.signals.record import Clocked, Key, Mask, read_record
 from leactl.gap.signals.rig import fed_by_voltage
 from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
@@ -45,6 +46,8 @@ class Simulated:
 def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simulated:
     """Replay a run through a model and write what comes out beside its inputs; by default next to the run.
 
+    Where an input is missing for longer than the usual reach, what comes out is NaN, and a note gives the interval.
+
     Raises
     ------
     InputError : a file that cannot be used, a model that says nothing of this run, or an existing file at `out`.
@@ -61,11 +64,15 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
         raise InputError([f"{model_file}: {note}" for note in notes] or [f"{model_file}: says nothing of {run_file}"])
     if job.restarts:
         notes += ("the motion starts again every second from the measured state: an angle is an integral",)
+    unknown: Mask | None = None
+    if job.record.fast is not None:
+        unknown, missing = unknown_samples(job)
+        notes += tuple(missing)
     with Run.open(run_file) as run:
         every = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
         columns: dict[str, list[tuple[ChannelSpec, Array]]] = {}
         for name, spec in every:
-            values = _column(run, name, spec, made, job)
+            values = _column(run, name, spec, made, job, unknown)
             if values is not None:
                 columns.setdefault(name, []).append((spec, values))
         path = _write(run, columns, document.text, out if out is not None else None, run_file.parent)
@@ -91,11 +98,22 @@ def answers(job: Job) -> dict[Key, tuple[Clocked, Array]]:
     return replayed
 
 
-def _column(run: Run, stream: str, spec: ChannelSpec, made: dict[Key, tuple[Clocked, Array]], job: Job) -> Array | None:
+def _column(
+    run: Run,
+    stream: str,
+    spec: ChannelSpec,
+    made: dict[Key, tuple[Clocked, Array]],
+    job: Job,
+    unknown: Mask | None,
+) -> Array | None:
     key = (spec.quantity, spec.role)
     if key in made:
         clock, values = made[key]
-        return np.interp(run.time(stream), clock.time, values)
+        time = run.time(stream)
+        answer = np.interp(time, clock.time, values)
+        if unknown is not None and clock is job.record.fast:
+            answer[np.interp(time, clock.time, unknown.astype(np.float64)) > 0.0] = np.nan
+        return answer
     given = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
     fed = key == ("q_axis_voltage", "test") and fed_by_voltage(job.record, job.plant.model) is not None
     if given or fed or (key == ("q_axis_current", "test") and job.current is not None):

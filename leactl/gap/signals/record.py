@@ -247,11 +247,11 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
                 valid.append(good)
                 continue
             stamps = leading if same else channel.time
-            reach = REACH * max(_pace(channel.time), interval if interval > 1.5 * _pace(leading) else 0.0)
+            reach = REACH * max(pace(channel.time), interval if interval > 1.5 * pace(leading) else 0.0)
             values.append(np.interp(clocked.time, stamps[good], channel.values[good]))
             if len(group) == 1:
                 clocked.between[key] = stamps[good], channel.values[good]
-            valid.append(good if same else _near(clocked.time, channel.time[good], reach))
+            valid.append(good if same else near(clocked.time, channel.time[good], reach))
         fed = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == FED]
         rest = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == UNFED]
         if key == WINDING and fed and rest:
@@ -300,10 +300,10 @@ def smallest_step(values: Array) -> float:
 def bridging_interval(stamps: Array) -> float:
     """The pace of stamps; where they come in bursts, one so slow that all but a twentieth of the time is bridged."""
     steps = np.diff(stamps)
-    pace, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
-    gaps = steps[steps > REACH * pace]
+    usual, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
+    gaps = steps[steps > REACH * usual]
     if len(gaps) < PAUSES or float(gaps.sum()) < BURSTS * span:
-        return pace
+        return usual
     ordered = np.sort(steps)
     bridged = np.cumsum(ordered)
     return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED) * bridged[-1])] / REACH)
@@ -316,11 +316,12 @@ def jump_of(stamps: Array) -> str:
     return f"its clock jumps by {steps[at]:.6g} s after {stamps[at] - stamps[0]:.6g} s"
 
 
-def _pace(time: Array) -> float:
+def pace(time: Array) -> float:
+    """The middle interval of stamps; 0 for a single one."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-def _near(grid: Array, stamps: Array, reach: float) -> Mask:
+def near(grid: Array, stamps: Array, reach: float) -> Mask:
     """Grid times with a stamp within reach on both sides."""
     after = np.searchsorted(stamps, grid)
     before = np.clip(after - 1, 0, len(stamps) - 1)

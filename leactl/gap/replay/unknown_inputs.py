@@ -1,0 +1,76 @@
+"""Where a replay says nothing: what drives it was not measured there, and a straight line stands for it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from leactl.gap.replay.cutting import logged_torque
+from leactl.gap.replay.job import Job
+from leactl.gap.signals.record import REACH, Key, Mask, near, pace
+from leactl.gap.signals.rig import fed_by_voltage
+
+MOST_TOLD = 5  # stretches of a channel that a note gives
+
+
+def unmeasured(job: Job, key: Key) -> Mask:
+    """Samples at which a channel is taken in between over more than the usual reach."""
+    if key not in job.clock.between:
+        return np.zeros(len(job.clock.time), bool)
+    stamps = job.clock.between[key][0]
+    return ~near(job.clock.time, stamps, REACH * max(pace(stamps), job.clock.interval))
+
+
+def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
+    """Each channel that drives a replay, with the samples at which it is unmeasured."""
+    clock = job.clock
+    if job.by_servo:
+        keys = [("angle_reference", "test")]
+    elif fed_by_voltage(job.record, job.plant.model) is not None:
+        keys = [("q_axis_voltage", "test")]
+    elif job.current is not None:
+        keys = [("q_axis_current_reference", "test"), ("q_axis_current", "test")]
+    else:
+        told = "torque_reference" if clock.get("torque_reference") is not None else "torque"
+        keys = [(told, "test")] if logged_torque(job) is not None else []
+    present = [key for key in keys if key in clock.values]
+    if len(present) > 1:  # where the drive follows no reference, the measured current drives the replay
+        reference, current = present
+        yield reference, unmeasured(job, reference) & unmeasured(job, current)
+    elif present:
+        yield present[0], unmeasured(job, present[0])
+    if job.record.mechanical == "coupled":
+        yield ("q_axis_current", "load"), unmeasured(job, ("q_axis_current", "load"))
+
+
+def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
+    """Samples at which a replay says nothing, and a note for each channel that is missing there.
+
+    A motion that starts again is unknown until its next start, and so is one that starts where it was not measured.
+    """
+    clock = job.clock
+    unknown = np.zeros(len(clock.time), bool)
+    notes: list[str] = []
+    for (quantity, role), missing in driving_channels(job):
+        if missing.any():
+            unknown |= missing
+            notes.append(f"{job.record.path.name}: {quantity} of {role} is missing {intervals(job, missing)}")
+    if job.restarts and job.starts is not None:
+        measured = "angle" if clock.get("angle") is not None else "velocity"
+        lost = unmeasured(job, (measured, "test"))
+        if lost[job.starts[job.starts < len(lost)]].any():
+            notes.append(f"{job.record.path.name}: {measured} of test is missing {intervals(job, lost)}")
+        for start, stop in zip(job.starts, [*job.starts[1:], len(unknown)], strict=True):
+            part = unknown[start:stop]
+            if lost[start:stop][:1].any():
+                part[:] = True
+            elif part.any():
+                part[int(np.argmax(part)) :] = True
+    return unknown, [f"{note}; what the model makes is NaN there, until the motion starts again" for note in notes]
+
+
+def intervals(job: Job, missing: Mask) -> str:
+    """The stretches of some samples, for a person."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.intp), [0]]))).reshape(-1, 2)
+    time = job.clock.time
+    told = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_TOLD]]
+    return ", ".join(told) + (f" and in {len(edges) - MOST_TOLD} more stretches" if len(edges) > MOST_TOLD else "")
