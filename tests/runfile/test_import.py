@@ -49,6 +49,29 @@ def imported(folder, source, text, count=1):
     return files if count > 1 else files[0]
 
 
+def test_a_stretch_of_empty_cells_is_noted_for_its_channel(folder):
+    hole = np.where((T > 0.8) & (T < 1.3), np.nan, VOLTS)
+    write_csv(folder / "a.csv", {"t": T, "q": ANGLE, "u": np.where(np.arange(N) % 2, np.nan, VOLTS), "v": hole})
+    file = imported(
+        folder,
+        folder / "a.csv",
+        """
+        mechanical: free
+        streams:
+          loop:
+            time: {column: t}
+            channels:
+              q: {column: q, quantity: angle, units: rad}
+              u: {column: u, quantity: bus_voltage, units: V}
+              v: {column: v, quantity: q_axis_voltage, units: V}
+        """,
+    )
+    with Run.open(file) as run:
+        events = [str(event) for event in run.events if "without a sample" in str(event)]
+    assert len(events) == 1
+    assert "stream loop, channel v: 0.5 s without a sample from 0.8 s" in events[0]
+
+
 def test_a_csv_with_other_units_signs_and_gains(folder):
     write_csv(folder / "a b.csv", {"t [ms]": T * 1e3, " q": np.degrees(-ANGLE), "u": VOLTS, "T": 20 + 0 * T})
     file = imported(

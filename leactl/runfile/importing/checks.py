@@ -209,13 +209,26 @@ def implausible_values(name: str, stream: Stream) -> Iterator[str]:
 
 
 def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:
-    """A note for each stream with gaps far longer than its usual sampling interval."""
+    """A note for each stream with gaps far longer than its usual sampling interval, and for such gaps of a channel."""
     for name, stream in streams.items():
-        intervals = np.diff(stream.time)
-        usual = float(np.median(intervals))
-        gaps = np.flatnonzero(intervals > max(GAP * usual, SHORTEST_GAP_S))
-        if 0 < len(gaps) <= MOST_GAPS * len(intervals):
-            longest = int(gaps[np.argmax(intervals[gaps])])
-            where = f"{intervals[longest]:.4g} s without a sample from {stream.time[longest]:.6g} s"
-            others = f" and {len(gaps) - 1} shorter" if len(gaps) > 1 else ""
-            yield f"stream {name}: {where}{others}; samples come every {usual:.4g} s otherwise"
+        usual = float(np.median(np.diff(stream.time)))
+        if gap := longest_gap(stream.time, usual):
+            yield f"stream {name}: {gap}; samples come every {usual:.4g} s otherwise"
+        for spec, values in zip(stream.specs, stream.values, strict=True):
+            known = stream.time[np.isfinite(values)]
+            if not 1 < len(known) < len(stream.time):
+                continue
+            of_channel = longest_gap(known, float(np.median(np.diff(known))))
+            if of_channel and of_channel != gap:
+                yield f"stream {name}, channel {spec.name}: {of_channel}"
+
+
+def longest_gap(time: Array, usual: float) -> str:
+    """The longest of the gaps between stamps that are far beyond the usual interval; empty if there is none."""
+    intervals = np.diff(time)
+    gaps = np.flatnonzero(intervals > max(GAP * usual, SHORTEST_GAP_S))
+    if not 0 < len(gaps) <= MOST_GAPS * len(intervals):
+        return ""
+    longest = int(gaps[np.argmax(intervals[gaps])])
+    others = f" and {len(gaps) - 1} shorter" if len(gaps) > 1 else ""
+    return f"{intervals[longest]:.4g} s without a sample from {time[longest]:.6g} s{others}"
