@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from leactl.analysis.analyze import analyze_runs, experiment_of, options_of, results_of
+from leactl.analysis.analyze import (
+    analyze_runs,
+    experiment_of,
+    identity_of,
+    options_of,
+    refuse_the_same,
+    results_of,
+)
 from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.registry import load
 from leactl.analysis.statistics.control_chart import ControlChart, control_chart
@@ -77,7 +84,8 @@ def trend(
 
     Raises
     ------
-    InputError : no run has the result, runs of several actuators or conditions have it, or no analysis takes an option.
+    InputError : a run is given twice, no run has the result, runs of several actuators or conditions have it, or no
+        analysis takes an option.
     """
     group, runs = _runs_with(workers, paths, result, (actuator, condition))
     points, left_out = _points(workers, runs, result, options, tell)
@@ -91,8 +99,9 @@ def _runs_with(
     """The actuator and condition that are asked for, and their runs in order: creation, file, experiment."""
     every: list[tuple[str, tuple[str, str], Path, str]] = []
     others: dict[str, None] = {}
-    for path, done in zip(paths, workers.in_order(_described, [(path,) for path in paths]), strict=True):
-        created, group, experiment = done.value()
+    described = [done.value() for done in workers.in_order(_described, [(path,) for path in paths])]
+    refuse_the_same((identity, path) for path, (identity, *_) in zip(paths, described, strict=True))
+    for path, (_, created, group, experiment) in zip(paths, described, strict=True):
         known = results_of(experiment)
         if result not in known:
             others |= dict.fromkeys(known)
@@ -141,13 +150,13 @@ def _points(
     return points, left_out
 
 
-def _described(path: Path) -> tuple[str, tuple[str, str], str]:
-    """When a run was made, its actuator and condition, and the experiment that it is of."""
+def _described(path: Path) -> tuple[str, str, tuple[str, str], str]:
+    """What a run goes by, when it was made, its actuator and condition, and the experiment that it is of."""
     with Run.open(path) as run:
         created, actuator, condition = (
             str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")
         )
-        return created, (actuator, condition), experiment_of(run)
+        return identity_of(run), created, (actuator, condition), experiment_of(run)
 
 
 def _value(path: Path, result: str, options: Mapping[str, Any]) -> Estimate:

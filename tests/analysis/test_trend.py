@@ -1,6 +1,7 @@
 """A result followed from run to run: limits, what speaks for a change, and runs that do not tell it."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -103,6 +104,14 @@ def test_several_processes_give_the_same_answers_as_one(runs):
         (runs / "spoilt.h5").unlink()
     alone, together = followed(runs, *chosen), followed(runs, *chosen, "--processes", 2)
     assert (together.returncode, together.stdout) == (0, alone.stdout)
+
+
+def test_a_run_given_twice_is_refused(runs, tmp_path):
+    file = sorted(runs.glob("*.h5"))[0]
+    shutil.copy(file, tmp_path / "copy.h5")
+    done = followed(file, str(tmp_path / "copy.h5"))
+    assert done.returncode == 2
+    assert f"copy.h5: the same run as {file}; give each run once" in done.stderr
 
 
 def test_an_option_that_no_analysis_takes_is_refused(runs):
