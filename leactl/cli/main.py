@@ -76,6 +76,7 @@ def root(
 
 def main() -> None:
     """Run the command line; an error prints one line on stderr and sets the exit status."""
+    _replace_closed_streams()
     try:
         _run()
     except SystemExit as end:
@@ -85,9 +86,21 @@ def main() -> None:
         raise
 
 
+def _replace_closed_streams() -> None:
+    """Let standard streams be the null device where they were closed before the start.
+
+    It takes their descriptors, so that no file which is opened later receives what libraries print.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8")
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)  # which keeps it open where another stream is put over its buffer
+
+
 def _exit_process(code: str | int | None) -> NoReturn:
     """Flush both streams and end the process without unloading libraries: HDF5 can crash there after a failed write."""
-    for stream in filter(None, (sys.stdout, sys.stderr)):
+    for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
     os._exit(LeactlError.exit_status if isinstance(code, str) else code or 0)
@@ -163,8 +176,7 @@ def _end(lines: list[str], status: int) -> NoReturn:
         with suppress(OSError):  # what stdout cannot take stands on stderr
             print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
     try:
-        if sys.stdout is not None:  # as it is where it was closed before the start
-            sys.stdout.flush()
+        sys.stdout.flush()
     except OSError:
         _discard_stdout()  # nobody reads it, or its disk is full
     for line in lines[:MOST_LINES]:
