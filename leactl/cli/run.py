@@ -80,8 +80,8 @@ def run(
         metavar="[ADDRESS:PORT]",
         help="Show the run in a browser, on this machine unless an address follows.",
     ),
-    at_end: str = typer.Option(
-        "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
+    at_end: str | None = typer.Option(
+        None, "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
     ),
     trace: Path | None = typer.Option(
         None, "--trace", metavar="FILE", help="Write every byte of every wire; CAN frames apart with .asc, .blf, .log."
@@ -100,7 +100,7 @@ def run(
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)
     request = replace(request, plan=plan, cold=cold, insert_cooldown=insert_cooldown)
-    words = _words_of(at_end)
+    words = [] if at_end is None else _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
     page: AbstractContextManager[RunPage | None] = nullcontext()
@@ -137,7 +137,7 @@ def _words_of(command: str) -> list[str]:
 
     Raises
     ------
-    InputError : quotes that do not close, or a program that is not there.
+    InputError : no word, quotes that do not close, or a program that is not there.
     """
     import shlex
     import shutil
@@ -148,7 +148,9 @@ def _words_of(command: str) -> list[str]:
         words = shlex.split(command)
     except ValueError as error:
         raise InputError(f"--at-end {command}: {error}") from None
-    if words and shutil.which(words[0]) is None:
+    if not words:
+        raise InputError("--at-end: the command is empty; leave the option out where nothing is to be run")
+    if shutil.which(words[0]) is None:
         raise InputError(f"--at-end {command}: there is no program '{words[0]}'")
     return words
 

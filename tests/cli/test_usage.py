@@ -3,6 +3,7 @@
 import inspect
 import os
 import re
+import shlex
 import subprocess
 import sys
 from importlib import import_module
@@ -85,6 +86,26 @@ def test_an_error_has_its_status_and_line_where_stdout_is_closed_from_the_start(
         ["sh", "-c", '"$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
     )
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+
+
+def test_an_empty_command_for_the_end_is_refused(tmp_path):
+    done = leactl("run", "current-step", "--out", tmp_path / "runs", "--at-end", "")
+    assert done.returncode == 2
+    assert done.stderr.startswith("leactl: --at-end: the command is empty")
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr", "both"])
+@pytest.mark.parametrize("words", [["runs", "list", "."], ["runs", "list", "none"], ["--version"]])
+def test_a_stream_that_was_closed_before_the_start_is_no_fault(tmp_path, words, closed):
+    """As `>&-` and `2>&-` of a shell leave it."""
+    redirection = {"stdout": ">&-", "stderr": "2>&-", "both": ">&- 2>&-"}[closed]
+    script = f"exec {shlex.join([*COMMAND, *words])} {redirection}"
+    done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    expected = subprocess.run([*COMMAND, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == expected.returncode
+    assert done.stdout in ("", expected.stdout)
+    assert done.stderr in ("", expected.stderr)
 
 
 @pytest.mark.parametrize("stdout", ["closed", "full"])
