@@ -41,6 +41,7 @@ def test_a_taken_port_and_a_strange_address_are_refused_before_the_bench_is_touc
         ("--web", "192.0.2.7"),
         ("--web", ":80"),
         ("--web=lab-pc:80",),
+        ("--web", "localhost:80"),
         ("--web=", "--dry-run"),
     ):
         done = leactl("run", "spin.yaml", *words, "--json")

@@ -216,9 +216,11 @@ def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, 
             f"--web {text}: ADDRESS:PORT was expected, such as {FREE_PORT_HERE}, [::1]:0 or 192.168.1.20:8080"
         )
     try:
-        host = ipaddress.ip_address("127.0.0.1" if parts["host"] == "localhost" else parts["host"])
+        host = ipaddress.ip_address(parts["host"])
     except ValueError:
-        raise InputError(f"--web {text}: an IP address of this machine was expected, not the name of one") from None
+        raise InputError(
+            f"--web {text}: an IP address of this machine was expected, such as 127.0.0.1, not the name of one"
+        ) from None
     if host.is_unspecified or host.is_multicast:
         raise InputError(f"--web {text}: the one address at which the page is to be opened was expected")
     return host, int(parts["port"])
