@@ -290,10 +290,16 @@ class _CompiledJoint:
         return float(torques[self.dof])
 
     def _damping(self) -> float:
-        """Return the damping at standstill [N*m*s/rad], with what actuators add to the joint's attribute."""
-        still = float(self.state.qfrc_passive[self.dof])
-        turning = self._at(float(self.state.qpos[self.position]), DAMPING_SPEED)
-        damping = (still - float(turning.qfrc_passive[self.dof])) / DAMPING_SPEED
+        """Return the damping at standstill [N*m*s/rad], with what actuators add to the joint's attribute.
+
+        The medium's drag is left out: it belongs to the bodies, and no coefficient stands for it.
+        """
+        medium, start = self.model.opt, float(self.state.qpos[self.position])
+        kept = medium.density, medium.viscosity
+        medium.density = medium.viscosity = 0.0
+        still, turning = (float(self._at(start, speed).qfrc_passive[self.dof]) for speed in (0.0, DAMPING_SPEED))
+        medium.density, medium.viscosity = kept
+        damping = (still - turning) / DAMPING_SPEED
         attribute = float(self.model.dof_damping[self.dof])
         return attribute if abs(damping - attribute) <= 1e-6 * max(attribute, 1e-6) else damping
 

@@ -38,6 +38,14 @@ def test_a_pendulum_on_a_position_actuator_is_a_servo_of_that_stiffness_brake_an
     assert model.rotor_inertia == pytest.approx(0.01 + across, rel=1e-6)
 
 
+def test_the_drag_of_a_medium_is_no_damping_of_the_joint(tmp_path):
+    path = leg(tmp_path)
+    dry = model_of(path, supply=24.0)
+    path.write_text(path.read_text().replace("<option ", '<option density="1000" viscosity="0.1" '))
+    assert model_of(path, supply=24.0) == dry
+    assert any("the medium's drag" in note for note in import_joint(path, "knee", supply=24.0).notes)
+
+
 @pytest.mark.parametrize(
     ("actuator", "words", "lacks"),
     [
