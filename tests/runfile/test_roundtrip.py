@@ -39,6 +39,25 @@ def test_a_run_comes_back(complete: Path):
         assert [spec.name for spec in run.streams["loop"]] == ["iq", "theta", "a_torque"]
 
 
+def test_blocks_of_no_stream_or_no_row_are_refused(complete: Path):
+    with Run.open(complete) as run:
+        stream = next(iter(run.streams))
+        with pytest.raises(InputError, match=f"no stream 'nope'; the run has {stream}"):
+            run.blocks("nope", 10)
+        for rows in (0, -5):
+            with pytest.raises(InputError, match=f"blocks of {rows} rows: 1 or more"):
+                run.blocks(stream, rows)
+        assert [len(block["time"]) for block in run.blocks(stream, run.rows[stream] - 1)] == [run.rows[stream] - 1, 1]
+
+
+def test_a_closed_run_says_that_it_is_closed(complete: Path):
+    with Run.open(complete) as run:
+        stream, (spec, *_) = next(iter(run.streams.items()))
+    for read in (lambda: run.channel_at(f"{stream}/{spec.name}"), lambda: run.time(stream)):
+        with pytest.raises(InputError, match="the run is closed; read its channels inside the `with` block"):
+            read()
+
+
 def test_a_channel_behind_a_multiplexer_has_stamps_of_its_own(tmp_path):
     first = ChannelSpec("ab", "phase_voltage_ab", "test", "daq", scale_std=2e-4)
     with RunWriter(

@@ -154,6 +154,8 @@ def damage_text(fault: Exception) -> str:
     if isinstance(fault, MemoryError):
         return "holds more than fits into the memory of this computer"
     text = " ".join(str(fault).split())
+    if "invalid identifier" in text or "invalid object ID" in text:
+        return "the run is closed; read its channels inside the `with` block, or before close()"
     return TOO_NEW if "bad version number" in text else f"damaged: {text}"
 
 

@@ -4,6 +4,7 @@ After `Run.open`, stamps increase strictly, every channel has a value for each s
 quantity. Values are float64; a missed sample is NaN.
 """
 
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -252,11 +253,22 @@ class Run:
         return np.asarray(self._column(stream, name, start, stop), np.float64)
 
     def blocks(self, stream: str, rows: int = layout.BLOCK_ROWS) -> Iterator[dict[str, npt.NDArray[Any]]]:
-        """The stream's columns in their stored types, `time` first, in blocks of `rows` rows."""
+        """The stream's columns in their stored types, `time` first, in blocks of `rows` rows.
+
+        Raises
+        ------
+        InputError : the run has no such stream, or a block would have no row.
+        """
+        if stream not in self.streams:
+            raise InputError(f"{self.path}: no stream '{stream}'; the run has {', '.join(self.streams) or 'none'}")
+        if rows < 1:
+            raise InputError(f"blocks of {rows} rows: 1 or more was expected")
         names = ["time", *(spec.name for spec in self.streams[stream])]
-        for start in range(0, self.rows[stream], rows):
-            stop = min(start + rows, self.rows[stream])
-            yield {name: self._column(stream, name, start, stop) for name in names}
+        edges = [*range(0, self.rows[stream], rows), self.rows[stream]]
+        return (
+            {name: self._column(stream, name, start, stop) for name in names}
+            for start, stop in itertools.pairwise(edges)
+        )
 
     def close(self) -> None:
         """Close the file; arrays that were read stay valid."""
