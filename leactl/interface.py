@@ -177,7 +177,7 @@ def run_protocol(
     Parameters
     ----------
     protocol, bench : names of shipped ones, or paths.
-    settings : parameters of the protocol by name; `seed` of an emulated bench among them.
+    settings : parameters of the protocol by name, NumPy's numbers and arrays too; also `seed` of an emulated bench.
     out : directory of the run file.
     check : raise the error that ended the run; else it is told in the answer.
 
@@ -224,5 +224,13 @@ def _paths(given: Place | Iterable[Place]) -> list[Path]:
 
 
 def _word(value: object) -> str:
-    """A setting as a command line has it."""
-    return value if isinstance(value, str) else json.dumps(value)
+    """A setting as a command line has it; numbers and arrays of NumPy are those of Python.
+
+    Raises
+    ------
+    InputError : it is neither a text nor made of numbers.
+    """
+    try:
+        return value if isinstance(value, str) else json.dumps(value, default=lambda other: other.tolist())
+    except (AttributeError, TypeError, ValueError):
+        raise InputError(f"setting {value!r}: a text, a number or a list of numbers was expected") from None

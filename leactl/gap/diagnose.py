@@ -72,8 +72,10 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
 
     Raises
     ------
-    InputError : files that cannot be used, or a run on both sides.
+    InputError : no run, files that cannot be used, or a run on both sides.
     """
+    if not runs:
+        raise InputError("no run to diagnose; give one run file or more")
     faults: list[str] = []
     both = {path.resolve() for path in runs} & {path.resolve() for path in held_out}
     faults += [f"{path}: is both fitted and held out; a run can be on one side only" for path in sorted(both)]

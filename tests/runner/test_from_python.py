@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 import leactl
@@ -56,6 +57,24 @@ def test_a_trip_is_raised_with_the_file_or_told_where_that_is_asked_for(tmp_path
     assert done.status == "tripped"
     assert "q_axis_current" in done.reason
     assert all(confirmation.safe for confirmation in done.safe.values())
+
+
+def test_settings_may_be_numbers_and_arrays_of_numpy(tmp_path):
+    settings = {"trials": np.int64(1), "hold_s": np.float32(2.0), "settle_s": 1, "levels_A": np.array([0.7, 0.8])}
+    done = leactl.run_protocol("friction", settings=settings, out=tmp_path)
+    with leactl.open_run(done.run) as run:
+        assert run.parameters["hold_s"] == 2.0
+        assert list(run.parameters["levels_A"]) == [0.7, 0.8]
+
+
+def test_a_setting_that_is_no_number_is_refused(tmp_path):
+    with pytest.raises(InputError, match="a number or a list of numbers was expected"):
+        leactl.run_protocol("friction", settings={"trials": object()}, out=tmp_path)
+
+
+def test_a_diagnosis_of_no_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no run to diagnose"):
+        leactl.diagnose([], [], tmp_path / "nominal.yaml")
 
 
 def test_a_run_leaves_every_signal_to_whoever_had_it_before(tmp_path):
