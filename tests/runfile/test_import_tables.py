@@ -13,12 +13,17 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
 from leactl.runfile.export import export
 from leactl.runfile.importing.importer import import_runs
+from leactl.runfile.importing.proposal.proposal import propose
+from leactl.runfile.importing.proposal.survey import survey
 from leactl.runfile.importing.sources.formats import npz
 from leactl.runfile.importing.sources.registry import open_source
 from leactl.runfile.importing.sources.source import SourceRequest, WantedColumn
 from leactl.runfile.read.reader import Run
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 
 from .logs import HIP, HIP_SPEED, KNEE, N, T
 from .test_import import mapping
@@ -145,6 +150,37 @@ def test_what_leactl_exports_comes_back(folder):
         ("q", "rad", "angle"),
         ("w", "rad/s", "velocity"),
     ]
+
+
+def test_what_leactl_exports_says_whose_channels_they_are(folder):
+    """Two drives with the same quantities; nothing but the file's metadata tells the load's."""
+    head = RunInfo(
+        run_id="20261121T100000Z-friction-0001", protocol="friction", bench="b: 1", actuator="lea-1",
+        condition="design", operator="", simulated=True, mechanical="coupled", software="x",
+        created="2026-11-21T10:00:00Z",
+    )  # fmt: skip
+    specs = [
+        ChannelSpec("a", "q_axis_current", "test", "drive_1", sampling="mean"),
+        ChannelSpec("b", "q_axis_current", "load", "drive_2"),
+        ChannelSpec("c", "winding_temperature", "test", "camera", location="end turn", sampling=""),
+        ChannelSpec("d", "winding_temperature", "test", "camera", location="slot"),
+    ]
+    with RunWriter(folder, head, {"loop": specs}) as writer:
+        writer.append("loop", T, np.stack([HIP, HIP_SPEED, 20 + HIP, 21 + HIP], axis=1))
+    (exported,) = export(writer.path, "parquet", folder)
+    proposed = propose(survey(exported), {("mechanical",): "coupled"})
+    assert proposed.questions == []
+    run = run_of(folder, exported.name, proposed.text)
+    taken = {spec.name: spec for spec in run.streams["loop"]}
+    assert [(taken[spec.name].role, taken[spec.name].location, taken[spec.name].device) for spec in specs] == [
+        (spec.role, spec.location, spec.device) for spec in specs
+    ]
+    assert [taken[spec.name].sampling for spec in specs] == ["mean", "instant", "", "instant"]
+    np.testing.assert_allclose(run.channel("q_axis_current", "load").values, HIP_SPEED, rtol=1e-6)
+    assert [str(run.attributes[name]) for name in ("protocol", "bench", "actuator", "condition")] == [
+        "friction", "b: 1", "lea-1", "design",
+    ]  # fmt: skip
+    assert run.attributes["simulated"] == 1
 
 
 def test_an_episode_of_lerobot_goes_by_the_names_of_its_motors(folder):

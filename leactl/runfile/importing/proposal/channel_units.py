@@ -64,6 +64,7 @@ class ProposedChannel:
     scale_of: str = ""
     sign: int = 1
     location: str = ""
+    declared: dict[str, str] = field(default_factory=dict)  # device and sampling, by the file
     is_settled: bool = False  # True: answered by a person, or left to one; numbers decide nothing more
     values: list[Array] = field(default_factory=list)
 
@@ -128,7 +129,21 @@ def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
 
 
 def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
-    """Propose a channel for a column, or return why it is none."""
+    """Propose a channel for a column, with what its file declares, or return why it is none."""
+    proposed = channel_by_units(column, table, dialect)
+    if isinstance(proposed, str):
+        return proposed
+    if column.role:
+        proposed.role = column.role
+        proposed.why.append(f"role {column.role} by {column.declared_by}")
+    proposed.location = column.location or proposed.location
+    facts = {"device": column.device, "sampling": column.sampling}
+    proposed.declared = {name: text for name, text in facts.items() if text}
+    return proposed
+
+
+def channel_by_units(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
+    """Propose a channel by its documentation, its declared units or its name, or return why it is none."""
     name = str(column.name)
     if isinstance(column.name, int):
         name = f"{table.records or ''}[{column.name}]"
@@ -146,7 +161,7 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
     if not quantity:
         return meaning.why_not
     role = meaning.role or "test"
-    of_role = [f"role {role} by its name"] if meaning.role else []
+    of_role = [f"role {role} by its name"] if meaning.role and not column.role else []
     if column.units and converter(column.units, quantity):
         return ProposedChannel(
             column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]

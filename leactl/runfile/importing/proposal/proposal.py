@@ -111,6 +111,8 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
     form = seen.csv.model_dump(exclude_defaults=True)
     if form:
         lines.append(f"csv: {{{', '.join(f'{key}: {quoted(str(value))}' for key, value in form.items())}}}")
+    if run := [f"{name}: {stated(value)}" for table in seen.tables for name, value in table.table.run]:
+        lines.append(f"run: {{{', '.join(run)}}}  # as the file declares")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
     if any(stream.table.joints for stream in streams):
         lines.append("joints: all  # or some of " + ", ".join(streams_joints(streams)))
@@ -151,7 +153,9 @@ def keys_of(channel: ProposedChannel) -> Iterator[str]:
     if channel.sign != 1:
         yield f"sign: {channel.sign}"
     if channel.location:
-        yield f"location: {channel.location}"
+        yield f"location: {yaml_value(channel.location)}"
+    for name, text in channel.declared.items():
+        yield f"{name}: {yaml_value(text)}"
 
 
 def alternatives(channel: ProposedChannel) -> str:
@@ -164,6 +168,11 @@ def alternatives(channel: ProposedChannel) -> str:
 def streams_joints(streams: list[ProposedStream]) -> list[str]:
     """All joints of the streams' tables."""
     return list(dict.fromkeys(one_line(joint) for stream in streams for joint in stream.table.joints))
+
+
+def stated(value: str | bool) -> str:
+    """A root attribute of a run as YAML."""
+    return str(value).lower() if isinstance(value, bool) else quoted(value)
 
 
 def yaml_value(value: str | int) -> str:

@@ -68,7 +68,11 @@ class ListedColumn(NamedTuple):
     name: str | int
     units: str = ""
     declared_by: str = ""  # where the file declares the units
-    quantity: str = ""  # that the file declares
+    quantity: str = ""  # that the file declares, as the following
+    role: str = ""
+    location: str = ""
+    device: str = ""
+    sampling: str = ""
 
 
 class ListedTable(NamedTuple):
@@ -79,6 +83,7 @@ class ListedTable(NamedTuple):
     kind: str = ""  # type of the messages, if the file has one
     time: ListedColumn | None = None  # the column of stamps, if the format defines one
     joints: tuple[str, ...] = ()  # names that may replace `{joint}` in `records`
+    run: tuple[tuple[str, str | bool], ...] = ()  # root attributes of the run that the file declares
 
 
 class LogSource(Protocol):

@@ -1,7 +1,7 @@
 """Parquet tables (Apache Parquet), by `pyarrow`; elements of lists are named `name[3]`, members of structs `a.b`.
 
-Timestamps become seconds since the first of their column. Units and quantity in the metadata of a field, as
-`leactl runs export` writes them, are taken as declared by the file.
+Timestamps become seconds since the first of their column. Units, quantity, role and so on in the metadata of a field,
+as `leactl runs export` writes them, are taken as declared by the file; so are the run's labels in that of the schema.
 """
 
 import json
@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from leactl.errors import InputError
+from leactl.quantities import ROLES, UNITS
 from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.mapping import PLACEHOLDER
@@ -74,7 +75,8 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
         names_of = joint_names(path)
         tree, listed, began = columns_of(table, arrow, names_of)
     joints = tuple(dict.fromkeys(joint for name in names if name in names_of for joint in names_of[name]))
-    return ParquetSource(path, tree, began, ListedTable(None, tuple(listed), joints=joints))
+    run = tuple(declared_run(texts_of(table.schema.metadata)))
+    return ParquetSource(path, tree, began, ListedTable(None, tuple(listed), joints=joints, run=run))
 
 
 @contextmanager
@@ -123,9 +125,7 @@ def columns_of(
     listed: list[ListedColumn] = []
     began: list[datetime] = []
     for field, column in zip(table.schema, table.columns, strict=True):
-        kind, about = field.type, {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
-        units = about.get("units", "")
-        declared = ListedColumn(field.name, units, "the file's metadata" if units else "", about.get("quantity", ""))
+        kind, declared = field.type, declared_column(field.name, texts_of(field.metadata))
         if arrow.types.is_timestamp(kind):
             tree[field.name], first = seconds(column, kind.unit, arrow)
             began += [first] if first else []
@@ -145,6 +145,31 @@ def columns_of(
             tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             listed.append(declared)
     return tree, listed, min(began, default=None)
+
+
+def texts_of(metadata: dict[bytes, bytes] | None) -> dict[str, str]:
+    """Metadata of a field or a schema as texts."""
+    return {name.decode(): text.decode() for name, text in (metadata or {}).items()}
+
+
+def declared_column(name: str, about: dict[str, str]) -> ListedColumn:
+    """A column with what its metadata declares in the vocabulary of run files."""
+    expected = {"quantity": UNITS, "role": ROLES, "sampling": ("instant", "mean")}
+    known = {key: about[key] for key, words in expected.items() if about.get(key) in words}
+    known |= {key: about[key] for key in ("location", "device") if key in about}
+    units = about.get("units", "")
+    return ListedColumn(name, units, "the file's metadata" if units or known else "", **known)
+
+
+def declared_run(about: dict[str, str]) -> Iterator[tuple[str, str | bool]]:
+    """Labels of the run that a schema's metadata declares, and whether it was simulated."""
+    if "run_id" not in about:
+        return
+    for name in ("protocol", "bench", "actuator", "condition", "operator", "created"):
+        if about.get(name):
+            yield name, about[name]
+    if about.get("simulated", "").lower() in ("1", "true"):
+        yield "simulated", True
 
 
 def is_list(kind: Any, arrow: Any) -> bool:
