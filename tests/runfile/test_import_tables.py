@@ -4,6 +4,7 @@ import io
 import json
 import struct
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
+from scipy.io import savemat
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
@@ -65,6 +67,30 @@ def test_arrays_of_an_archive(folder, save):
     run = run_of(folder, "log.npz")
     np.testing.assert_allclose(run.channel("angle", "test").values, KNEE, atol=1e-12)
     np.testing.assert_allclose(run.channel("velocity", "test").values, HIP_SPEED, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("ending", "inside"), [("npz", ""), ("mat", ""), ("mat", "arm."), ("json", ""), ("json", "arm.")]
+)
+def test_a_matrix_beside_its_stamps_is_taken_by_column_from_every_tree(folder, ending, inside):
+    columns = {"t": T, "q": DEGREES, "w": HIP_SPEED}
+    if ending == "npz":
+        np.savez("log.npz", **columns)
+    else:
+        tree = {"arm": columns} if inside else columns
+        if ending == "mat":
+            savemat("log.mat", tree)
+        else:
+            Path("log.json").write_text(json.dumps(tree, default=lambda array: array.tolist()))
+    text = PLAIN
+    for name in ("t", '"q[1]"', "w"):
+        text = text.replace(f"column: {name}", f'column: "{inside}{name.strip(chr(34))}"', 1)
+    run = run_of(folder, f"log.{ending}", text)
+    np.testing.assert_allclose(run.channel("angle", "test").values, KNEE, rtol=1e-12)
+    (table,) = open_source(folder / f"log.{ending}", None, SourceRequest(None)).tables()
+    assert sorted(column.name for column in table.columns) == ["q[0]", "q[1]", "t", "w"]
+    with pytest.raises(InputError, match=r"no .*2"):
+        import_runs([f"log.{ending}"], mapping(folder, text.replace("q[1]", "q[2]")), folder / "another")
 
 
 def test_an_array_of_objects_is_never_unpickled(folder):

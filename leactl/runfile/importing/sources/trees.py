@@ -39,7 +39,7 @@ class TreeSource:
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column by its path, relative to `records` if given."""
         base = self._walk(self._tree, records) if records else self._tree
-        node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
+        node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name, is_column=True)
         return self._as_column(node, name)
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
@@ -81,7 +81,9 @@ class TreeSource:
             return [row[index] for row in base]
         raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
-    def _walk(self, node: Any, path: str) -> Any:
+    def _walk(self, node: Any, path: str, is_column: bool = False) -> Any:
+        """The node at a path; the last index of a column's path is that of a matrix's column beside a vector."""
+        above: Any = None
         if _has_key(node, path):
             return self._child(node, path, "")
         steps = list(_STEP.finditer(path))
@@ -92,7 +94,10 @@ class TreeSource:
             count = next((n for n in range(len(keys), 1, -1) if _has_key(node, keys[n - 1])), 1)
             is_index = count == 1 and steps[at][2] is not None
             key = int(steps[at][2]) if is_index else keys[count - 1]
-            node = self._child(node, key, path[: steps[at - 1].end()] if at else "")
+            where = path[: steps[at - 1].end()] if at else ""
+            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_matrix_beside_vector(node, above):
+                return self._indexed(node, key, where)
+            above, node = node, self._child(node, key, where)
             at += count
         return node
 
@@ -142,6 +147,23 @@ def _has_key(node: Any, key: str) -> bool:
     return isinstance(node, dict) and key in node
 
 
+def _is_matrix_beside_vector(value: Any, group: Any) -> bool:
+    """Whether a value is a matrix with as many rows as a column of its group has, whose stamps may then be its own."""
+    if not isinstance(group, dict) or not _is_matrix(value):
+        return False
+    return any(_is_column(other) and np.size(other) == len(value) for other in group.values())
+
+
+def _is_matrix(value: Any) -> bool:
+    """Whether a value is a matrix of numbers."""
+    if isinstance(value, np.ndarray):
+        return value.ndim == 2 and value.dtype.kind in "fiub" and not _is_column(value)
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value[:SURVEYED]):
+        return False
+    widths = {len(row) for row in value[:SURVEYED]}
+    return len(widths) == 1 and widths != {0} and all(_is_number(cell) for row in value[:SURVEYED] for cell in row)
+
+
 def _described(value: Any) -> str:
     if isinstance(value, Undecoded):
         return value.description
@@ -169,6 +191,11 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         for name, value in node.items():
             if _is_column(value):
                 by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
+            elif _is_matrix_beside_vector(value, node):
+                width = min(np.shape(value)[1] if isinstance(value, np.ndarray) else len(value[0]), MOST_COLUMNS)
+                names = [f"{name}[{at}]" for at in range(width)]
+                new = [ListedColumn(column) for column in names if column not in node]
+                by_length.setdefault(len(value), []).extend(new)
             elif len(path) < LONGEST_PATH:
                 yield from _tables(value, f"{path}.{name}" if path else str(name))
         for columns in by_length.values():
