@@ -6,6 +6,7 @@ What only POSIX has is left out on other systems, where files are read and bench
 import errno
 import os
 import stat
+import sys
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -38,6 +39,25 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
     if not stat.S_ISREG(about.st_mode):
         raise OSError(errno.EINVAL, "a regular file was expected; this is none", str(path))
     raise OSError(errno.EFBIG, f"{about.st_size} bytes; at most {most} are read", str(path))
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether any process has a file open for writing; False where the system cannot tell.
+
+    Linux gives a lease for reading only to a file that nobody has open for writing. HDF5's lock is no help: a writer
+    that others may read along gives it up.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    import fcntl
+
+    try:
+        with open_regular(path) as stream:
+            fcntl.fcntl(stream, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+            fcntl.fcntl(stream, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+    except OSError as fault:  # EACCES: another user's file; EINVAL: a file system without leases
+        return fault.errno == errno.EAGAIN
+    return False
 
 
 def file_bytes(path: Path, most: int | None = None, count: int = -1) -> bytes:

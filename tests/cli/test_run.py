@@ -170,6 +170,18 @@ def test_a_signal_stops_in_order_and_a_second_one_changes_nothing(here, number):
     assert verify(path) == []
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux tells who writes a file")
+def test_a_run_under_way_is_not_recovered(here):
+    process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime")
+    path = live_run(here, process)
+    refused = leactl("runs", "recover", path)
+    assert refused.returncode == 2
+    assert "a process still writes it; wait for the run's end" in refused.stderr
+    process.kill()
+    process.communicate(timeout=20)
+    assert leactl("runs", "recover", path).returncode == 0
+
+
 def test_kill_leaves_a_file_that_recovers(here):
     process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime")
     path = live_run(here, process)

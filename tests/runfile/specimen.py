@@ -1,7 +1,10 @@
 """Channels and description of a small run."""
 
+import shutil
+from pathlib import Path
+
 from leactl.quantities import ChannelSpec
-from leactl.runfile.write.writer import RunInfo
+from leactl.runfile.write.writer import RunInfo, RunWriter
 
 LOOP = [
     ChannelSpec("iq", "q_axis_current", "test", "drive_a"),
@@ -31,6 +34,11 @@ def info(run_id: str = "20261120T101530Z-torque-constant-7f3a") -> RunInfo:
         sources={"protocol": PROTOCOL, "bench": "name: emulated\n"},
         setup={"drive_gain": 0.98},
     )
+
+
+def as_left_by_a_kill(writer: RunWriter) -> Path:
+    """A copy of a recording that no process writes."""
+    return Path(shutil.copy(writer.path, writer.path.with_name("killed.h5")))
 
 
 def unseal(file) -> None:

@@ -14,7 +14,7 @@ from leactl.runfile.verify.conversion import convert
 from leactl.runfile.verify.integrity import annotate, checksums, recover, verify
 from leactl.runfile.write.writer import RunWriter
 
-from .specimen import STREAMS, info
+from .specimen import STREAMS, as_left_by_a_kill, info
 
 H5DUMP = shutil.which("h5dump")
 NEWEST_LAYOUT_OF_1_10 = 4  # of the data layout message, IV.A.2.i of the HDF5 file format 3.0
@@ -90,7 +90,7 @@ def test_a_recovered_run_is_in_the_format_of_hdf5_1_10(tmp_path: Path):
     writer = RunWriter(tmp_path, info(), STREAMS)
     writer.append_row("loop", 0.0, [1.0, 2.0, 3.0])
     writer.flush()
-    assert max(layouts(recover(writer.path))) <= NEWEST_LAYOUT_OF_1_10
+    assert max(layouts(recover(as_left_by_a_kill(writer)))) <= NEWEST_LAYOUT_OF_1_10
     writer.close("stopped", "by hand")
 
 

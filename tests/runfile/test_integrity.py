@@ -14,7 +14,7 @@ from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import annotate, recover, verify
 from leactl.runfile.write.writer import RunWriter
 
-from .specimen import STREAMS, info
+from .specimen import STREAMS, as_left_by_a_kill, info
 
 
 def test_a_closed_run_has_no_findings(complete: Path):
@@ -69,10 +69,11 @@ def test_a_copy_is_never_overwritten(tmp_path: Path):
     writer = RunWriter(tmp_path, info(), STREAMS)
     writer.append_row("loop", 0.0, [1, 2, 3])
     writer.flush()
-    clean = recover(writer.path)
-    assert clean.name == f"{info().run_id}.recovered.h5"
+    killed = as_left_by_a_kill(writer)
+    clean = recover(killed)
+    assert clean.name == f"{killed.stem}.recovered.h5"
     with pytest.raises(InputError, match="exists already"):
-        recover(writer.path)
+        recover(killed)
     with pytest.raises(InputError, match="still being written"):
         annotate(writer.path, "too early")
     writer.close("stopped", "by hand")

@@ -15,7 +15,7 @@ from leactl.runfile.verify.integrity import altered, annotate, examine, recover,
 from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 
-from .specimen import STREAMS, info, unseal
+from .specimen import STREAMS, as_left_by_a_kill, info, unseal
 
 
 def changed(path, change):
@@ -131,7 +131,7 @@ def test_a_recovered_run_is_sealed_anew(tmp_path: Path):
     writer = RunWriter(tmp_path, info(), STREAMS)
     writer.append_row("loop", 0.0, [1, 2, 3])
     writer.flush()
-    assert examine(recover(writer.path)).summary.startswith("recovered; values, names and attributes")
+    assert examine(recover(as_left_by_a_kill(writer))).summary.startswith("recovered; values, names and attributes")
 
 
 def test_folders_and_several_files_are_verified_with_how_each_ended(complete: Path, tmp_path: Path):

@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 
 from leactl.errors import InputError
+from leactl.regular_files import is_being_written
 from leactl.runfile import layout, seal
 from leactl.runfile.hdf5.opening import DAMAGE, damage_text, open_run_file, reading
 from leactl.runfile.hdf5.space import reserve, trim
@@ -171,10 +172,16 @@ def recover(path: Path) -> Path:
 
     Raises
     ------
-    InputError : not a run file, a run that ended in order, or a copy that exists already.
+    InputError : not a run file, one that a process still writes, a run that ended in order, or a copy that exists
+        already.
     """
     target = path.with_name(f"{path.stem}.recovered.h5")
     refuse_existing(target)
+    if is_being_written(path):
+        raise InputError(
+            f"{path}: a process still writes it; wait for the run's end, or end it by: leactl bench stop; "
+            "a copy of now would lack the rest"
+        )
     file, live = open_run_file(path)
     with file, reading(path):
         streams = file.get("streams", {})
