@@ -296,6 +296,19 @@ def test_a_header_that_the_numbers_contradict_is_asked_for(tmp_path):
     assert stream.channels["velocity_rad_s"].units == ("rad/s",)
 
 
+def test_an_angle_whose_header_its_velocity_contradicts_is_asked_for(tmp_path):
+    columns = {"t": T, "position [rad]": np.degrees(MEASURED), "velocity [rad/s]": SPEED}
+    csv(tmp_path / "a.csv", columns)
+    (stream,) = streams_of(survey(tmp_path / "a.csv"), {})
+    assert stream.channels["position_rad"].units == ("deg", "rad")
+    assert stream.channels["velocity_rad_s"].units == ("rad/s",)
+    (question,) = propose(survey(tmp_path / "a.csv"), {("mechanical",): "free"}).questions
+    assert "as it would be in deg" in question.text
+    for units in question.choices:
+        (stream,) = streams_of(survey(tmp_path / "a.csv"), {question.key: units})
+        assert [channel.units for channel in stream.channels.values()] == [(units,), ("rad/s",)]
+
+
 @pytest.mark.parametrize(
     ("name", "period", "units"),
     [

@@ -315,6 +315,10 @@ def decide_by_travel(
         if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
             velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
             velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
+        of_angle = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
+        if not fitting and of_angle and not is_gear(gain) and not angle.is_settled:
+            angle.units, angle.is_settled = (of_angle[0][0], *angle.units), True
+            angle.why.append(f"yet {factor}, as it would be in {of_angle[0][0]}")
         return
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
     if alone and is_one and any(decided):
