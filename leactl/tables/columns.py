@@ -83,6 +83,8 @@ class Columns:
             for line, cells in rows_of(path, file, form.delimiter, strict):
                 if line == form.header_line:
                     self.names = [cell.strip() for cell in cells]
+                    if form.delimiter == " " and self.names[:1] == [comment]:
+                        self.names = self.names[1:]  # `# t q` of numpy.savetxt
                 if line < first or not (cells if every_row else any(cells)):
                     continue
                 if comment and cells[0].startswith(comment):

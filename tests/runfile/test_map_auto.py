@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from leactl import yamlfile
 from leactl.errors import InputError
+from leactl.runfile.importing.importer import import_runs
 from leactl.runfile.importing.mapping import Mapping as MappingFile
 from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT, streams_of
 from leactl.runfile.importing.proposal.proposal import UNDECIDED, accepted_answer, propose
@@ -411,6 +412,51 @@ def test_counts_of_an_encoder_need_its_scale(tmp_path):
     text = propose(seen, {scale.key: "1/4096", ("mechanical",): "free"}).text
     assert "quantity: angle, units: turn, scale: 0.000244140625}" in text
     assert UNDECIDED not in text
+
+
+@pytest.mark.parametrize(
+    ("head", "delimiter", "decimal", "form"),
+    [
+        ("t\tq [rad]", "\t", ",", 'csv: {delimiter: "\\U00000009", decimal: ","}'),
+        ("# t q_rad", " ", ".", 'csv: {delimiter: " "}'),
+    ],
+)
+def test_tabs_with_decimal_commas_and_blanks_are_detected(tmp_path, head, delimiter, decimal, form):
+    lines = [
+        head,
+        *(delimiter.join(f"{x:.18e}".replace(".", decimal) for x in row) for row in zip(T, HIP, strict=True)),
+    ]
+    (tmp_path / "a.txt").write_text("\n".join(lines))
+    proposed = propose(survey(tmp_path / "a.txt"), {("mechanical",): "free"})
+    assert form in proposed.text
+    assert proposed.questions == []
+    (tmp_path / "map.yaml").write_text(proposed.text)
+    (file,) = import_runs([str(tmp_path / "a.txt")], tmp_path / "map.yaml", tmp_path / "out")
+    with Run.open(file) as run:
+        np.testing.assert_allclose(run.channel("angle").values, HIP)
+
+
+def test_a_column_of_dates_is_offered_as_stamps(tmp_path):
+    moments = np.datetime64("2026-11-28T10:00:00") + np.round(T * 1e6).astype("timedelta64[us]")
+    rows = [f"{moment}Z,{q},{w}" for moment, q, w in zip(moments, MEASURED, SPEED, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["when,position_rad,speed", *rows]))
+    proposed = propose(survey(tmp_path / "a.csv"), {("mechanical",): "free"})
+    assert "time: {column: when, units: iso8601}" in proposed.text
+    assert proposed.questions == []  # the speed follows from the angle, so the stamps count
+    (tmp_path / "map.yaml").write_text(proposed.text)
+    (file,) = import_runs([str(tmp_path / "a.csv")], tmp_path / "map.yaml", tmp_path / "out")
+    with Run.open(file) as run:
+        np.testing.assert_allclose(np.diff(run.channel("angle").time), np.diff(T), atol=1e-5)
+
+
+def test_a_header_over_two_columns_is_named_as_the_cause(tmp_path):
+    rows = [f"{t},{q},{w},{v}" for t, q, w, v in zip(T, HIP, HIP_SPEED, VOLTS, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,q [rad],q [rad],vbus", *rows]))
+    (stream,) = streams_of(survey(tmp_path / "a.csv"), {})
+    assert stream.left_out == dict.fromkeys((1, 2), "its header stands over 2 columns")
+    (tmp_path / "b.csv").write_text("\n".join(["t,q [rad],q [rad],q [rad]", *rows]))
+    with pytest.raises(InputError, match=r"1 \(its header stands over 3 columns\)"):
+        propose(survey(tmp_path / "b.csv"), {})
 
 
 def test_samples_without_stamps_need_their_rate(tmp_path):

@@ -130,7 +130,7 @@ def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
 
 def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
     """Propose a channel for a column, with what its file declares, or return why it is none."""
-    proposed = channel_by_units(column, table, dialect)
+    proposed = column.why_unnamed or channel_by_units(column, table, dialect)
     if isinstance(proposed, str):
         return proposed
     if column.role:
@@ -281,7 +281,7 @@ def are_of_one_shaft(
 
 def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
     """Values of a channel with stamps in s, for each surveyed joint."""
-    factor = SECONDS[stream.time_units[0]]
+    factor = SECONDS.get(stream.time_units[0], 1.0)  # dates are seconds already
     by_joint = zip(stream.stamps, channel.values, strict=False)
     return [ColumnSeries(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
 

@@ -74,5 +74,6 @@ def dialect_of(table: ListedTable) -> LogDialect | None:
 
 def csv_forms() -> Sequence[CsvForm]:
     """CSV forms to try on a table of text: those of the dialects, then the usual delimiters."""
-    usual = [CsvForm(), CsvForm(delimiter=";"), CsvForm(delimiter="\t"), CsvForm(delimiter=";", decimal=",")]
+    decimal_point = [CsvForm(delimiter=delimiter) for delimiter in (",", ";", "\t", " ")]
+    usual = [*decimal_point, *(CsvForm(delimiter=delimiter, decimal=",") for delimiter in (";", "\t"))]
     return list(dict.fromkeys([*(dialect.csv for dialect in dialects()), *usual]))

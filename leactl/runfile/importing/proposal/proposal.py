@@ -56,7 +56,10 @@ def propose(seen: Survey, answers: Answers) -> Proposal:
     if not streams and LEAVE_OUT in answers.values():
         raise InputError(f"{seen.path}: every channel was left out")
     if not streams:
-        columns = ", ".join(str(column.name) for table in seen.tables for column in table.table.columns)
+        every = [column for table in seen.tables for column in table.table.columns]
+        columns = ", ".join(
+            f"{column.name}" + (f" ({column.why_unnamed})" * bool(column.why_unnamed)) for column in every
+        )
         raise InputError(one_line(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
     return Proposal(mapping_text(seen, streams, answers), questions_of(streams, answers))
 

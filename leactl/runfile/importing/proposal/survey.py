@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.runfile.importing.mapping import PLACEHOLDER
+from leactl.runfile.importing.mapping import PLACEHOLDER, TimeBase
 from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
 from leactl.runfile.importing.sources.registry import format_of, open_source
 from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
+from leactl.runfile.importing.streams import seconds
 from leactl.tables.columns import CsvForm
 
 Array = npt.NDArray[np.float64]
@@ -63,6 +64,8 @@ def survey(path: Path) -> Survey:
                     values = source.column(*fill_joint(column.name, table.records, joint))
                 except MissingColumn:
                     continue  # of this joint, or nowhere a number
+                if table.time is not None and column.name == table.time.name and table.time.units == "iso8601":
+                    values = seconds(source, TimeBase(column=column.name, units="iso8601"), values)
                 if not isinstance(values, list):
                     by_joint[-1][column.name] = values
         seen.append(SurveyedTable(table, dialect_of(table), by_joint))
@@ -84,11 +87,17 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
         except InputError as fault:
             faults += fault.faults
             continue
-        if sum(len(table.columns) for table in tables) > sum(len(table.columns) for table in best[1]):
+        if size_of(tables) > size_of(best[1]):
             best = form, tables
     if not any(table.columns for table in best[1]):
         raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
     return best
+
+
+def size_of(tables: list[ListedTable]) -> tuple[int, int]:
+    """How many columns have a name, and how many there are: a wrong delimiter cuts a header otherwise than its rows."""
+    columns = [column for table in tables for column in table.columns]
+    return sum(isinstance(column.name, str) for column in columns), len(columns)
 
 
 def joints_surveyed(table: ListedTable) -> tuple[str, ...]:

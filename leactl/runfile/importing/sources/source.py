@@ -73,6 +73,7 @@ class ListedColumn(NamedTuple):
     location: str = ""
     device: str = ""
     sampling: str = ""
+    why_unnamed: str = ""  # why it goes by an index though the file has headers
 
 
 class ListedTable(NamedTuple):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from contextlib import suppress
+from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -89,11 +90,26 @@ class CsvSource(Columns):
         return only if isinstance(only, str) else float(only)
 
     def tables(self) -> list[ListedTable]:
-        """One table of the columns of numbers, named by header, or by index if the header is missing or not unique."""
+        """One table of the columns of numbers, named by header, or by index if the header is missing or not unique.
+
+        Its stamps are the first column of dates with a time of day, if there is one.
+        """
         listed = []
+        time: ListedColumn | None = None
         for at, cells in sorted(self._kept.items()):
             name = self.names[at] if at < len(self.names) else ""
             texts = [str(cell) for cell in cells]
+            column = name if self.names.count(name) == 1 and name else at
             if all(map(self.is_number, texts)) and not self._missing.issuperset(texts):
-                listed.append(ListedColumn(name if self.names.count(name) == 1 and name else at))
-        return [ListedTable(None, tuple(listed))]
+                twice = f"its header stands over {self.names.count(name)} columns" if self.names.count(name) > 1 else ""
+                listed.append(ListedColumn(column, why_unnamed=twice))
+            elif time is None and all(map(is_moment, texts)):
+                time = ListedColumn(column, "iso8601", "ISO 8601, as its cells are")
+        return [ListedTable(None, tuple(listed), time=time)]
+
+
+def is_moment(text: str) -> bool:
+    """Whether a cell is a date with a time of day by ISO 8601."""
+    with suppress(ValueError):
+        return ":" in text and datetime.fromisoformat(text) is not None
+    return False
