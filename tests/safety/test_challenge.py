@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from leactl.errors import InputError
 from leactl.runner.challenge.courses import GENES, KINDS, READINGS, course
-from leactl.runner.challenge.hunt import Attempt, attempted, hunt, hunts
+from leactl.runner.challenge.hunt import Attempt, hunt, hunts, run_attempt
 from leactl.runner.challenge.optimisers import OPTIMISERS
 from leactl.runner.challenge.phases import PARAMETERS, Phases
 from leactl.safety.thermal.box import Box
@@ -71,7 +71,7 @@ def drawn(guard_of, rate, reading, count):
     """Attempts with genes drawn at random."""
     random = np.random.default_rng(7)
     for _ in range(count):
-        yield attempted(random.random(GENES + len(PARAMETERS) + 1), LEA, SETTINGS, rate, reading, guard_of)
+        yield run_attempt(random.random(GENES + len(PARAMETERS) + 1), LEA, SETTINGS, rate, reading, guard_of)
 
 
 @pytest.mark.parametrize(("rate", "reading"), [(20.0, "true"), (100.0, "stuck"), (500.0, "noisy"), (100.0, "drifting")])
@@ -186,9 +186,9 @@ def test_an_optimiser_that_is_not_installed_says_how_it_is(monkeypatch):
 @pytest.mark.long
 def test_cma_finds_a_guard_that_stops_late():
     proposals = OPTIMISERS["cma"](GENES + len(PARAMETERS) + 1, np.random.default_rng(1))
-    one, peaks = attempted(next(proposals), LEA, SETTINGS, 100.0, "true", StopsLate), []
+    one, peaks = run_attempt(next(proposals), LEA, SETTINGS, 100.0, "true", StopsLate), []
     for _ in range(60):
-        one = attempted(proposals.send(one), LEA, SETTINGS, 100.0, "true", StopsLate)
+        one = run_attempt(proposals.send(one), LEA, SETTINGS, 100.0, "true", StopsLate)
         peaks.append(one.peak)
     assert max(peaks) > SETTINGS.limit
 

@@ -26,7 +26,7 @@ MOST_BYTES: Final = 1 << 26  # of all headers, which hold attributes and the sma
 MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chunks, which makes four million
 
 
-class Message(NamedTuple):
+class HeaderMessage(NamedTuple):
     """A message of an object header."""
 
     kind: int
@@ -41,7 +41,7 @@ class Root(NamedTuple):
     key_size: int  # bytes before each child's address
 
 
-class Node(NamedTuple):
+class TreeNode(NamedTuple):
     """What a tree's node says of itself and of others."""
 
     level: int
@@ -115,13 +115,13 @@ class BTrees:
                     raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
             row, level = below, (level or 0) - 1
 
-    def _node(self, address: int, kind: int) -> Node | None:
+    def _node(self, address: int, kind: int) -> TreeNode | None:
         """The node at an address; None if there is none of this kind, which HDF5 reports itself."""
         head = self._bytes(address, NODE.size)
         if len(head) < NODE.size:
             return None
         signature, found_kind, level, children, left, right = NODE.unpack(head)
-        return Node(level, children, left, right) if (signature, found_kind) == (b"TREE", kind) else None
+        return TreeNode(level, children, left, right) if (signature, found_kind) == (b"TREE", kind) else None
 
     def _children(self, address: int, count: int, key_size: int) -> Iterator[int]:
         """Addresses of the nodes below one."""
@@ -134,7 +134,7 @@ class BTrees:
         """`count` bytes from an address; fewer where the file ends before."""
         return bytes_at(self._raw, self._base + address, count) if address < FURTHEST else b""
 
-    def _messages(self, header: int) -> Iterator[Message]:
+    def _messages(self, header: int) -> Iterator[HeaderMessage]:
         """Messages of an object header of version 1 or 2, those of its further blocks included."""
         prefix = self._bytes(header, 64)
         if prefix.startswith(b"OHDR\x02"):
@@ -163,12 +163,12 @@ class BTrees:
                     further, further_length = struct.unpack_from("<QQ", body)
                     blocks.append((further + signature, max(0, further_length - signature - checksum)))
                 self._messages_met += 1
-                yield Message(kind, body)
+                yield HeaderMessage(kind, body)
             if self._messages_met > MOST_MESSAGES or self._bytes_met > MOST_BYTES:
                 raise InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_BYTES} bytes")
 
 
-def root_in(message: Message) -> Root | None:
+def root_in(message: HeaderMessage) -> Root | None:
     """Where the tree begins that a message refers to; None if it refers to none of version 1."""
     body = message.body
     if message.kind == SYMBOL_TABLE and len(body) >= 16:
