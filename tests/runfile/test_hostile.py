@@ -101,7 +101,9 @@ HOSTILE = {
     ),
     "/extra: a dataset without values": lambda file: file.create_dataset("extra", data=h5py.Empty("f8")),
     "/extra: values that are neither": lambda file: file.create_dataset("extra", (1,), h5py.ref_dtype),
-    "/: attribute 'more' holds neither numbers nor text": lambda file: file.attrs.create("more", [file.ref]),
+    "/: attribute 'more' holds neither numbers nor text": lambda file: file.attrs.create(
+        "more", [file.ref], dtype=h5py.ref_dtype
+    ),
     "/setup: attribute 'more' holds neither": lambda file: file["setup"].attrs.create(
         "more", 0, dtype=h5py.enum_dtype({f"{number}": number for number in range(300)}, "i4")
     ),
