@@ -89,11 +89,14 @@ def main() -> None:
 def _replace_closed_streams() -> None:
     """Let standard streams be the null device where they were closed before the start.
 
-    It takes their descriptors, so that no file which is opened later receives what libraries print.
+    It takes their descriptors, here and in processes that are started, such as a run's watchdog: else a file which is
+    opened later would receive what is printed.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            stream = os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8")
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(descriptor, True)
+            stream = os.fdopen(descriptor, mode, encoding="utf-8")
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)  # which keeps it open where another stream is put over its buffer
 

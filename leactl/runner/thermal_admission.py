@@ -102,7 +102,7 @@ class Windings:
     def end(self, confirmed: bool) -> None:
         """A run has ended; where a device is not confirmed safe, the next run takes the windings as after a crash."""
         if self.keeper is not None:
-            self.keeper.doubted = not confirmed
+            self.keeper.doubted, self.keeper.seen_off = not confirmed, confirmed
 
     def forecast(self, plan: Plan) -> Forecast:
         """What a plan would do to the windings; that of the plan that was admitted is at hand."""
@@ -112,6 +112,8 @@ class Windings:
 
     def rest_before(self, plan: Plan) -> float | None:
         """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
+        if any(one.left_on is not None for one in self.recalled.values()):  # no rest counts before a supply is seen off
+            return 0.0 if self.forecast(plan).passing is None else None
         return self._foresight().rest_before(plan)
 
     def keep_as_found(self) -> None:

@@ -192,6 +192,7 @@ class Keeper:
         self._written = clock()
         self.beside: Callable[[], None] = lambda: None  # what else is to be looked after as often
         self.left_on: dict[str, float] = {}  # degC, that a supply may bring each role's winding to if this process dies
+        self.seen_off = False  # whether every device was confirmed safe since
         self.doubted = False  # whether something may go on heating them when the run has ended
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
@@ -233,7 +234,8 @@ class Keeper:
     def _write(self, running: bool) -> None:
         now = self._clock()
         for role, nodes in self._nodes().items():
-            self._memories[role].keep(nodes, now, running, self.left_on.get(role) if running else None)
+            left_on = None if self.seen_off else self.left_on.get(role)
+            self._memories[role].keep(nodes, now, running or left_on is not None, left_on)
         self._written = now
 
 

@@ -141,3 +141,22 @@ def test_a_reader_that_went_away_is_one_status(words):
     done = subprocess.run([*COMMAND, *words.split()], stdout=write, stderr=subprocess.PIPE, text=True, check=False)
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_a_process_that_is_started_gets_the_null_device_where_a_stream_was_closed(tmp_path):
+    child = "import os; os.write(2, b'words'); print(os.readlink('/proc/self/fd/2'))"
+    program = f"import subprocess, sys; from leactl.cli import main; main._replace_closed_streams(); {child_of(child)}"
+    done = subprocess.run(
+        f"{shlex.quote(sys.executable)} -c {shlex.quote(program)} 2>&-",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.stdout == "/dev/null\n"
+
+
+def child_of(program):
+    """Call that runs a program in a process of its own."""
+    return f"subprocess.run([sys.executable, '-c', {program!r}], check=True)"

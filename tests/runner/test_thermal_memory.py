@@ -95,6 +95,9 @@ def test_a_supply_that_may_be_on_is_handed_on_until_a_run_has_seen_it_off():
     keeper.left_on["test"] = kept.recall(clock[0]).left_on
     keeper.start()  # a run that dies before its devices are safe leaves it as it was
     assert memory().recall(at(7200.0)).nodes.tolist() == [140.0] * 3
+    keeper.stop()  # before any device was opened
+    assert memory().recall(at(7200.0)).nodes.tolist() == [140.0] * 3
+    keeper.seen_off = True
     keeper.stop()
     assert memory().recall(at(7200.0)).left_on is None
     assert memory().recall(at(7 * 86400.0)).nodes == pytest.approx(28.0, abs=0.1)
