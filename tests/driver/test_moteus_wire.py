@@ -181,6 +181,18 @@ def test_the_time_out_mode_is_read_back_again_where_text_is_lost_or_left(moteus_
     assert len(polled) == 5
 
 
+@pytest.mark.parametrize(("period", "watchdog_ms"), [(1 / 15, 200), (1 / 30, 100), (1 / 3, 1000)])
+def test_a_loop_that_is_slower_than_the_query_enters_operation_too(monkeypatch, period, watchdog_ms):
+    monkeypatch.setattr("tests.driver.moteus_bench.PERIOD_S", period)
+    bench = MoteusBench(watchdog_ms=watchdog_ms)
+    bench.drive.open()
+    bench.drive.engage(Mode.CURRENT)
+    for _ in range(6):
+        bench.cycle()
+    assert bench.drive.engaged
+    bench.drive.close()
+
+
 def test_a_time_out_mode_that_does_not_read_back_is_no_operation(moteus_bench):
     moteus_bench.wire.disturb(lambda frame, source: None if source and frame.data[:2] == b"\x41\x01" else 0.0)
     moteus_bench.drive.engage(Mode.CURRENT)

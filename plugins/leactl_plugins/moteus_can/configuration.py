@@ -24,6 +24,7 @@ BEMF_FEEDFORWARD = "servo.bemf_feedforward"  # refused by the firmware without a
 CHANNEL = 1
 MOST_TEXT = 48  # bytes an answer
 TRIES = 3  # of one question or one write: a frame may get lost
+POLLS = 3  # for one answer within the loop, each with as much text as a frame holds
 AGAIN_S = 0.002  # before text that is not there yet is polled for again
 NEAR = 1e-6  # of a value, for the controller's single precision
 
@@ -39,6 +40,7 @@ class Configuration:
         self._text = b""
         self._parameter = ""  # that `continue_reading` asks for, once what an earlier host has left is thrown away
         self._is_asked, self._heard = False, b""
+        self._asked_at, self._polls = -math.inf, 0
         self._ask_again_at = -math.inf
 
     def on_text(self, text: bytes) -> None:
@@ -77,28 +79,34 @@ class Configuration:
     def begin_reading(self, parameter: str) -> None:
         """Begin to query a parameter within the control loop; `continue_reading` goes on with it."""
         self._parameter, self._ask_again_at = parameter, -math.inf
+        self._came[0] = self._is_asked = False
 
     def continue_reading(self) -> float | None:
         """Send the next frames of the query without waiting; returns the value once it has come.
 
-        What was lost is asked for again after `answer_timeout_s`.
+        A poll that is not answered within `answer_timeout_s` begins the query anew, and so does a question whose answer
+        is not whole by then and after three polls: a cycle may take longer than the time-out.
 
         Raises
         ------
         DeviceError : the bus is closed, full or gone, or the answer is no number.
         """
         now = self._port.clock.now()
-        if now >= self._ask_again_at:
-            self._is_asked, self._heard, self._ask_again_at = False, b"", now + self._timeout_s
-        elif not self._came[0]:
-            return None
-        elif self._is_asked:
+        if self._came[0] and self._is_asked:
             self._heard += self._text
             if b"\n" in self._heard:
                 return self._number_in(self._parameter, _first_line(self._heard))
-        elif not self._text:
-            self._send_line(f"conf get {self._parameter}")
-            self._is_asked = True
+            self._polls += 1
+            self._is_asked = self._polls < POLLS or now < self._asked_at + self._timeout_s
+        elif self._came[0]:
+            if not self._text:
+                self._send_line(f"conf get {self._parameter}")
+                self._is_asked, self._asked_at, self._polls, self._heard = True, now, 0, b""
+        elif now < self._ask_again_at:
+            return None
+        else:
+            self._is_asked = False
+        self._ask_again_at = now + self._timeout_s
         self._send_poll()
         return None
 
