@@ -6,7 +6,7 @@ What only POSIX has is left out on other systems, where files are read and bench
 import errno
 import os
 import stat
-import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -42,22 +42,32 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether any process has a file open for writing; False where the system cannot tell.
+    """Whether a process of this machine is seen to have a file open for writing.
 
-    Linux gives a lease for reading only to a file that nobody has open for writing. HDF5's lock is no help: a writer
-    that others may read along gives it up.
+    It is looked up under /proc, which shows a user's own processes: HDF5's lock is no help, since a writer that others
+    may read along gives it up, and network file systems refuse a lease whoever writes.
     """
-    if not sys.platform.startswith("linux"):
-        return False
-    import fcntl
-
     try:
-        with open_regular(path) as stream:
-            fcntl.fcntl(stream, fcntl.F_SETLEASE, fcntl.F_RDLCK)
-            fcntl.fcntl(stream, fcntl.F_SETLEASE, fcntl.F_UNLCK)
-    except OSError as fault:  # EACCES: another user's file; EINVAL: a file system without leases
-        return fault.errno == errno.EAGAIN
+        about = path.stat()
+        processes = [entry for entry in Path("/proc").iterdir() if entry.name.isdecimal()]
+    except OSError:
+        return False
+    for process in processes:
+        with suppress(OSError):  # it has ended, or is another user's
+            if any(_writes(process, descriptor, about) for descriptor in (process / "fd").iterdir()):
+                return True
     return False
+
+
+def _writes(process: Path, descriptor: Path, about: os.stat_result) -> bool:
+    try:
+        if not os.path.samestat(descriptor.stat(), about):
+            return False
+        told = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
+    except OSError:  # it was closed meanwhile
+        return False
+    flags = next((line.split()[1] for line in told.splitlines() if line.startswith("flags:")), "0")
+    return int(flags, 8) & os.O_ACCMODE != os.O_RDONLY
 
 
 def file_bytes(path: Path, most: int | None = None, count: int = -1) -> bytes:
