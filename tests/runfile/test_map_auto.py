@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from leactl import yamlfile
 from leactl.errors import InputError
+from leactl.runfile.importing.column_names import meaning_of
 from leactl.runfile.importing.importer import import_runs
 from leactl.runfile.importing.mapping import Mapping as MappingFile
 from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT, streams_of
@@ -59,6 +60,22 @@ def degrees_in_mcap(path):
 
 def npz(path):
     np.savez(path, t=T, q=np.degrees(MEASURED), dq=SPEED, tau=EFFORT, iq=0.3 * EFFORT, vbus=VOLTS, temp_motor=WARM)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity"),
+    [
+        ("velocity_loop_current", "q_axis_current"),
+        ("speed_current", "q_axis_current"),
+        ("current velocity [rad/s]", "velocity"),
+        ("current_position", "angle"),
+        ("temp_sensor_id", ""),
+        ("battery_current_id", ""),
+        ("id [A]", "d_axis_current"),
+    ],
+)
+def test_the_present_one_of_something_begins_with_current_and_a_number_of_a_thing_is_none(name, quantity):
+    assert meaning_of(name).quantity == quantity
 
 
 def npz_in_rpm(path):

@@ -119,6 +119,7 @@ def rule_of(words: list[str], name: str, said: str) -> dict[str, Any] | None:
         rule
         for rule in table()["rules"]
         if all(any(word in group for word in words) for group in rule["all"])
+        and rule.get("begins", words[:1]) in (words[:1], *words[:1])
         and (not rule.get("only_with_unit") or (said and fits(name, said, rule["quantity"])))
     ]
     fitting = [rule for rule in satisfied if fits(name, said, rule.get("quantity", ""))]
