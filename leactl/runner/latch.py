@@ -208,7 +208,8 @@ def tripped(word: str) -> dict[Latch, Trip]:
 def latch_lost_runs(bench: str) -> None:
     """Latch a bench on real buses for every run of it that nothing is left of: who knows what its devices do.
 
-    A latch that is there gets the cause beside its own, so that whoever resets it reads both.
+    A latch that is there gets the cause beside its own, so that whoever resets it reads both; one that names the same process
+    was set by its watchdog, and stays.
 
     Raises
     ------
@@ -217,6 +218,8 @@ def latch_lost_runs(bench: str) -> None:
     for run in runs_underway.lost(bench):
         latch = Latch(bench, bench, (str(run.place.directory / f"{bench}{SUFFIX}"),), run.place.shared)
         trip = latch.trip()
+        if trip is not None and f"process {run.process} " in trip.cause:
+            continue
         latch.set(f"{trip.cause}; {run.cause}" if trip else run.cause, Path(run.recording))
 
 

@@ -246,6 +246,7 @@ class RunUnderway:
 class LostRun(NamedTuple):
     """A run that ended without telling that its devices are safe."""
 
+    process: object  # its number
     cause: str  # what is said of it
     recording: str
     place: Place  # that it announced itself in
@@ -268,7 +269,7 @@ def lost(bench: str) -> Iterator[LostRun]:
                 if not _is_over(about):
                     run = f"process {about.get('process')} of the run {about.get('protocol')}"
                     cause = f"{run} ended without a word, and its watchdog too"
-                    yield LostRun(cause, str(about.get("run", "none")), place)
+                    yield LostRun(about.get("process"), cause, str(about.get("run", "none")), place)
                 _forget(path, descriptor)
             finally:
                 os.close(descriptor)

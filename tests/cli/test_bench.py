@@ -74,6 +74,16 @@ def test_reset_of_a_rehearsal_tells_of_a_lost_run_of_its_name_before_it_asks(tri
     assert leactl("bench", "reset", word).stdout == "emulated: not tripped\n"
 
 
+def test_a_latch_that_the_watchdog_of_the_lost_run_has_set_stays_as_it_is():
+    latch = Latch("emulated", "emulated", (str(state_directory() / "emulated.trip.json"),))
+    latch.set("process 1 of the run ended without making the bench safe", Path("r.h5"))
+    before = latch.trip()
+    lose_a_run()
+    said = leactl("bench", "reset", "emulated", input="n\n").stderr
+    assert "and its watchdog too" not in said
+    assert latch.trip() == before
+
+
 def test_a_latch_that_is_there_gets_the_lost_run_beside_its_cause():
     place = state_directory()
     Latch("emulated", "emulated", (str(place / "emulated.trip.json"),)).set("test winding of 131 degC", Path("a.h5"))
