@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import threading
-import time
 
 import can
 import canopen
@@ -24,6 +22,7 @@ from leactl.errors import DeviceError, DeviceFault
 from tests.driver.failing import FailingDrive
 
 from .canopen_drive import COUNTS, RATED_MA, CanopenDrive, dictionary
+from .serving import served
 
 CHANNELS = (f"foreign-{number}" for number in itertools.count())
 PATIENT = {"consumer_heartbeat_ms": 1000, "producer_heartbeat_ms": 200, "sdo_timeout_s": 1.0}
@@ -159,22 +158,10 @@ def test_counts_that_contradict_the_bench_file_are_refused_with_both(meet):
 def emulated():
     """An emulated Elmo on a virtual bus, served by a thread; its channel and the drive."""
     channel, clock = next(CHANNELS), EmulatedClock()
-    wire, ended = CanWire(clock), threading.Event()
+    wire = CanWire(clock)
     drive = FailingDrive(wire, 1)
-    bridge = CanBridge("", can.Bus(channel=channel, interface="virtual"), wire)
-    began = time.monotonic()
-
-    def serve():
-        while not ended.wait(1e-3):
-            clock.sleep_until(time.monotonic() - began)
-            bridge.carry()
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield channel, drive
-    ended.set()
-    thread.join()
-    bridge.close()
+    with served(CanBridge("", can.Bus(channel=channel, interface="virtual"), wire), clock):
+        yield channel, drive
 
 
 @pytest.fixture

@@ -1,12 +1,9 @@
 """The SCPI driver at an instrument of pyvisa-sim's, and pyvisa with pyvisa-py at the emulated instrument."""
 
-import threading
-import time
 from pathlib import Path
 
 import pytest
 from leactl_plugins.scpi_supply.driver import ScpiSupply
-from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 from leactl.driver.clock import MonotonicClock
@@ -17,6 +14,8 @@ from leactl.emulation.wires.serial import SerialWire
 from leactl.emulation.wires.serving import SocketBridge
 from leactl.errors import DeviceError
 from tests.driver.failing import SERIAL_ENDS
+
+from .serving import served
 
 pyvisa = pytest.importorskip("pyvisa", reason="needs the extra 'foreign'")
 pytest.importorskip("pyvisa_sim", reason="needs the extra 'foreign'")
@@ -110,26 +109,17 @@ def test_another_model_is_refused_by_name():
 @pytest.fixture
 def instrument():
     """An emulated supply behind a TCP server of this process, as pyvisa-py opens it."""
-    clock, ended = EmulatedClock(), threading.Event()
+    clock = EmulatedClock()
     wire = SerialWire(clock, 1e-6)
     wire.device = SERIAL_ENDS["scpi_supply"]("e36300", "E36312A", "0", 1)
-    assert isinstance(wire.device, ScpiSupplyEmulator)
-    bridge, began = SocketBridge(wire), time.monotonic()
-
-    def serve():
-        while not ended.wait(1e-3):
-            clock.sleep_until(time.monotonic() - began)
-            bridge.carry()
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    with pyvisa.ResourceManager("@py").open_resource(bridge.place.split()[-1]) as opened:
+    bridge = SocketBridge(wire)
+    with (
+        served(bridge, clock),
+        pyvisa.ResourceManager("@py").open_resource(bridge.place.split()[-1]) as opened,
+    ):
         opened.read_termination = opened.write_termination = "\n"
         opened.timeout = 5000
         yield opened
-    ended.set()
-    thread.join()
-    bridge.close()
 
 
 def test_pyvisa_sets_and_measures_the_emulated_supply(instrument):
