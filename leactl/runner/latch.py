@@ -208,8 +208,8 @@ def tripped(word: str) -> dict[Latch, Trip]:
 def latch_lost_runs(bench: str) -> None:
     """Latch a bench on real buses for every run of it that nothing is left of: who knows what its devices do.
 
-    A latch that is there gets the cause beside its own, so that whoever resets it reads both; one that names the same process
-    was set by its watchdog, and stays.
+    A latch that is there gets the cause beside its own, so that whoever resets it reads both; one that names the
+    same process was set by its watchdog, and stays.
 
     Raises
     ------
