@@ -21,7 +21,15 @@ from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
 
 
 def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
-    """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
+    """Check a request against its bench and its windings; no device is opened.
+
+    Returns the request with the plan that the windings allow, the bench and the supervisor.
+
+    Raises
+    ------
+    InputError : plan and bench do not fit, the disk has no room, a winding may pass its limit, or nothing would end
+        a supply's current.
+    """
     bench = bench_of(request)
     check_fit(request.plan, bench)
     require_channels_for_interlocks(bench, request.bench_document)
@@ -40,7 +48,7 @@ def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supe
 
 
 def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
-    """What comes of each supply that nobody switches off, a line each."""
+    """Tell, a line for each supply that the plan switches on, how hot its winding gets if nobody switches it off."""
     if not switches_supplies(plan):
         return []
     from leactl.runner.left_on import left_on
@@ -54,12 +62,12 @@ def switches_supplies(plan: Plan) -> bool:
 
 
 def locks_of(request: Request) -> AbstractContextManager[list[int]]:
-    """The locks of the bench and its buses; a bench of this process needs none."""
+    """Hold the locks of the bench and its buses while a block lasts; a bench emulated in this process needs none."""
     return nullcontext([]) if request.in_process else locks.held(request.bench, request.devices)
 
 
 def refuse_latched(request: Request) -> None:
-    """Refuse a latched bench, and first latch one of a run that nothing is left of.
+    """Refuse a latched bench; one whose last run died without making its devices safe is latched first.
 
     Raises
     ------
