@@ -33,7 +33,7 @@ from leactl.gap.search.parameters import (
     with_calibration,
     with_effects,
 )
-from leactl.gap.search.regression import Candidate
+from leactl.gap.search.regression import Candidate, Fit
 from leactl.gap.search.ringing import ringing
 from leactl.gap.search.sets import (
     ENTRY,
@@ -78,12 +78,31 @@ def measure(
     sound runs show this, each machine gets a torque constant of its own, and the fit keeps that of the model.
     """
     random = np.random.default_rng(seed)
-    shown = looked_at(records, model, (), machines, only, random)
-    moved, kept = shown.parameters(), tuple(name for name in shown.untold() if name == SCALE)
+    machines_runs = sound_runs(records, [model] * machines, random)
+    moved, kept = torque_constant_untold(machines_runs, model)
     if kept:
-        shown = looked_at(records, model, kept, machines, only, random)
-        moved = shown.parameters() | {SCALE: moved[SCALE]}
-    return shown.null(moved, kept)
+        machines_runs = sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random)
+    shown = NullValues()
+    for runs in machines_runs:
+        shown.look(Evidence(runs, model, only, kept))
+    return shown.null(shown.parameters() | moved, kept)
+
+
+def torque_constant_untold(
+    machines_runs: Sequence[Sequence[Record]], model: Model
+) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
+    """Mean and scatter of the torque constant's relative change, and its name; both empty where the runs tell it.
+
+    No effect is looked for: its columns take most of the time of a null, and a calibration needs none of them.
+    """
+    calibrations = NullValues()
+    for runs in machines_runs:
+        evidence = Evidence(runs, model, only=())
+        if evidence.stack.rows:
+            calibrations.calibrate(evidence)
+    if SCALE not in calibrations.untold():
+        return {}, ()
+    return {SCALE: calibrations.parameters()[SCALE]}, (SCALE,)
 
 
 def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
@@ -127,21 +146,6 @@ def compare(evidence: Evidence, null: Null) -> None:
         evidence.by_form[effect] = evidence.floors_of(effect, scaled)
 
 
-def looked_at(
-    records: Sequence[Record],
-    model: Model,
-    kept: Sequence[str],
-    machines: int,
-    only: Sequence[Candidate] | None,
-    random: np.random.Generator,
-) -> "NullValues":
-    """What sound machines show whose fits keep some parameters at the model's values."""
-    shown = NullValues()
-    for own in sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random):
-        shown.look(Evidence(own, model, only, kept))
-    return shown
-
-
 @dataclass
 class NullValues:
     """What sound machines show, one value for each of them."""
@@ -156,12 +160,21 @@ class NullValues:
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
 
+    def calibrate(self, evidence: Evidence) -> Fit:
+        """Take in how far a fit without effects moves the parameters of one machine."""
+        fit = evidence.settle([])
+        self.priors = evidence.priors
+        for place, value in zip(fit.columns, fit.values, strict=True):
+            name = evidence.stack.names[place]
+            if name[0] == "calibration":
+                self.moved.setdefault(name[1], []).append(float(value))
+        return fit
+
     def look(self, evidence: Evidence) -> None:
         """Take in one machine; nothing of it is kept but these values, for its columns take much memory."""
         if not evidence.stack.rows:
             return
-        fit = evidence.settle([])
-        self.priors = evidence.priors
+        fit = self.calibrate(evidence)
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
         for key, value in evidence.left().items():
@@ -176,10 +189,6 @@ class NullValues:
                 self.errors.setdefault(effect, []).append(standard_errors(effect, items))
         for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
-        for place, value in zip(fit.columns, fit.values, strict=True):
-            name = evidence.stack.names[place]
-            if name[0] == "calibration":
-                self.moved.setdefault(name[1], []).append(float(value))
 
     def null(self, moved: Mapping[str, tuple[float, float]], kept: Sequence[str]) -> Null:
         """All machines together.
