@@ -18,6 +18,7 @@ DAMPED = 0.05  # of critical, as gears and belts have it
 CREEPS = 1.0  # of critical: such a load follows without a swing, which a lag of the motor's own may be
 HIGHEST = 0.9  # of the inertia, that a load has in a simulation: the motor's rotor is the rest
 DIES_AWAY = 4.0  # time constants, after which two per cent of a swing are left
+GONE = 36.0  # time constants, after which less is left than a rounding error
 FEWEST = 4  # samples for each number of a fit
 
 
@@ -68,11 +69,11 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
     """
     rate = 2.0 * np.pi * form[0]
     fading, ringing = form[1] * rate, rate * np.sqrt(1.0 - form[1] ** 2)
-    time = np.arange(len(behind)) * signals.interval
+    time = np.arange(len(behind), dtype=np.float64) * signals.interval
     within = slice(0, int(np.searchsorted(time, DIES_AWAY / fading)))
     if signals.current is None or signals.acceleration is None or signals.sliding is None or signals.velocity is None:
         return np.zeros_like(behind)
-    swings = [np.exp(-fading * time) * wave(ringing * time) for wave in (np.cos, np.sin)]
+    swings = fading_waves(fading, ringing, time)
     columns = [behind, *swings, signals.acceleration, signals.velocity, signals.sliding]
     table = np.stack([column[within] for column in columns], axis=1)
     if len(table) < FEWEST * len(columns):
@@ -81,6 +82,16 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
     if load <= JointElasticity.least * abs(load + rotor):
         return np.zeros_like(behind)
     return np.asarray((begins[0] * swings[0] + begins[1] * swings[1]) / load, np.float64)
+
+
+def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
+    """Cosine and sine of a swing that dies away; zero where a rounding error is larger than what is left of it."""
+    lasts = int(np.searchsorted(time, GONE / fading))
+    swings = np.zeros((2, len(time)))
+    left = np.exp(-fading * time[:lasts])
+    for swing, wave in zip(swings, (np.cos, np.sin), strict=True):
+        swing[:lasts] = left * wave(ringing * time[:lasts])
+    return list(swings)
 
 
 def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
