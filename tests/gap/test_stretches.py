@@ -101,6 +101,27 @@ def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
     assert all(np.ptp(one.fast.time) < ROWS / nights.RATE for one in records if one.fast is not None)
 
 
+def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, tmp_path, monkeypatch):
+    monkeypatch.setattr(stretches, "ROWS", 1 << 14)
+    path = tmp_path / "jitters.h5"
+    path.write_bytes((pair / "night-1.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        stamps = file["streams/loop/time"]
+        late = 0.2 / nights.RATE * np.random.default_rng(3).standard_normal(ROWS)
+        stamps[...] = np.maximum.accumulate(stamps[...] + late) + 1e-9 * np.arange(ROWS)
+        for column in file["streams/loop"].values():
+            del column.attrs["sha256"]
+    records = read_records([path], BenchModel())[path]
+    intervals = {one.fast.interval for one in records if one.fast is not None}
+    assert len(intervals) == 1
+    interval = intervals.pop()
+    assert interval == pytest.approx(1.0 / nights.RATE, rel=0.03)
+    assert (
+        sum(f"are uneven; values are taken in between at {1 / interval:.6g} Hz" in note for note in records[0].notes)
+        == 1
+    )
+
+
 def test_an_effect_is_named_in_stretches_as_in_the_whole_run(pair, monkeypatch):
     monkeypatch.setattr(stretches, "ROWS", 1 << 16)
     found, causes = named(pair)

@@ -167,7 +167,7 @@ def stretch_of(walk: "Walk", first: int, stop: int, slow: Record | None) -> tupl
     rows = {stream: (row_at(run, stream, since), row_at(run, stream, until) + 1) for stream in run.streams}
     rows[walk.stream] = first, stop
     channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
-    record = record_of(run, channels)
+    record = record_of(run, channels, walk.interval)
     clock = record.fast
     assert clock is not None  # else nothing were usable
     warm = None if slow is None or slow.slow is None else cut_out(slow.slow, since, until)
@@ -254,6 +254,7 @@ class Walk:
 
     run: Run
     stream: str
+    interval: float  # s, usual one of its samples
     length: int  # rows of a stretch
     count: int  # of stretches, at most
 
@@ -265,7 +266,7 @@ class Walk:
         interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
         looked_at = max(min(int(share / weight(interval, bench)), run.rows[name]), 2)
         count = min(STRETCHES, max(looked_at // SHORTEST, 2))
-        return cls(run, name, looked_at // count, count)
+        return cls(run, name, interval, looked_at // count, count)
 
     @property
     def rows(self) -> int:

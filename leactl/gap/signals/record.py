@@ -29,6 +29,7 @@ BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
 PAUSES = 16  # gaps, below which a run pauses or its clock jumps: its stamps do not come in bursts
+ALIKE = 0.1  # of its own interval, by which a stretch may go by its run's: jitter moves the middle one of a few hundred
 PAUSED = 64.0  # times as long as its samples take, that a run may last
 UNBRIDGED = 0.05
 LONG, SMOOTHED = 8, 12  # samples: of a gap that no straight line bridges, and to either side that smoothing carries it
@@ -149,8 +150,12 @@ def read_record(path: Path) -> Record:
         return record_of(run)
 
 
-def record_of(run: Run, channels: list[Channel] | None = None) -> Record:
+def record_of(run: Run, channels: list[Channel] | None = None, usual: float | None = None) -> Record:
     """Sort the channels of an open run, all of them or some.
+
+    Parameters
+    ----------
+    usual : s, interval of the samples of the whole run, which its stretches have in common; their own if left out.
 
     Raises
     ------
@@ -168,11 +173,18 @@ def record_of(run: Run, channels: list[Channel] | None = None) -> Record:
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
-    return replace(build(run.path, kind, run.mechanical, channels, setup), condition=condition)
+    return replace(build(run.path, kind, run.mechanical, channels, setup, usual), condition=condition)
 
 
-def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
-    """Sort channels onto a fast and a slow clock."""
+def build(
+    path: Path,
+    kind: str,
+    mechanical: str,
+    channels: list[Channel],
+    setup: dict[str, float],
+    usual: float | None = None,
+) -> Record:
+    """Sort channels onto a fast and a slow clock, the fast one at its run's usual interval where that is told."""
     notes: list[str] = []
     usable = []
     for channel in of_the_bench(channels):
@@ -190,7 +202,8 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
     fast = [c for c in usable if not is_slow(c.quantity)]
     slow = [c for c in usable if is_slow(c.quantity)]
-    return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
+    clocks = _on_clock(fast, notes, path, usual), _on_clock(slow, notes, path)
+    return Record(path, kind, mechanical, *clocks, setup, notes)
 
 
 def is_slow(quantity: str) -> bool:
@@ -215,22 +228,17 @@ def may_rest(channel: Channel, mechanical: str) -> bool:
     return channel.quantity in ("drive_enabled", AMBIENT) or channel.quantity.endswith("_reference")
 
 
-def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked | None:
+def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: float | None = None) -> Clocked | None:
     if not channels:
         return None
     streams: dict[str, list[Channel]] = {}
     for channel in channels:
         streams.setdefault(channel.stream, []).append(channel)
     leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
-    interval = bridging_interval(leading)
-    span = leading[-1] - leading[0]
-    if span > PAUSED * interval * len(leading):
+    own = bridging_interval(leading)
+    if leading[-1] - leading[0] > PAUSED * own * len(leading):
         raise InputError(f"{path}: {jump_of(leading)}; what it measures cannot be put on one clock")
-    grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
-    even = is_even(grid, leading)
-    if not even and is_even(other := np.linspace(leading[0], leading[-1], len(leading)), leading):
-        # stamps rounded to a few digits: their mean pace is right where the middle one is off by a digit
-        grid, interval, even = other, float(span / (len(leading) - 1)), True
+    grid, interval, even = grid_of(leading, own if usual is None or abs(usual - own) > ALIKE * own else usual)
     if not even:
         notes.append(f"{path.name}: stamps are uneven; values are taken in between at {1 / interval:.6g} Hz")
     clocked = Clocked(leading if even else grid, interval)
@@ -268,6 +276,19 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
         elif not group[0].sampling:
             clocked.unstamped.add(key)
     return clocked
+
+
+def grid_of(stamps: Array, usual: float) -> tuple[Array, float, bool]:
+    """Evenly spaced times over stamps, their interval, and whether the stamps lie on them but for jitter."""
+    span = stamps[-1] - stamps[0]
+    for interval in dict.fromkeys((usual, bridging_interval(stamps))):
+        grid = stamps[0] + interval * np.arange(int(span / interval + 1.5))
+        if is_even(grid, stamps):
+            return grid, interval, True
+    if is_even(grid := np.linspace(stamps[0], stamps[-1], len(stamps)), stamps):
+        # stamps rounded to a few digits: their mean pace is right where the middle one is off by a digit
+        return grid, float(span / (len(stamps) - 1)), True
+    return stamps[0] + usual * np.arange(int(span / usual + 1.5)), usual, False
 
 
 def without_edges(valid: Mask) -> Mask:
