@@ -8,7 +8,7 @@ from leactl_plugins.elmo_can.settings import ElmoSettings
 from leactl.driver.can_port import CanPort
 from leactl.driver.far_end import Frame
 
-from .failing import COUNTS, RATED_MA, Shaft
+from .failing import COUNTS, PER_MILLE_A, RATED_MA, Shaft
 from .transports import CanInProcess
 
 ANSWER_S = 5.0  # how long an answer may take on a real bus; it is not waited for once it is there
@@ -97,3 +97,13 @@ class ElmoBench:
 
 def q_axis(per_mille: int) -> float:
     return per_mille * RATED_MA * 1e-6 * math.sqrt(1.5)
+
+
+FRESH, EMPTY = (0, 0, 0), (None, None, None)
+
+
+def ages_of(row: list[float], number: int) -> tuple[int | None, ...]:
+    """How many SYNCs old a counting drive's current, velocity and angle are at a SYNC; None where they are left out."""
+    numbers = row[3] / PER_MILLE_A, row[4] * COUNTS / (2 * math.pi), row[5] * COUNTS / (2 * math.pi)
+    wanted = number % 1000, number, number
+    return tuple(None if math.isnan(read) else round(want - read) for read, want in zip(numbers, wanted, strict=True))

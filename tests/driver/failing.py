@@ -1,6 +1,8 @@
 """Far ends that fail on request; arguments and answers are plain JSON values, so that a request may cross processes."""
 
 import math
+import random
+import time
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
@@ -149,6 +151,49 @@ class FailingDrive(ElmoEmulator):
     def _download(self, index: int, sub: int, raw: bytes, now: float) -> None:
         if index not in self._deaf:
             super()._download(index, sub, raw, now)
+
+
+PER_MILLE_A = RATED_MA * 1e-6 * math.sqrt(1.5)
+STALL_EVERY, STALLS_S = 12, (0.0005, 0.05)  # SYNCs on average, and how long
+
+
+class CountingDrive(FailingDrive):
+    """A drive whose readings are the number of the SYNC at which it sampled them."""
+
+    def __init__(self, wire: CanWire, node: int = 1) -> None:
+        self.number = -1
+        self.last_answers: list[Frame] = []
+        self._draw: random.Random | None = None
+        self._stalls: list[tuple[int, float]] = []
+        super().__init__(wire, node)
+        self.shaft.read = lambda: (
+            self.number % 1000 * PER_MILLE_A,
+            self.number * 2 * math.pi / COUNTS,
+            self.number * 2 * math.pi / COUNTS,
+        )
+
+    def counted(self) -> int:
+        """Number of the last SYNC."""
+        return self.number
+
+    def stall_at_random(self, seed: int) -> None:
+        """Stand still from time to time, with the whole process, before a SYNC is answered."""
+        self._draw = random.Random(seed)
+
+    def stalls(self) -> list[tuple[int, float]]:
+        """Number of the SYNC and length [s] of each stall."""
+        return self._stalls
+
+    def _sync(self, now: float) -> list[Frame]:
+        self.number += 1
+        self.last_answers = super()._sync(now)
+        if self._draw is not None and self._draw.random() < 1 / STALL_EVERY:
+            self._stalls.append((self.number, self._draw.uniform(*STALLS_S)))
+            time.sleep(self._stalls[-1][1])
+        return self.last_answers
+
+
+DRIVES = {"failing": FailingDrive, "counting": CountingDrive}
 
 
 class FailingConverter(Ads1115Emulator):

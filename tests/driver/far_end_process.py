@@ -16,7 +16,7 @@ from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire
 from leactl.emulation.wires.serial import SerialWire
 from leactl.emulation.wires.serving import CanBridge, SerialBridge, SocketBridge, StubChip, serve, stub_bus
-from tests.driver.failing import SERIAL_ENDS, FailingConverter, FailingDrive
+from tests.driver.failing import DRIVES, SERIAL_ENDS, FailingConverter
 
 CHIP = 0x48
 
@@ -58,7 +58,7 @@ def serve_drive(place):
     bridge = CanBridge("", bus, wire)
     print(json.dumps("ready"), flush=True)
     try:
-        serve(clock, [bridge], [], Requests(lambda node: FailingDrive(wire, node), bridge.carry).stop)
+        serve(clock, [bridge], [], Requests(lambda kind, node: DRIVES[kind](wire, node), bridge.carry).stop)
     finally:
         bridge.close()
 

@@ -1,37 +1,16 @@
 """Answers that come late, not at all or twice: a row holds what the drive sampled at its own SYNC, or NaN."""
 
-import math
 import random
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leactl_plugins.elmo_can.emulator import ElmoEmulator
 
-from .elmo_bench import ElmoBench
-from .failing import COUNTS, RATED_MA, Shaft
+from .elmo_bench import EMPTY, FRESH, ElmoBench, ages_of
+from .failing import CountingDrive
 from .transports import CanInProcess
 
-PER_MILLE_A = RATED_MA * 1e-6 * math.sqrt(1.5)
 LEAST_AGE_S = 0.05  # for which the supervisor lets a drive's readings stay away
-
-
-class Counting(ElmoEmulator):
-    """A drive whose readings are the number of the SYNC at which it sampled them."""
-
-    def __init__(self):
-        self.shaft, self.number = Shaft(), -1
-        super().__init__(1, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS)
-        self.shaft.read = lambda: (
-            self.number % 1000 * PER_MILLE_A,
-            self.number * 2 * math.pi / COUNTS,
-            self.number * 2 * math.pi / COUNTS,
-        )
-
-    def _sync(self, now):
-        self.number += 1
-        self.last_answers = super()._sync(now)
-        return self.last_answers
 
 
 class Link:
@@ -39,8 +18,8 @@ class Link:
 
     def __init__(self, period, stalls=(), lost=()):
         self.period, self.stalls, self.lost = period, stalls, set(lost)
-        wire, self.far = CanInProcess(), Counting()
-        wire.wire.attach(self.far)
+        wire = CanInProcess()
+        self.far = CountingDrive(wire.wire)
         wire.drive = lambda _node: self.far
         self.bench = ElmoBench(wire=wire)
         self.bench.drive.open()
@@ -64,25 +43,11 @@ class Link:
         ages = []
         for _ in range(cycles):
             row = self.bench.cycle(self.period, answer_s=max(0.6 * self.period, 0.002))
-            number = self.far.number
-            numbers = (
-                row[3] / PER_MILLE_A,
-                row[4] * COUNTS / (2 * math.pi),
-                row[5] * COUNTS / (2 * math.pi),
-            )
-            wanted = (number % 1000, number, number)
-            ages.append(
-                tuple(
-                    None if math.isnan(read) else round(want - read) for read, want in zip(numbers, wanted, strict=True)
-                )
-            )
+            ages.append(ages_of(row, self.far.number))
         return ages
 
     def close(self):
         self.bench.drive.close()
-
-
-FRESH, EMPTY = (0, 0, 0), (None, None, None)
 
 
 @pytest.fixture

@@ -51,13 +51,13 @@ class CanElsewhere:
     exact = False
     settings = {"consumer_heartbeat_ms": 1000, "sdo_timeout_s": 1.0}
 
-    def __init__(self, process, place):
+    def __init__(self, process, place, kind="failing"):
         self.clock = MonotonicClock()
         self.connect = MachineWiring().can("can0", CanBus(kind="can", **place))
-        self._process = process
+        self._process, self._kind = process, kind
 
     def drive(self, node):
-        self._process.ask("new", node)
+        self._process.ask("new", self._kind, node)
         return FarEnd(self._process)
 
 
