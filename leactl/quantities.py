@@ -29,6 +29,9 @@ UNITS: Final[dict[str, str]] = {
 }
 """Unit string of each quantity (Pint and UDUNITS both read it)."""
 
+FLAGS: Final = ("drive_enabled",)
+"""Quantities that are 0 or 1 and nothing between."""
+
 LINEAR_UNITS: Final[dict[str, str]] = {
     "rad": "m",
     "rad/s": "m/s",

@@ -1,16 +1,19 @@
 """Write the skeleton of a package with one driver, in which two functions are left to fill in."""
 
+import keyword
 import re
 import tempfile
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 
 from leactl.driver import registry
 from leactl.errors import InputError
-from leactl.quantities import UNITS
+from leactl.quantities import FLAGS, UNITS
 
-BUSES = ("serial", "i2c")
+TESTED = {"serial": "0.0, 1.25, -0.5, 40.0", "i2c": "0.0, 1.25, 40.0"}  # values in the package's own test, by bus
+BUSES = tuple(TESTED)
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
@@ -26,7 +29,8 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
 
     Raises
     ------
-    InputError : an invalid or used name, an unknown bus or quantity, or a folder that exists.
+    InputError : an invalid or used name, one whose class would hide another, an unknown bus or quantity, or a folder
+        that exists.
     """
     if not NAME.fullmatch(name):
         raise InputError(f"'{name}': small letters, digits and single underscores were expected, a letter first")
@@ -37,20 +41,23 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     if quantity not in UNITS:
         raise InputError(f"quantity '{quantity}' is not known; known: {', '.join(UNITS)}")
     words = name.split("_")
-    dashed = "-".join(words)
+    dashed, class_name = "-".join(words), "".join(word.capitalize() for word in words)
+    texts = resources.files("leactl.driver.templates") / bus
+    if keyword.iskeyword(class_name) or class_name in _imported(texts):
+        raise InputError(f"'{name}': its class would be {class_name}, which means something else there already")
     folder = into / f"leactl-{dashed}"
     if folder.exists():
         raise InputError(f"{folder} is there already; nothing was written")
     substitutions = {
         "name": name,
         "dashed": dashed,
-        "class_name": "".join(word.capitalize() for word in words),
+        "class_name": class_name,
         "title": f"{' '.join(words)}, {quantity.replace('_', ' ')} over {'I2C' if bus == 'i2c' else 'a serial line'}",
         "quantity": quantity,
-        "units": UNITS[quantity],
+        "units": "0 or 1" if quantity in FLAGS else f"in {UNITS[quantity]}",
+        "values": "0.0, 1.0" if quantity in FLAGS else TESTED[bus],
     }
     file_names = {"pyproject.toml": "pyproject.toml", "test_driver.py": f"tests/test_{name}.py"}
-    texts = resources.files("leactl.driver.templates") / bus
     try:
         with tempfile.TemporaryDirectory(prefix=".leactl-", dir=into) as temporary:
             package = Path(temporary) / folder.name
@@ -63,3 +70,10 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder
+
+
+def _imported(texts: Traversable) -> set[str]:
+    """Names that the driver's text imports; a class of such a name would stand in their place."""
+    text = (texts / "driver.py.txt").read_text("utf-8")
+    lines = re.findall(r"^from \S+ import (.+)$", text, re.MULTILINE)
+    return {name for line in lines for name in line.split(", ")}

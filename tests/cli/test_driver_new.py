@@ -1,5 +1,6 @@
 """`leactl driver new`, by its guide: a package whose driver passes once two functions are filled in."""
 
+import importlib
 import json
 import os
 import re
@@ -10,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from leactl.driver import scaffold
+from leactl.driver import conformance, scaffold
+from leactl.quantities import UNITS
 from tests.cli.terminal import leactl
 
 ROOT = Path(__file__).parents[2]
@@ -109,6 +111,8 @@ SOUND = {
     "a voltage between two leads": ("phase_voltage_ab", "+.4f", 0.05),
     "torque in steps of 0.1 N*m": ("torque", "+.1f", 0.05),
     "a reading every two seconds": ("ambient_temperature", "+.2f", 2.0),
+    "a flag that is 0 or 1": ("drive_enabled", ".0f", 0.05),
+    "a flag that is told every two seconds": ("drive_enabled", ".0f", 2.0),
 }
 
 
@@ -123,6 +127,41 @@ def test_the_check_passes_what_is_coarse_or_slow_or_swings(tmp_path, quantity, f
     emulator.write_text(EMPTY.sub(f"def answer_of(value):\n    {told}\n\n\n", emulator.read_text()))
     done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
     assert done.returncode == 0, done.stderr
+    if quantity == "drive_enabled":
+        done = said(folder, folder, "pytest", "-q", "-p", "no:cacheprovider")
+        assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["1.0 - float(answer)", "0.0", "1.0", "0.4 + float(answer)"],
+    ids=["the other sense", "always off", "always on", "no flag"],
+)
+def test_the_check_finds_a_flag_that_is_wrong(tmp_path, wrong):
+    folder = installed(scaffold.write_package("room_meter", "serial", "drive_enabled", tmp_path))
+    driver, emulator = (folder / "leactl_room_meter" / name for name in ("driver.py", "emulator.py"))
+    driver.write_text(EMPTY.sub(f"def value_of(answer):\n    return {wrong}\n\n\n", driver.read_text()))
+    emulator.write_text(
+        EMPTY.sub("def answer_of(value):\n    return f'{value:.0f}'.encode()\n\n\n", emulator.read_text())
+    )
+    done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
+    assert done.returncode == 2
+    assert "measures what is there: drive_enabled reads" in done.stderr
+
+
+@pytest.mark.parametrize("bus", scaffold.BUSES)
+@pytest.mark.parametrize("quantity", UNITS)
+def test_a_package_is_made_for_every_quantity(tmp_path, monkeypatch, quantity, bus):
+    """Its driver keeps the contract in words, and its one channel is of the vocabulary."""
+    name = f"made_{quantity}_{bus}"
+    monkeypatch.syspath_prepend(scaffold.write_package(name, bus, quantity, tmp_path))
+    module = importlib.import_module(f"leactl_{name}.driver")
+    driver = getattr(module, "".join(word.capitalize() for word in name.split("_")))
+    assert conformance.faults_of(driver) == []
+    made = driver("meter", "test", driver.Settings.model_validate(dict(driver.example)), None, None)
+    [channel] = made.streams[0].channels
+    assert (channel.name, channel.quantity, channel.unit) == (quantity, quantity, UNITS[quantity])
+    assert UNITS[quantity] in (module.value_of.__doc__ or "")
 
 
 def test_the_check_finds_a_unit_that_is_off_and_a_line_that_is_guessed(package, tmp_path):
@@ -305,6 +344,9 @@ def test_the_files_are_told_and_nothing_is_overwritten(tmp_path):
         (("../scale", "--quantity", "torque"), "'../scale': small letters"),
         (("ads1115", "--quantity", "torque"), "driver 'ads1115' is registered already"),
         (("scale", "--quantity", "torques"), "quantity 'torques' is not known; known: "),
+        (("none", "--quantity", "torque"), "'none': its class would be None"),
+        (("row", "--quantity", "torque"), "'row': its class would be Row"),
+        (("stream_spec", "--quantity", "torque", "--bus", "i2c"), "'stream_spec': its class would be StreamSpec"),
         (("scale", "--quantity", "torque", "--bus", "usb"), "bus 'usb' has no template; serial or i2c"),
         (("scale", "--quantity", "torque", "--into", "nowhere"), "cannot be written: No such file"),
     ],

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from leactl.driver.far_end import PAIRS
 from leactl.emulation.clock import EmulatedClock
+from leactl.quantities import FLAGS
 
 LOAD_OHM = 0.6
 BASES = {  # value before a quantity begins to rise, in SI units and degC
@@ -105,6 +106,8 @@ class KnownBench:
         if quantity in PAIRS:
             return self.leads.voltages(np.asarray(time, np.float64), PAIRS.index(quantity))
         risen = np.maximum(time - self.rises_from, 0.0) / self.rises_for
+        if quantity in FLAGS:  # which cannot rise; they switch once half of the time is over
+            return np.asarray(risen >= 0.5, np.float64)
         return BASES.get(quantity, OTHER) * (1.0 + RISE * risen)
 
     def terminals(self, role: str) -> KnownTerminals:

@@ -11,6 +11,7 @@ from leactl.emulation.trial.drives import confirmed
 from leactl.emulation.trial.known import RISE
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError
+from leactl.quantities import FLAGS
 
 MEASURED_S = 5.0  # at least, in which a quantity rises by `RISE`: by no more than `NEAR` of a value within `LATE_S`
 RECORDED_S = 20.0
@@ -80,7 +81,16 @@ def measures_what_is_there(stand: Stand) -> None:
         times, values = times[times >= began], values[times >= began]
         if len(times) < 2:
             raise Broken(f"{name}: {len(times)} samples in {seconds:g} s, although two came {interval:g} s apart")
+        if channel.quantity in FLAGS:
+            settled = has_not_switched(stand, channel.quantity, times)
+            times, values = times[settled], values[settled]
         compare(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
+
+
+def has_not_switched(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether a flag stays as it is for `LATE_S` after each time: an instrument may look at it a little later."""
+    before, after = (stand.bench.true_value(quantity, times + late) for late in (0.0, LATE_S))
+    return np.asarray(before == after, np.bool_)
 
 
 def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -> None:
