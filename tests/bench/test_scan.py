@@ -243,6 +243,21 @@ def test_a_host_that_begins_meanwhile_ends_the_questions(bench):
     assert {frame.identifier >> 7 for frame in bench.tape} == {0x600 >> 7}  # the ODrive was not asked any more
 
 
+@pytest.mark.parametrize("times", [1, 9], ids=["one frame too many", "to each question"])
+def test_an_answer_of_an_odrive_that_comes_twice_is_asked_for_again(bench, times):
+    bench.place("odrive_can", node=3)
+    doubled = [1] * times
+
+    def again(frame):
+        return [Frame(3 << 5, bytes.fromhex("02050200 00060B00"))] if frame == (3 << 5, b"") and doubled.pop() else ()
+
+    doubled[:0] = [0] * (20 - times)
+    bench.wire.attach(Speaker(answer=again))
+    report = bench.scan()
+    assert bench.seen() == ([("odrive_can", 3)] if times == 1 else [])
+    assert any("two drives have this node" in note for note in report.notes) is (times > 1)
+
+
 def test_two_devices_of_one_number_are_said_to_be_so(bench):
     bench.place("elmo_can", node=9)
     bench.place("elmo_can", node=9)

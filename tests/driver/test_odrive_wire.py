@@ -258,6 +258,41 @@ def test_two_drives_of_one_node_are_told_at_the_start(make_bench):
     assert (bench.shaft.following[0], shaft.following[0]) == ("off", "off")
 
 
+class Doubling(OdriveEmulator):
+    """Sends its version twice, as often as it is said to; `second` changes what comes the second time."""
+
+    times, second = 1, b""
+
+    def _answer(self, command):
+        frames = super()._answer(command)
+        if self.times and command == 0x00:
+            self.times -= 1
+            return [frames[0], frames[0]._replace(data=self.second or frames[0].data)]
+        return frames
+
+
+@pytest.mark.parametrize(
+    ("times", "second", "refused"),
+    [
+        (1, "", False),
+        (3, "", True),
+        (1, "02050200 00060C00", True),
+    ],
+    ids=["one frame too many", "two of the same to each question", "two firmwares"],
+)
+def test_a_version_that_comes_twice_by_chance_is_no_second_drive(make_bench, times, second, refused):
+    bench, shaft = make_bench(), Shaft()
+    bench.wire.devices.clear()
+    far = Doubling(NODE, shaft, endpoints.read_table("emulated"), torque_constant=CONSTANT, current_soft_max=40.0)
+    far.times, far.second = times, bytes.fromhex(second)
+    bench.wire.attach(far)
+    if refused:
+        with pytest.raises(DeviceError, match="two drives answer as node 1"):
+            bench.drive.open()
+    else:
+        bench.drive.open()
+
+
 def test_a_late_version_is_no_second_drive(make_bench):
     bench = make_bench()
     late = [0.3]

@@ -77,6 +77,7 @@ ERRORS = {
     0x40000000: "CALIBRATION_ERROR",
 }
 
+REPEATED_QUESTIONS = 2  # after an answer came twice: a frame may be doubled by chance, and a second drive answers each
 READ, WRITE = 0, 1  # what is asked for in RX_SDO
 PARAMETER = struct.Struct("<BHB")  # READ or WRITE, number of the parameter, reserved; the value follows
 TWO_FLOATS = struct.Struct("<ff")  # position and velocity, current asked for and measured, bus voltage and current

@@ -26,6 +26,7 @@ from leactl_plugins.odrive_can.can_simple import (
     ONE_FLOAT,
     POSITION,
     PROTOCOL,
+    REPEATED_QUESTIONS,
     STATE,
     TWO_FLOATS,
     VERSION,
@@ -80,7 +81,7 @@ class OdriveCan(EngagingDrive):
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._identity = Identity()
         self._version: tuple[int, ...] = ()
-        self._versions = 0  # that came since the drive was asked first
+        self._versions: list[tuple[int, ...]] = []  # that came since the drive was asked first
         self._beat, self._version_came = [False], [False]  # since it was last waited for
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
@@ -402,12 +403,11 @@ class OdriveCan(EngagingDrive):
 
     def _meet(self) -> None:
         """Check that one drive of this node answers and has the firmware of the table of endpoints."""
-        self._versions = 0
+        self._versions.clear()
         asked = next((count for count in (1, 2, 3) if self._has_taken_all(self._clock.now() + 0.25)), 0)
         if not asked:
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
-        self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
-        if self._versions > asked:
+        if self._is_shared(asked):
             raise DeviceError(
                 f"{self.name}: two drives answer as node {self.settings.node}; connect one of them alone and give it"
                 " another axis0.config.can.node_id"
@@ -422,6 +422,25 @@ class OdriveCan(EngagingDrive):
                 f"{self.name}: firmware {firmware} on hardware {board}; '{self.settings.endpoints}' is of"
                 f" {table.firmware} on {table.hardware}"
             )
+
+    def _is_shared(self, asked: int) -> bool:
+        """Whether two drives have answered so many questions: two versions, or twice the same again and again.
+
+        A disturbed end of frame makes a sender repeat what has arrived already (ISO 11898-1): one frame too many may
+        be of one drive. A second drive answers every question.
+        """
+        self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
+        if len(self._versions) <= asked:
+            return False
+        for _ in range(REPEATED_QUESTIONS):
+            if len(set(self._versions)) > 1:
+                return True
+            self._versions.clear()
+            self._has_taken_all(self._clock.now() + 0.25)
+            self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
+            if len(self._versions) > 1:
+                return True
+        return False
 
     def _take_over(self, path: str, value: float) -> None:
         """Set a parameter that is restored at `close`."""
@@ -478,7 +497,7 @@ class OdriveCan(EngagingDrive):
     def _on_version(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == VERSION.size:
             self._version, self._version_came[0] = VERSION.unpack(data), True
-            self._versions += 1
+            self._versions.append(self._version)
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == HEARTBEAT.size:

@@ -12,6 +12,7 @@ from leactl_plugins.odrive_can.can_simple import (
     HEARTBEAT,
     NODE_SHIFT,
     PROTOCOL,
+    REPEATED_QUESTIONS,
     VERSION,
     Command,
     hardware_and_firmware,
@@ -68,11 +69,20 @@ class OdriveProbe(CanProbe):
             answers: list[bytes] = []
             port.listen(query, partial(_keep, answers))
             try:
-                port.send(query, b"")
-                port.pump_until((False,), port.clock.now() + ANSWER_S)
+                _ask_once(port, query)
+                for _ in range(REPEATED_QUESTIONS):
+                    if len(answers) < 2 or len(set(answers)) > 1:
+                        break
+                    del answers[:]  # a frame may have come twice; a second drive answers every question
+                    _ask_once(port, query)
             finally:
                 port.listen(query, None)
             yield _read(node, answers)
+
+
+def _ask_once(port: CanPort, query: int) -> None:
+    port.send(query, b"")
+    port.pump_until((False,), port.clock.now() + ANSWER_S)
 
 
 def _is_heartbeat(frame: Frame) -> bool:
