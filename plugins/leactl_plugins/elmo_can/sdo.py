@@ -12,6 +12,7 @@ from canopen.sdo import SdoClient
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
+FRAME_BYTES = 8  # of every SDO frame (CiA 301, 7.2.4.3); `canopen` breaks over a shorter one
 SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
 LONGEST_TEXT = 256  # bytes; names have some 30
 TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
@@ -76,7 +77,9 @@ class Sdo:
         self._answers.until = until
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
-        """Receive an answer of the node; an answer about another object than the requested one is dropped."""
+        """Receive an answer of the node; others, by length or object, are dropped."""
+        if len(data) != FRAME_BYTES:
+            return
         if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
