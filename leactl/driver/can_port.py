@@ -45,6 +45,11 @@ class CanPort:
         self._users = 0
         self.full = Retries()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, dead or alive."""
+        return self.bus is not None
+
     def open(self) -> None:
         """Connect for the first user of the port, and count the users.
 

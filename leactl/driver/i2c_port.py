@@ -44,6 +44,11 @@ class I2cPort:
         self._users = 0
         self.unacknowledged = Retries()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, dead or alive."""
+        return self._bus is not None
+
     def open(self) -> None:
         """Connect, once for all users of the port.
 

@@ -54,7 +54,7 @@ def said(package, tmp_path, monkeypatch):
 
 
 def test_the_driver_keeps_the_contract_and_reads_the_emulated_bench(said, tmp_path):
-    assert said("driver", "check", "tmp102").startswith("tmp102: keeps the driver contract, in 4 trials")
+    assert said("driver", "check", "tmp102").startswith("tmp102: keeps the driver contract, in 7 trials")
     assert "period_s" in said("driver", "info", "tmp102")
     [device] = re.findall(r"^  room: .*$", RECIPES, re.MULTILINE)
     bench = leactl("bench", "show", "emulated").stdout.replace("devices:\n", f"devices:\n{device}\n", 1)

@@ -102,7 +102,7 @@ def test_it_passes_its_check_and_its_tests_once_two_functions_are_filled_in(pack
     bus, folder = package
     fill_in(bus, folder)
     done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
-    assert done.stdout.startswith("room_meter: keeps the driver contract, in 4 trials"), done.stderr
+    assert done.stdout.startswith("room_meter: keeps the driver contract, in 7 trials"), done.stderr
     done = said(folder, folder, "pytest", "-q", "-p", "no:cacheprovider")
     assert done.returncode == 0, done.stdout
 
@@ -251,7 +251,7 @@ def binary(tmp_path):
 
 def test_a_thermometer_that_speaks_modbus_passes_by_the_guide(binary, tmp_path):
     done = said(binary, tmp_path, "leactl", "driver", "check", "room_meter")
-    assert done.stdout.startswith("room_meter: keeps the driver contract, in 4 trials"), done.stderr
+    assert done.stdout.startswith("room_meter: keeps the driver contract, in 7 trials"), done.stderr
     done = said(binary, binary, "pytest", "-q", "-p", "no:cacheprovider")
     assert done.returncode == 0, done.stdout
 

@@ -2,8 +2,10 @@
 
 import math
 import os
+import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -325,6 +327,102 @@ class ProtectedInWords(ScpiSupply):
         super().supply(voltage, current)
 
 
+class KeepsItsLastOnTimeOut(Ads1115):
+    """Gives its last sample again where the converter does not answer."""
+
+    kept = ()
+
+    def take(self):
+        try:
+            self.kept = super().take() or self.kept
+        except DeviceError:
+            self.kept = [row._replace(time=self._clock.now()) for row in self.kept]
+        return self.kept if self.kept and self.kept[0].time == self._clock.now() else ()
+
+
+class SwapsTheUnits(ElmoCan):
+    """Says that the current is in rad/s and the velocity in A."""
+
+    @property
+    def loop_channels(self):
+        channels = list(super().loop_channels)
+        channels[CURRENT] = channels[CURRENT]._replace(units="rad/s")
+        channels[VELOCITY] = channels[VELOCITY]._replace(units="A")
+        return tuple(channels)
+
+
+class InventsAQuantity(Ads1115):
+    """Has a channel of no quantity that analyses ask for."""
+
+    @property
+    def streams(self):
+        return [
+            spec._replace(channels=tuple(channel._replace(quantity="volume", units="l") for channel in spec.channels))
+            for spec in super().streams
+        ]
+
+
+class LeavesAThread(Ads1115):
+    """Reads in the background, and goes on when it is closed."""
+
+    def open(self):
+        super().open()
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+
+
+class LeavesAFile(Ads1115):
+    """Keeps a file open."""
+
+    def open(self):
+        super().open()
+        self.log = Path(os.devnull).open("rb")  # noqa: SIM115 (as a driver would that forgets it)
+
+
+class OpensTwice(ElmoCan):
+    """Opens its port once more than it closes it."""
+
+    def open(self):
+        super().open()
+        self._port.open()
+
+
+class SafeWhereConnected(ElmoCan):
+    """Takes a drive that it has not opened for one that is off."""
+
+    def safe_state(self, deadline_s):
+        return super().safe_state(deadline_s) if self._opened else Confirmation(True, "not connected")
+
+
+class NotSafeOnceClosed(ElmoCan):
+    """Cannot be made safe again after its end."""
+
+    closed = False
+
+    def close(self):
+        super().close()
+        self.closed = True
+
+    def safe_state(self, deadline_s):
+        return Confirmation(False, "closed") if self.closed else super().safe_state(deadline_s)
+
+
+class EndsLate(ElmoCan):
+    """Waits on for readings that did not come by the deadline."""
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        if math.isnan(self.values[VELOCITY]):
+            self._clock.sleep_until(deadline + 0.02)
+
+
+class TakesItsTime(Ads1115):
+    """Waits for the conversion in `take`."""
+
+    def take(self):
+        self._clock.sleep_until(self._clock.now() + 0.004)
+        return super().take()
+
+
 PLANTED = [
     (SafeInWords, "is off when it says so", "confirmed while the machine follows"),
     (SafeUnheard, "confirms nothing", "answers nothing and goes on"),
@@ -360,6 +458,16 @@ PLANTED = [
     (DoubleBusCurrent, "gives what it is told", "bus_current reads 4 where 2 is true"),
     (Unprotected, "protects what it feeds", "as asked for, after protect(1.5)"),
     (ProtectedInWords, "protects what it feeds", "by a failure, after protect(1.5)"),
+    (KeepsItsLastOnTimeOut, "tells silence", "although the device is unplugged"),
+    (SwapsTheUnits, "names its quantities", "iq: q_axis_current is in 'rad/s'; A was expected"),
+    (InventsAQuantity, "names its quantities", "'volume' is no quantity of the vocabulary"),
+    (LeavesAThread, "lets go when closed", "1 more threads run after close()"),
+    (LeavesAFile, "lets go when closed", "1 more files are open after close()"),
+    (OpensTwice, "lets go when closed", "its bus is still open after close()"),
+    (SafeWhereConnected, "stops what another has left on", "goes on as an earlier host has left it"),
+    (NotSafeOnceClosed, "lets go when closed", "safe_state after close() is not confirmed"),
+    (EndsLate, "waits for nothing", "end_cycle() is over 0.02"),
+    (TakesItsTime, "waits for nothing", "take() is over 0.004"),
 ]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from leactl.driver.contract import Driver, MotionDevice, PowerSupply
 from leactl.driver.file_records import BatchSource
-from leactl.emulation.trial import drives, measuring, probing, supplies
+from leactl.emulation.trial import drives, lifetime, measuring, probing, supplies
 from leactl.emulation.trial.stand import Broken, Stand, example_of
 from leactl.errors import InputError, LeactlError
 
@@ -55,7 +55,8 @@ def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
     except ValueError as error:
         raise InputError(f"its `example` is no settings of one: {' '.join(str(error).split())}") from None
     stand = Stand(driver, folder)
-    return (*_of_its_kind(stand), *(probing.TRIALS if driver.probe is not None else ()))
+    outputs = lifetime.OF_OUTPUTS if isinstance(stand.driver, MotionDevice | PowerSupply) else ()
+    return (*_of_its_kind(stand), *lifetime.TRIALS, *outputs, *(probing.TRIALS if driver.probe is not None else ()))
 
 
 def _of_its_kind(stand: Stand) -> tuple[Trial, ...]:

@@ -1,7 +1,7 @@
 """One driver, its far end and the wire between them, made anew for each trial."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -36,28 +36,43 @@ class Stand:
         far_end: Any = driver.far_end(self.settings, ROLE, self.bench)
         self._wire: Any = None
         self._connect: Any = None
-        port: Any = far_end
+        self._make_port: Callable[[], Any] = lambda: far_end
         if driver.transport == "can":
             wire = self._wire = CanWire(self.clock)
             wire.attach(far_end)
             self._connect = lambda: EmulatedCanBus(wire)
-            port = CanPort(self._connect, self.clock)
+            self._make_port = lambda: CanPort(self._connect, self.clock)
         elif driver.transport == "i2c":
             address, far_end = far_end
             bus = self._wire = EmulatedI2cBus(self.clock)
             bus.devices[address] = far_end
             self._connect = lambda: bus
-            port = I2cPort(self._connect)
+            self._make_port = lambda: I2cPort(self._connect)
         elif driver.transport == "serial":
             line = self._wire = SerialWire(self.clock, BITS / driver.baudrate)
             line.device = far_end
             self._connect = lambda: EmulatedSerialLine(line)
-            port = SerialPort(self._connect, self.clock)
+            self._make_port = lambda: SerialPort(self._connect, self.clock)
         else:
             self.clock.follow(far_end.tick)
             self.clock.stop_at(lambda: far_end.due)
-        self.far_end, self._port = far_end, port
-        self.driver = driver("tried", ROLE, self.settings, port, self.clock)
+        self.far_end, self._kind = far_end, driver
+        self.renew_driver()
+
+    def renew_driver(self) -> None:
+        """Put another host in the place of the present one, whose end nothing has told the device."""
+        self._port = self._make_port()
+        self.driver = self._kind("tried", ROLE, self.settings, self._port, self.clock)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the driver's port is open; never where it has no bus."""
+        return self._wire is not None and bool(self._port.connected)
+
+    def synchronise(self) -> None:
+        """Send CANopen's SYNC, where the driver's bus carries it."""
+        if self.driver.synchronised:
+            self._port.sync()
 
     @property
     def motion(self) -> MotionDevice:
@@ -97,8 +112,7 @@ class Stand:
         """One cycle as the control loop makes it."""
         began, drive = self.clock.now(), self.motion
         drive.begin_cycle()
-        if self.driver.synchronised:
-            self._port.sync()
+        self.synchronise()
         drive.end_cycle(began + ANSWER_S)
         values = list(drive.values)
         if feed:

@@ -1,0 +1,117 @@
+"""What every device must keep from its opening to its end, whatever it is: units, no waits, nothing held afterwards."""
+
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from leactl.driver.contract import CyclicDevice, MotionDevice, PowerSupply
+from leactl.emulation.trial import drives, supplies
+from leactl.emulation.trial.stand import ANSWER_S, Broken, Stand
+from leactl.errors import DeviceError
+from leactl.quantities import accepted_units
+
+USED_S, LOOK_S = 1.0, 0.01
+CUT_AFTER_S = 0.5
+LATE_S = 1e-6  # of rounding
+OPEN_FILES = Path("/proc/self/fd")  # of Linux alone; elsewhere only threads and ports are counted
+
+
+def in_use(stand: Stand) -> None:
+    """Open a device and have it do what it is for."""
+    if isinstance(stand.driver, MotionDevice):
+        drives.in_operation(stand)
+    elif isinstance(stand.driver, PowerSupply):
+        supplies.switched_on(stand)
+    else:
+        stand.driver.open()
+
+
+def names_its_quantities(stand: Stand) -> None:
+    """Each channel has a quantity of the vocabulary and a unit of that quantity."""
+    stand.driver.open()
+    channels = [channel for spec in stand.driver.streams for channel in spec.channels]
+    if isinstance(stand.driver, CyclicDevice):
+        channels += stand.driver.loop_channels
+    for channel in channels:
+        units = accepted_units(channel.quantity)
+        if not units:
+            raise Broken(f"{channel.name}: '{channel.quantity}' is no quantity of the vocabulary")
+        if channel.unit not in units:
+            raise Broken(
+                f"{channel.name}: {channel.quantity} is in '{channel.unit}'; {' or '.join(units)} was expected"
+            )
+
+
+def waits_for_nothing(stand: Stand) -> None:
+    """`take`, `notices` and `feed` let no time pass, and `end_cycle` ends by its deadline; over a cut cable too."""
+    in_use(stand)
+    began, is_cut = stand.clock.now(), False
+    with suppress(DeviceError):  # a cable that is out is told
+        while (now := stand.clock.now()) < began + USED_S:
+            if not is_cut and now >= began + CUT_AFTER_S:
+                stand.cut()
+                is_cut = True
+            if isinstance(stand.driver, MotionDevice):
+                stand.driver.begin_cycle()
+                until(stand, now, "begin_cycle")
+                stand.synchronise()
+                stand.driver.end_cycle(now + ANSWER_S)
+                until(stand, now + ANSWER_S, "end_cycle")
+                began_at = stand.clock.now()
+                stand.driver.feed()
+                until(stand, began_at, "feed")
+            began_at = stand.clock.now()
+            stand.driver.take()
+            until(stand, began_at, "take")
+            stand.driver.notices()
+            until(stand, began_at, "notices")
+            stand.clock.sleep_until(now + LOOK_S)
+
+
+def until(stand: Stand, moment: float, call: str) -> None:
+    """Raise where the clock has passed the moment by which a call had to be over."""
+    late = stand.clock.now() - moment
+    if late > LATE_S:
+        raise Broken(f"{call}() is over {late:.4f} s too late; it may hold up no cycle")
+
+
+def lets_go_when_closed(stand: Stand) -> None:
+    """`close` leaves no port, thread or file open; `safe_state` is confirmed afterwards as well."""
+    threads, files = threading.active_count(), open_files()
+    in_use(stand)
+    if not drives.confirmed(stand):
+        raise Broken("safe_state in operation is not confirmed although the device answers")
+    stand.driver.close()
+    holds_nothing(stand, threads, files)
+    if not drives.confirmed(stand):
+        raise Broken("safe_state after close() is not confirmed although the device answers")
+    stand.driver.close()
+
+
+def holds_nothing(stand: Stand, threads: int, files: int) -> None:
+    """Raise where something is still open that was not before."""
+    if stand.is_connected:
+        raise Broken("its bus is still open after close(): the port is opened more often than it is closed")
+    if (more := threading.active_count() - threads) > 0:
+        raise Broken(f"{more} more threads run after close() than before open()")
+    if (more := open_files() - files) > 0:
+        raise Broken(f"{more} more files are open after close() than before open()")
+
+
+def open_files() -> int:
+    """How many descriptors this process has; 0 where that cannot be told."""
+    return len(list(OPEN_FILES.iterdir())) if OPEN_FILES.is_dir() else 0
+
+
+def stops_what_another_has_left_on(stand: Stand) -> None:
+    """`safe_state` of a driver that was never opened takes the power from a device that an earlier host left on."""
+    in_use(stand)
+    stand.renew_driver()
+    if not drives.confirmed(stand):
+        raise Broken("safe_state before open() is not confirmed although the device answers")
+    if stand.machine.following[0] != "off" or stand.bench.load.fed[1] > 0.0:
+        raise Broken("safe_state before open() is confirmed while the device goes on as an earlier host has left it")
+
+
+TRIALS = (names_its_quantities, waits_for_nothing, lets_go_when_closed)
+OF_OUTPUTS = (stops_what_another_has_left_on,)
