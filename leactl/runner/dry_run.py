@@ -18,7 +18,6 @@ from leactl.runner.preparation import (
     locks_of,
     refuse_latched,
     room_needed,
-    supplies_left_on,
     wiring_of,
 )
 from leactl.runner.request import Request
@@ -52,8 +51,9 @@ def preview(request: Request) -> Preview:
     check(request)
     request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    ready, bench, _supervisor = admitted(request, windings)
-    return Preview(ready.plan, windings.forecast(ready.plan), room_needed(request, bench))
+    ready = admitted(request, windings)
+    plan = ready.request.plan
+    return Preview(plan, windings.forecast(plan), room_needed(request, ready.bench))
 
 
 def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
@@ -112,10 +112,10 @@ def dry_run(request: Request) -> DryRun:
     with locks_of(request):
         refuse_latched(request)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-    ready, bench, _supervisor = admitted(request, windings)
-    stays_on, alone = supplies_left_on(ready.plan, windings, bench), unwitnessed(ready.plan, bench)
+    ready = admitted(request, windings)
+    plan, bench = ready.request.plan, ready.bench
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state_folder.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    planned, forecast = room_needed(request, bench), windings.forecast(ready.plan)
-    return DryRun(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
+    planned, forecast = room_needed(request, bench), windings.forecast(plan)
+    return DryRun(plan, planned, windings, forecast, ready.stays_on, warnings, unwitnessed(plan, bench))

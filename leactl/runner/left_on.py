@@ -68,14 +68,13 @@ def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
     return [_judged(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
 
 
-def endings(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, Ending]:
-    """What makes each pair of levels end or endurable, for the supervisor to arm and to watch.
+def endings(plan: Plan, windings: Windings, powered: Sequence[LeftOn]) -> dict[Levels, Ending]:
+    """What makes each pair of levels that are `left_on` end or endurable, for the supervisor to arm and to watch.
 
     Raises
     ------
     InputError : levels that nothing ends; a line each, with the ways out.
     """
-    powered = left_on(plan, windings, bench)
     faults = [_refusal(plan, windings, one) for one in powered if one.ended_by is EndedBy.NOTHING]
     if faults:
         raise InputError(faults)

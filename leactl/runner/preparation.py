@@ -1,7 +1,9 @@
 """What has to hold before a device is opened: the request fits its bench, and the windings allow the plan."""
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from typing import NamedTuple
 
 from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.wire_trace import CALLS, TracedWiring
@@ -20,10 +22,17 @@ from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
 
 
-def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
-    """Check a request against its bench and its windings; no device is opened.
+class Admitted(NamedTuple):
+    """What a run needs, checked; no device is open."""
 
-    Returns the request with the plan that the windings allow, the bench and the supervisor.
+    request: Request  # with the plan that the windings allow
+    bench: Bench
+    supervisor: Supervisor
+    stays_on: Sequence[str]  # of each supply that the plan switches on, how hot its winding gets if nobody ends it
+
+
+def admitted(request: Request, windings: Windings) -> Admitted:
+    """Check a request against its bench and its windings; no device is opened.
 
     Raises
     ------
@@ -38,22 +47,15 @@ def admitted(request: Request, windings: Windings) -> tuple[Request, Bench, Supe
     request = replace(request, plan=windings.admit(request.plan, request.insert_cooldown))
     supervisor = supervisor_of(request, bench, windings)
     check_supplies(request, supervisor)
-    if switches_supplies(request.plan):
-        from leactl.runner.left_on import endings, left_on  # a root finder comes with it, for which no other run waits
+    if not switches_supplies(request.plan):
+        return Admitted(request, bench, supervisor, ())
+    from leactl.runner.left_on import endings, left_on  # a root finder comes with it, for which no other run waits
 
-        supervisor.supplies.endings = endings(request.plan, windings, bench)
-        for one in left_on(request.plan, windings, bench):
-            windings.may_be_left_on({one.role: one.reached})
-    return request, bench, supervisor
-
-
-def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
-    """Tell, a line for each supply that the plan switches on, how hot its winding gets if nobody switches it off."""
-    if not switches_supplies(plan):
-        return []
-    from leactl.runner.left_on import left_on
-
-    return [one.told for one in left_on(plan, windings, bench)]
+    powered = left_on(request.plan, windings, bench)
+    supervisor.supplies.endings = endings(request.plan, windings, powered)
+    for supply in powered:
+        windings.may_be_left_on({supply.role: supply.reached})
+    return Admitted(request, bench, supervisor, [supply.told for supply in powered])
 
 
 def switches_supplies(plan: Plan) -> bool:

@@ -1,5 +1,6 @@
 """The head of a run file: who ran what on which bench, and the notes that stand before the first row."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from leactl import __version__
@@ -11,7 +12,6 @@ from leactl.runfile.write.writer import RunInfo, RunWriter
 from leactl.runner import state_folder
 from leactl.runner.bench_fit import unwitnessed
 from leactl.runner.flushing import SparseWriter
-from leactl.runner.preparation import supplies_left_on
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
@@ -50,7 +50,7 @@ def info_of(request: Request, opened: Bench) -> RunInfo:
     )
 
 
-def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench) -> None:
+def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench, stays_on: Sequence[str]) -> None:
     """Note what the stored YAML texts do not tell: campaign, parameters, overdue calibration, seed, warm windings."""
     for name, value in request.part_of.items():
         writer.event(0.0, "info", "campaign", f"{name} = {value}")
@@ -74,7 +74,7 @@ def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Be
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for line in unwitnessed(request.plan, bench):
         writer.event(0.0, "info", "windings", line)
-    for line in supplies_left_on(request.plan, windings, bench):
+    for line in stays_on:
         writer.event(0.0, "info", "supplies", line)
     for role, recalled in windings.recalled.items():
         writer.event(0.0, "info", "windings", f"{role} winding: {recalled.known}, at most {recalled.nodes[0]:.1f} degC")

@@ -51,6 +51,7 @@ class RunContext:
     people: People
     watch: Watch
     announcement: Announcement
+    stays_on: Sequence[str]  # what comes of each supply that nobody switches off
 
 
 def execute(
@@ -88,7 +89,7 @@ def execute(
             runs_underway.announced(*about, needed=not request.in_process, place=place) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-            request, bench, supervisor = admitted(request, windings)
+            request, bench, supervisor, stays_on = admitted(request, windings)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
             with windings.remembered(announcement.renew):
@@ -98,7 +99,16 @@ def execute(
                     people = People(stop, wishes, operator)
                     outcome = _run(
                         RunContext(
-                            request, bench, windings, supervisor, watchdog, bench_latch, people, watch, announcement
+                            request,
+                            bench,
+                            windings,
+                            supervisor,
+                            watchdog,
+                            bench_latch,
+                            people,
+                            watch,
+                            announcement,
+                            stays_on,
                         )
                     )
                 finally:
@@ -159,7 +169,7 @@ def _run(context: RunContext) -> Outcome:
     with _shown(context.watch, progress):
         error: BaseException | None = None
         try:
-            introduce(request, windings, writer, bench)
+            introduce(request, windings, writer, bench, context.stays_on)
             warn_of_bench(request, writer, bench, progress)
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)

@@ -12,8 +12,10 @@ from collections import Counter
 
 import pytest
 
+from leactl.bench.benchfile import load
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
+from leactl.runner.thermal_admission import Windings
 from tests.cli.terminal import COMMAND, leactl, start
 from tests.runner.campaign.conftest import SMALL, SPIN
 
@@ -237,6 +239,19 @@ def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(her
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=120)
     assert process.returncode == 4
+
+
+def test_a_winding_that_a_supply_may_still_heat_is_refused_at_once_for_no_rest_cools_it(here, begin):
+    (here / "warm.yaml").write_text(ON_TESTBED.replace("current_A: 0.5", "current_A: 20, hold_s: 4"))
+    file, devices, _document = load("testbed.yaml")
+    earlier = Windings(file, devices)
+    earlier.may_be_left_on({"test": 140.0})
+    earlier.keep_as_found()
+    process = begin("campaign", "warm.yaml", "--yes", "--out", "one")
+    assert "waiting" not in process.stderr.readline()
+    assert "(test a supply may heat it still, since 20" in process.stderr.readline()
+    assert process.wait(timeout=60) == 2
+    assert finished(here / "one") == {}
 
 
 def test_a_plan_is_printed_and_nothing_is_made(here):

@@ -17,7 +17,7 @@ from leactl.bench.wiring import MachineWiring
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.read.reader import Run
-from leactl.runner.left_on import endings
+from leactl.runner.left_on import endings, left_on
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
 from tests.cli.terminal import leactl
@@ -338,7 +338,7 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
     bench = Bench(file, devices, MachineWiring())
     plan = protocolfile.load("thermal", {"current_A": "2"})
     with pytest.raises(InputError, match="what helps: a rest before, or a supply"):
-        endings(plan, windings, bench)
+        endings(plan, windings, left_on(plan, windings, bench))
 
 
 def test_a_supply_with_a_protection_has_it_armed_while_it_heats_and_put_back(heat, tmp_path):
