@@ -8,7 +8,7 @@ import typer
 from leactl.cli import bench_by_hand, bench_check, bench_scan, confirmed
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
-from leactl.errors import AcceptanceFailed, DeviceError
+from leactl.errors import AcceptanceFailed, DeviceError, SafetyTrip
 
 app = group_of_commands()
 RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
@@ -45,7 +45,13 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"bench": file.name, "text": text}) if as_json else text, nl=as_json)
 
 
-@app.command(epilog=examples("bench reset mine.yaml"))
+@app.command(
+    epilog=examples(
+        "bench reset mine.yaml",
+        ends=ON_A_BENCH,
+        means={DeviceError: "a run drives the bench", SafetyTrip: "tripped once more meanwhile"},
+    )
+)
 def reset(
     bench: str = typer.Argument(
         help="The bench's name as in the message of the trip, or a path to a .yaml.", autocompletion=benches
@@ -56,22 +62,22 @@ def reset(
     """State why a bench is tripped and, once confirmed, release it."""
     from leactl.bench.benchfile import load
     from leactl.errors import Stopped
-    from leactl.runner import latch
+    from leactl.runner import bench_reset
 
     is_file = Path(bench).suffix in (".yaml", ".yml")
-    latch.latch_lost_runs(load(bench)[0].name if is_file else bench)  # so that nothing is released that is not told
-    tripped = latch.tripped(bench)
-    name = next(iter(tripped)).bench if tripped else load(bench)[0].name
-    if not tripped:
+    name = load(bench)[0].name if is_file else bench
+    held = bench_reset.held_by(bench, name)
+    trips = held.trips
+    if not trips:
+        name = load(bench)[0].name
         typer.echo(json.dumps({"bench": name, "tripped": False}) if as_json else f"{name}: not tripped")
         return
-    for trip in tripped.values():
+    for trip in trips:
         typer.echo(f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})", err=True)
     if not (yes or confirmed("The cause is mended and the bench may move again?")):
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
-    for held in tripped:
-        held.release()
-    causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
+    bench_reset.release(bench, name, held)
+    causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in trips]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")
 

@@ -15,6 +15,7 @@ from dataclasses import asdict, astuple, dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile
@@ -22,6 +23,7 @@ from leactl.errors import InputError, LeactlError, SafetyTrip
 from leactl.regular_files import read_at, write_at
 from leactl.runfile.publish import force_to_disk
 from leactl.runner import runs_underway, state_folder
+from leactl.runner.runs_underway import LostRun
 from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
@@ -118,6 +120,13 @@ class Latch:
                 ) from None
 
 
+class UnlatchedRun(NamedTuple):
+    """A lost run that holds its bench by its own file, and what could not be written."""
+
+    lost: LostRun
+    fault: str
+
+
 class Ready:
     """A latch whose file is open before the first move, with its room: to set it takes no descriptor and no disk space.
 
@@ -205,22 +214,37 @@ def tripped(word: str) -> dict[Latch, Trip]:
     return {latch: trip for latch, trip in trips.items() if trip is not None}
 
 
-def latch_lost_runs(bench: str) -> None:
+def latch_lost_runs(bench: str) -> list[UnlatchedRun]:
     """Latch a bench on real buses for every run of it that nothing is left of: who knows what its devices do.
 
     A latch that is there gets the cause beside its own, so that whoever resets it reads both; one that names the
-    same process was set by its watchdog, and stays.
-
-    Raises
-    ------
-    LeactlError : the latch could not be written.
+    same process was set by its watchdog, and stays. Returns the runs whose latch could not be written, or whose file
+    could be neither removed nor marked: that file holds the bench, until a reset.
     """
+    unlatched = []
     for run in runs_underway.lost(bench):
         latch = Latch(bench, bench, (str(run.place.directory / f"{bench}{SUFFIX}"),), run.place.shared)
         trip = latch.trip()
-        if trip is not None and f"process {run.process} " in trip.cause:
-            continue
-        latch.set(f"{trip.cause}; {run.cause}" if trip else run.cause, Path(run.recording))
+        try:
+            if trip is None or f"process {run.process} " not in trip.cause:
+                latch.set(f"{trip.cause}; {run.cause}" if trip else run.cause, Path(run.recording))
+            runs_underway.forget(run)
+        except LeactlError as error:
+            unlatched.append(UnlatchedRun(run, str(error)))
+    return unlatched
+
+
+def refuse_lost_runs(bench: str) -> None:
+    """Latch a bench for its lost runs, and refuse it where a latch could not be written.
+
+    Raises
+    ------
+    SafetyTrip : with the cause, what could not be written, and the command that resets it.
+    """
+    for run in latch_lost_runs(bench):
+        raise SafetyTrip(
+            f"bench '{bench}' is tripped: {run.lost.cause}; {run.fault}; see: leactl bench reset {shlex.quote(bench)}"
+        )
 
 
 def _of_file(bench: str, file: Path) -> Latch:

@@ -70,11 +70,35 @@ def bus_held(bus: Bus) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def idle(bench: str) -> Iterator[None]:
+    """Hold every bench of a name, on real buses or served, until the block is left: no run has one meanwhile.
+
+    Raises
+    ------
+    DeviceError : a run holds one of them, or its watchdog does, which has not made it safe yet; with its process.
+    """
+    with ExitStack() as stack:
+        if sys.platform == "linux":  # elsewhere no device is driven
+            served = (_served(bench, place) for place in state_folder.places())
+            for name in dict.fromkeys((_on_real_buses(bench), *served)):
+                stack.enter_context(alone(name, f"bench '{bench}' cannot be reset: a run drives it"))
+        yield
+
+
 def name_of(bench: BenchFile) -> str:
     """Name of the lock of a bench; that of a served one holds its state folder, for several may have one name."""
     if bench.emulated is None:
-        return f"bench-{bench.name}"
-    return f"{state_folder.place_of(bench, in_process=False).directory}/bench-{bench.name}"
+        return _on_real_buses(bench.name)
+    return _served(bench.name, state_folder.place_of(bench, in_process=False))
+
+
+def _on_real_buses(bench: str) -> str:
+    return f"bench-{bench}"
+
+
+def _served(bench: str, place: state_folder.Place) -> str:
+    return f"{place.directory}/bench-{bench}"
 
 
 @contextmanager

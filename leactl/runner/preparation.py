@@ -13,7 +13,7 @@ from leactl.errors import InputError
 from leactl.protocol.plan import Plan, SetRecordRate, SetSupply
 from leactl.runner import locks
 from leactl.runner.bench_fit import check_fit, check_setup
-from leactl.runner.latch import latch_lost_runs
+from leactl.runner.latch import refuse_lost_runs
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.current_tracking import VoltageNeed
@@ -73,11 +73,10 @@ def refuse_latched(request: Request) -> None:
 
     Raises
     ------
-    SafetyTrip : it is latched.
-    LeactlError : the latch could not be written.
+    SafetyTrip : it is latched, or had to be and could not.
     """
     if not request.in_process:
-        latch_lost_runs(request.bench.name)
+        refuse_lost_runs(request.bench.name)
     request.latch.refuse()
 
 

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -250,14 +251,13 @@ class LostRun(NamedTuple):
     cause: str  # what is said of it
     recording: str
     place: Place  # that it announced itself in
+    path: Path  # of its file
+    last_told: str  # ISO 8601, UTC: when it was last heard of
 
 
-def lost(bench: str) -> Iterator[LostRun]:
-    """Runs of a bench that ended without telling that its devices are safe.
-
-    They are told once: what one left behind is removed as the next is asked for, so that nothing is lost where what is
-    done about it fails.
-    """
+def lost(bench: str) -> list[LostRun]:
+    """Runs of a bench that ended without telling that its devices are safe; each counts until it is forgotten."""
+    runs = []
     for place, path in [(each, path) for each in state_folder.places() for path in sorted(each.runs.glob("*.run"))]:
         with suppress(OSError):  # what is no run's file is told by whoever asks what runs
             descriptor = _opened(path)
@@ -266,23 +266,42 @@ def lost(bench: str) -> Iterator[LostRun]:
             try:
                 if not _ended(descriptor) or (about := _told(descriptor)).get("bench") != bench:
                     continue
-                if not _is_over(about):
-                    run = f"process {about.get('process')} of the run {about.get('protocol')}"
-                    cause = f"{run} ended without a word, and its watchdog too"
-                    yield LostRun(about.get("process"), cause, str(about.get("run", "none")), place)
-                _forget(path, descriptor)
+                if _is_over(about):
+                    path.unlink(missing_ok=True)
+                    continue
+                run = f"process {about.get('process')} of the run {about.get('protocol')}"
+                cause = f"{run} ended without a word, and its watchdog too"
+                last_told = datetime.fromtimestamp(os.fstat(descriptor).st_mtime, UTC).isoformat(timespec="seconds")
+                runs.append(LostRun(about.get("process"), cause, str(about.get("run", "none")), place, path, last_told))
             finally:
                 os.close(descriptor)
+    return runs
 
 
-def _forget(path: Path, descriptor: int) -> None:
-    """Remove what an ended run left behind; where it is another user's, mark it as told."""
+def forget(run: LostRun) -> None:
+    """Remove what a lost run left behind; where the folder does not allow that, mark the file as told.
+
+    Raises
+    ------
+    InputError : neither is possible; the run is lost still.
+    """
+    with suppress(OSError):
+        run.path.unlink(missing_ok=True)
+        return
     try:
-        path.unlink(missing_ok=True)
-    except OSError:
-        with suppress(OSError):
+        descriptor = _opened(run.path)
+        if descriptor is None:
+            return
+        try:
             os.lseek(descriptor, 0, os.SEEK_END)
             os.write(descriptor, _line({"safe": {}}))
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise InputError(
+            f"{run.path}: can be neither removed nor written: {error.strerror or error}; it holds the bench until its"
+            " owner, or root, removes it"
+        ) from None
 
 
 def _is_over(told: Mapping[str, Any]) -> bool:

@@ -87,7 +87,7 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     (run,), _faults = runs_underway.running()
     assert (run.bench, run.protocol, run.process) == ("rig", "hold", holder.pid)
     assert not run.wait(time.monotonic())
-    assert list(runs_underway.lost("rig")) == []  # it goes on
+    assert runs_underway.lost("rig") == []  # it goes on
     holder.kill()
     holder.wait()
     assert run.wait(time.monotonic())
@@ -95,11 +95,13 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     run.close()
     assert len(files()) == 1
     assert runs_underway.running() == ([], [])
-    assert list(runs_underway.lost("another")) == []
+    assert runs_underway.lost("another") == []
     said = f"process {holder.pid} of the run hold ended without a word, and its watchdog too"
-    assert next(runs_underway.lost("rig")).cause == said  # whatever was to be done about it failed
-    assert [(run.cause, run.recording) for run in runs_underway.lost("rig")] == [(said, "none")]
-    assert list(runs_underway.lost("rig")) == []
+    (lost,) = runs_underway.lost("rig")
+    assert (lost.cause, lost.recording) == (said, "none")
+    assert runs_underway.lost("rig") == [lost]  # whatever was to be done about it failed
+    runs_underway.forget(lost)
+    assert runs_underway.lost("rig") == []
     assert files() == []
 
 
@@ -120,7 +122,10 @@ def test_a_run_that_ended_is_lost_unless_it_told_that_its_devices_are_safe(told,
     place.write_bytes(b"--" + json.dumps(about).encode() + b"\n")
     runs_underway.running()
     assert place.exists() == counts
-    assert [run.recording for run in runs_underway.lost("rig")] == (["r.h5"] if counts else [])
+    lost = runs_underway.lost("rig")
+    assert [run.recording for run in lost] == (["r.h5"] if counts else [])
+    for run in lost:
+        runs_underway.forget(run)
     assert not place.exists()
 
 
