@@ -87,6 +87,18 @@ def test_one_that_is_not_known_counts_as_the_bench_s_limit():
     assert unknown == pytest.approx(most, rel=1e-9)
 
 
+@pytest.mark.parametrize("lost", [(math.nan, 0.0), (8.0, math.nan)])
+def test_a_sample_that_is_lost_counts_as_the_worst_and_trips_by_its_age_alone_on_either_axis(lost):
+    seen = Supervised("q_axis_current", "d_axis_current")
+    for _ in range(200):
+        seen.follow(PERIOD, 8.0, *lost)
+        seen.follow(PERIOD, 8.0, 8.0, 0.0)
+    calm = Supervised("q_axis_current").follow(0.4, 8.0, 8.0)
+    assert seen.guard.hottest["test"] - 28.0 > 5.0 * (calm - 28.0)
+    with pytest.raises(SafetyTrip, match=rf"test {'d' if lost[0] == 8.0 else 'q'}_axis_current: no reading for 0\.05"):
+        seen.follow(0.1, 8.0, *lost)
+
+
 def test_it_has_the_limit_of_the_current():
     with pytest.raises(SafetyTrip, match=r"d_axis_current of 30\.1"):
         Supervised("q_axis_current", "d_axis_current").follow(0.01, 1.0, 1.0, 30.1)

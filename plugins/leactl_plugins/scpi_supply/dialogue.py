@@ -173,8 +173,10 @@ class ScpiDialogue:
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
 
-        What falls is set first, then the protection, then what rises: neither does a level that is on its way trip the
-        protection, nor does more flow than the protection is meant for.
+        What falls is set first, then the protection, then what rises: the protection never trips on a level that is to
+        rise, and never stands above what the levels beside it are meant for. It takes effect one read-back after what
+        falls; an output whose voltage has not come down to it by then, as one with nothing to discharge it, is switched
+        off by the protection, which is told as its trip.
 
         Raises
         ------
