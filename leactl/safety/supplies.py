@@ -155,9 +155,9 @@ class Supplies:
         told = max(reading, fed.last) if reading == reading else fed.device.most[1]
         fed.last = told if reading != reading else reading
         self._count(fed, told if fed.readings >= TRUSTED else max(told, fed.asked))
-        if not reading > fed.most:
+        if reading <= fed.most:
             fed.more_since = math.nan
-        elif not row.time - fed.more_since < SEEN_S:
+        elif reading > fed.most and not row.time - fed.more_since < SEEN_S:  # no number neither begins nor ends it
             self._give_too_much(fed, reading, row.time)
 
     def _give_too_much(self, fed: _Fed, reading: float, now: float) -> None:

@@ -3,18 +3,20 @@
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import LEADS
 from leactl.safety.supervisor import Supervisor
-from tests.driver.supply_bench import Bk1688bBench
+from tests.driver.supply_bench import Bk1688bBench, SupplyBench
 from tests.safety.guards import guard_of
 from tests.safety.rig import LIMITS
 
 PERIOD = 1 / 30
 
 
-class SupplyRig(Bk1688bBench):
-    """One supply at the leads of `test`; a resistor of 0.6 ohm is its load, the guard works out the heat."""
+class Supervised:
+    """A supply at the leads of `test` under supervision; a resistor of 0.6 ohm is its load."""
+
+    read_every_s = 0.02
 
     def __init__(self, start=28.0, limits=LIMITS, **settings):
-        super().__init__(period_s=0.02, **settings)
+        super().__init__(period_s=self.read_every_s, **settings)
         self.supply.open()
         self.guard = guard_of(start=start)
         self.supervisor = Supervisor(limits, {}, [self.supply], self.clock, self.guard, Interlocks())
@@ -41,3 +43,13 @@ class SupplyRig(Bk1688bBench):
         while not self.supplies.supplying("test"):
             self.cycle()
         self.cycle(4)
+
+
+class SupplyRig(Supervised, Bk1688bBench):
+    """A supply without a protection of its own."""
+
+
+class ProtectedSupplyRig(Supervised, SupplyBench):
+    """A supply with an over-voltage protection."""
+
+    read_every_s = 0.2

@@ -10,11 +10,12 @@ from leactl.driver.contract import Row
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Supervisor
+from leactl.safety.supplies import Ending
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
 from tests.safety.guards import LEA, guard_of
 from tests.safety.rig import LIMITS
-from tests.safety.supply_rig import SupplyRig
+from tests.safety.supply_rig import PERIOD, ProtectedSupplyRig, SupplyRig
 
 OFF = [b"", b"SOUT1"]
 
@@ -74,6 +75,24 @@ def test_a_winding_that_is_hot_already_takes_no_more_than_it_may():
 # -- what heats ------------------------------------------------------------------------------------------------------
 
 
+def test_two_leads_carry_less_than_the_q_axis_may():
+    rig = SupplyRig()
+    rig.guard.allowed["test"] = 12.0
+    with pytest.raises(SafetyTrip, match=r"8\.5 A may flow through two leads now, 9 A were asked for"):
+        rig.supplies.put_out("test", 8.0, 9.0)
+
+
+def test_the_protection_goes_back_for_levels_that_need_none():
+    rig = ProtectedSupplyRig()
+    rig.supplies.endings = {("test", 4.0, 2.0): Ending(trips_at=4.5)}
+    levels = []
+    for voltage in (4.0, 6.0):
+        rig.heat(voltage, 2.0)
+        rig.cycle(30)
+        levels.append(rig.far.fed.over_voltage.level)
+    assert levels == [4.5, 8.0]
+
+
 def test_until_readings_tell_what_was_asked_for_heats():
     rig = SupplyRig()
     rig.supplies.put_out("test", 8.0, 9.0)
@@ -110,6 +129,32 @@ def test_a_reading_that_is_no_number_heats_by_the_most_that_the_supply_gives():
     rig.heat(8.0, 2.0)
     rig.supplies.look(Row("supply", rig.clock.now(), (math.nan, math.nan)))
     assert rig.heating == 10.0
+
+
+def test_after_a_reading_that_is_no_number_the_next_one_may_be_of_the_moment_before_it_too():
+    rig = SupplyRig()
+    rig.heat(8.0, 2.0)
+    heating = []
+    for amperes in (math.nan, 2.0, 2.0):
+        rig.supplies.look(Row("supply", rig.clock.now(), (1.2, amperes)))
+        heating.append(rig.heating)
+    assert heating == [10.0, 10.0, 2.0]
+
+
+def test_a_supply_that_gives_more_than_is_outlived_trips_though_a_reading_is_lost_now_and_then():
+    rig = SupplyRig()
+    rig.supplies.endings = {("test", 8.0, 2.0): Ending(most=2.5)}
+    rig.heat(8.0, 2.0)
+
+    def read(amperes, seconds):
+        for second in range(seconds):
+            rig.supplies.look(Row("supply", rig.clock.now() + second, (1.2, amperes(second))))
+
+    read(lambda _: math.nan, 30)  # what is not known is no current that is too large
+    read(lambda _: 2.6, 10)  # for 9 s
+    read(lambda _: 2.5, 1)
+    with pytest.raises(SafetyTrip, match=r"test supply gives 2\.6 A, and its winding outlives 2\.5 A at the most"):
+        read(lambda second: math.nan if second % 4 == 2 else 2.6, 12)
 
 
 def test_a_larger_current_by_another_sensor_counts():
@@ -159,6 +204,19 @@ def test_a_trip_cuts_the_supply_at_once():
     assert rig.lines() == OFF
     with pytest.raises(SafetyTrip, match="by hand"):
         rig.supplies.put_out("test", 8.0, 1.0)
+
+
+def test_a_trip_cuts_a_supply_that_was_asked_for_and_is_not_on_yet():
+    rig = SupplyRig()
+    rig.supplies.put_out("test", 8.0, 9.0)
+    assert not rig.supplies.supplying("test")
+    with pytest.raises(SafetyTrip):
+        rig.supervisor.trip("by hand")
+    for _ in range(30):  # the driver goes on
+        rig.supply.take()
+        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    assert b"SOUT0" not in rig.lines()
+    assert not rig.far.output()[0]
 
 
 def test_an_output_that_goes_on_by_itself_trips():
