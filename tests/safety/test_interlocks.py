@@ -315,6 +315,18 @@ def test_a_current_of_none_is_stuck_only_in_operation(make):
     assert trips_after(rig, "test q_axis_current has been exactly 0 A for 0.2 s of operation", 1, waving(rig)) <= 0.62
 
 
+def test_a_current_other_than_none_is_stuck_although_its_drive_is_off():
+    specs = [ChannelSpec("i", "q_axis_current", "test", "d"), ChannelSpec("e", "drive_enabled", "test", "d")]
+    drive = Panel(specs, LIMITS, Interlocks(), trip, lambda text: None)
+    other = Panel([ChannelSpec("b", "line_current", "test", "d")], LIMITS, Interlocks(), trip, lambda text: None)
+    stuck = Stuck([drive, other], yamlfile.parse("q_axis_current: {stuck_s: 1}").validate(Interlocks))
+    drive.values = (0.02, 0.0)
+    with pytest.raises(SafetyTrip, match=r"test q_axis_current has been exactly 0\.02 A for 1 s while others moved"):
+        for cycle in range(210):
+            other.values = (math.sin(cycle),)
+            stuck.look(0.01 * cycle)
+
+
 def test_a_dead_current_is_stuck_although_its_drive_is_off_now_and_then(make):
     rig = make("q_axis_current: {stuck_s: 0.2}")
     with pytest.raises(SafetyTrip, match="test q_axis_current has been exactly 0 A"):
@@ -371,13 +383,29 @@ def test_a_channel_that_never_arrived_trips(make):
     assert trips_after(rig, "no reading for 0.3", 1) == pytest.approx(0.3, abs=0.01)
 
 
-def test_a_reading_stamped_ahead_of_the_clock_trips(make):
+@pytest.mark.parametrize(("ahead_s", "told"), [(100.0, "9"), (0.6, r"0\.[23]")])
+def test_a_reading_stamped_ahead_of_the_clock_trips(make, ahead_s, told):
     rig = make(limits=LIMITS.model_copy(update={"age_s": 0.3}))
     rig.run(0.01)
-    rig.sensor.take = lambda: [Row("sensor", rig.clock.now() + 100.0, (0.0,))]
+    rig.sensor.take = lambda: [Row("sensor", rig.clock.now() + ahead_s, (0.0,))]
     rig.supervised_cycle()
     rig.sensor.take = list
-    assert trips_after(rig, "test torque: a reading is stamped 9.* ahead of the bench's clock", 1) < 0.32
+    assert trips_after(rig, f"test torque: a reading is stamped {told}.* ahead of the bench's clock", 1) < 0.32
+
+
+def test_a_value_may_change_by_its_rate_and_repeat_within_one_moment():
+    panel = Panel(
+        [ChannelSpec("a", "torque", "test", "d")],
+        LIMITS,
+        yamlfile.parse("torque: {rate_Nm_per_s: 4}").validate(Interlocks),
+        trip,
+        lambda text: None,
+    )
+    panel.begin(0.0, 1.0)
+    for value, now in ((1.0, 0.25), (1.0, 0.25), (2.0, 0.5)):
+        panel.look((value,), now)
+    with pytest.raises(SafetyTrip, match=r"test torque changed by 1 N\*m in 0 s; the interlock's rate is 4"):
+        panel.look((3.0,), 0.5)
 
 
 # -- the loop and its clock --------------------------------------------------------------------------------------------
@@ -426,8 +454,13 @@ def test_a_clock_that_goes_back_or_leaps_trips(make):
 
 
 def test_a_slow_loop_is_allowed_cycles_rather_than_the_jump(make):
-    rig = make("clock: {jump_s: 0.01}", period=0.02)
+    rig = make("clock: {jump_s: 0.01}", period=0.02, consumer_heartbeat_ms=1000)
     rig.run(0.2)
+    rig.clock.sleep_until(rig.clock.now() + 0.07)
+    rig.supervised_cycle()
+    rig.clock.sleep_until(rig.clock.now() + 0.09)
+    with pytest.raises(SafetyTrip, match=r"went on by 0\.11 s in one cycle; 0\.1 s are allowed"):
+        rig.supervised_cycle()
 
 
 # -- the drive itself --------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ class Judged:
     def __init__(self):
         self.rotor, self.times = LookedAtRotor(), itertools.count(10.0, STEP_S)
         self.velocities = Velocities(SETTINGS, {"test": self.rotor}, self.trip)
-        self.step(None)
+        self.step(APART)  # after which time is not known
 
     @staticmethod
     def trip(text):
