@@ -270,7 +270,6 @@ class Witnesses:
             agrees = witness.way(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
         if agrees:
             account.side = account.windows = AGREES
-            account.read = math.nan
         return agrees
 
     def _hold_against(self, account: Account, current: int, rows: Array, period: float) -> None:
