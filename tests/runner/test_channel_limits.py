@@ -108,3 +108,15 @@ def test_readings_outside_of_the_judged_part_do_not_count():
     for time, value in ((0.9, 9.0), (1.5, 2.0), (2.0, 9.0)):  # the middle one comes late, and counts
         limits.receive("loop", time, [value], lambda *_told: None)
     assert limits.verdicts()[0].row["value"] == 2.0
+
+
+def test_a_reading_that_comes_after_its_step_is_one_of_that_step():
+    limit = ChannelBounds("q_axis_current", "test", "hold", "max", -math.inf, 5.0, "A")
+    limits = ChannelLimits([limit], STREAMS, "trial")
+    limits.enter("hold", 0.0)
+    limits.leave("hold", 1.0)
+    limits.enter("hold", 2.0)
+    for time, value in ((2.1, 1.0), (0.9, 4.0), (1.5, 9.0), (2.2, math.inf)):  # neither between two nor endless
+        limits.receive("loop", time, [value], lambda *told: None)
+    (verdict,) = limits.verdicts()
+    assert (verdict.met, verdict.row["value"]) == (True, 4.0)

@@ -6,8 +6,11 @@ import pytest
 from leactl.driver.contract import Row, StreamSpec
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
+from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.measured import MeasuredStreams
-from tests.safety.guards import guard_of
+from leactl.safety.thermal.resistance import LeadResistance
+from tests.safety.guards import LEA, SETTINGS, guard_of
 
 CHANNELS = ("winding_temperature", "housing_temperature", "line_current")
 STREAM = StreamSpec("camera", tuple(ChannelSpec(name, name, "test", "camera") for name in CHANNELS))
@@ -53,6 +56,21 @@ def test_air_that_is_hotter_than_the_bench_file_tells_trips():
     told = r"the air is measured at 33\.1 degC; 33\.0 degC at the most was expected where the bench file tells 25 degC"
     with pytest.raises(SafetyTrip, match=told):
         look.look(Row("room", 0.1, (33.1,)))
+
+
+def test_air_that_is_too_hot_for_one_of_two_actuators_trips():
+    narrow = LEA.model_copy(update={"tolerances": LEA.tolerances.model_copy(update={"ambient_K": 1.0})})
+    start = {role: np.full(3, 26.0) for role in ("test", "load")}
+    look = MeasuredStreams(ThermalGuard({"test": LEA, "load": narrow}, SETTINGS, start), [AIR], tripped)
+    look.look(Row("room", 0.0, (30.9,)))
+    with pytest.raises(SafetyTrip, match=r"31\.1 degC; 31\.0 degC at the most was expected"):
+        look.look(Row("room", 0.1, (31.1,)))
+
+
+def test_a_resistance_is_told_once_it_has_lasted_a_second():
+    leads = LeadResistance(Box.of(LEA))
+    told = [leads.least(9.0 * lead_resistance(130.0), 9.0, now) for now in (0.0, 0.5, 0.75, 1.0, 1.25)]
+    assert [value == value for value in told] == [False, False, False, True, False]
 
 
 PAIR = StreamSpec("supply", tuple(ChannelSpec(n, n, "test", "supply") for n in ("line_voltage", "line_current")))

@@ -80,7 +80,7 @@ class MeasuredStreams:
 
     def _air(self, index: int, row: Row) -> None:
         told = self._guard.told_ambient
-        most = told + max(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
+        most = told + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
         if row.values[index] > most:
             self._trip(
                 f"the air is measured at {row.values[index]:.1f} degC; {most:.1f} degC at the most was expected where"
