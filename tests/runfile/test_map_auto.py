@@ -373,6 +373,56 @@ def test_names_of_field_oriented_control(tmp_path):
     assert stream.left_out["i_a"] == stream.left_out["voltage_c [V]"] == "its name says a phase"
 
 
+@pytest.mark.parametrize(
+    ("names", "taken"),
+    [
+        (["motor_current_a"], {"motor_current_a": "A"}),
+        (["motor_current_a", "motor_current_b"], {}),
+        (["bus_voltage_v", "iq_a"], {"bus_voltage_v": "V", "iq_a": "A"}),
+        (["I_A"], {"I_A": "A"}),
+        (["I_A", "I_B", "I_C"], {}),
+        (["I_U", "I_V", "I_W", "voltage_u", "voltage_v"], {}),
+        (["I_A", "Voltage_V", "I_a"], {"I_A": "A", "Voltage_V": "V"}),
+    ],
+)
+def test_a_letter_is_a_phase_beside_another_of_its_set_and_a_unit_alone(tmp_path, names, taken):
+    values = VOLTS - 20.0  # V and A by no range
+    np.savez(tmp_path / "a.npz", t=T, q_rad=HIP, **dict.fromkeys(names, 1000.0 * values))
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    units = {name: channel.units[0] for name, channel in stream.channels.items() if len(channel.units) == 1}
+    assert units == {"q_rad": "rad", **taken}
+    assert stream.left_out == {name: "its name says a phase" for name in names if name not in taken}
+
+
+def test_entries_of_a_data_log_are_siblings(tmp_path):
+    out = [WPILOG_HEAD]
+    out += [wpilog_start(at, f"/arm/{name}", "double", 0, "") for at, name in enumerate(("I_A", "I_B", "iq_A"), 1)]
+    out += [
+        wpilog_record(at, 10**6 + round(t * 1e6) + at, struct.pack("<d", 1.0 + t)) for t in T[:50] for at in (1, 2, 3)
+    ]
+    (tmp_path / "a.wpilog").write_bytes(b"".join(out))
+    (stream,) = streams_of(survey(tmp_path / "a.wpilog"), {})
+    (channel,) = stream.channels.values()
+    assert (stream.table.records, channel.quantity, channel.units) == ("/arm/iq_A", "q_axis_current", ("A",))
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("I_phase", "a phase"),
+        ("phase_current_A", "a phase"),
+        ("phase voltage [V]", "a phase"),
+        ("i_rms", "an r.m.s. or peak value"),
+        ("motor_current_peak_A", "an r.m.s. or peak value"),
+        ("iq_rms", "an r.m.s. or peak value"),
+        ("V_rms", "an r.m.s. or peak value"),
+    ],
+)
+def test_a_phase_rms_or_peak_value_is_no_value_of_an_axis(name, reason):
+    assert meaning_of(name) == ("", "", "", f"its name says {reason}", "")
+    assert meaning_of("battery_current_rms").quantity == "bus_current"
+
+
 @pytest.mark.parametrize("name", ["current [N]", "voltage_mA", "winding temp [rad]", "current [kVA/s]", "vbus (W/m)"])
 def test_a_unit_that_is_not_of_the_quantity_is_asked_for(tmp_path, name):
     csv(tmp_path / "a.csv", {"t": T, name: VOLTS / 10})

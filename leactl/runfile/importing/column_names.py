@@ -1,6 +1,7 @@
 """Read quantity, role and unit from the name of a column, such as `motor_current_A` or `load.velocity [rpm]`."""
 
 import re
+from collections.abc import Collection
 from functools import cache
 from importlib import resources
 from typing import Any, Final, NamedTuple
@@ -58,6 +59,9 @@ UNITS_OF_TWO: Final = ("1/s", "s^-1", "rps")  # rad/s to some and rev/s to other
 EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
 BY_LETTERS: Final = {units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")}  # in brackets
 _AMPERES_OR_VOLTS: Final = re.compile(r"_m?[AV]\Z")
+# `a` behind a symbol of one letter is its index: `i_a` is a phase, `iq_a` is in amperes
+_LOWER_CASE: Final = re.compile(r"(?i:cur\w*|i(?:q|d|bus|dc))_a\Z|(?i:volt\w*|[uv](?:q|d|bus|dc|in))_v\Z")
+_PHASES: Final = ("abc", "uvw", "ABC", "UVW")
 _UNIT_SIGN: Final = re.compile(r"[/^*·°%]")
 
 
@@ -84,13 +88,14 @@ def words_of(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def meaning_of(name: str, declared: str = "") -> Meaning:
+def meaning_of(name: str, declared: str = "", siblings: Collection[str] = ()) -> Meaning:
     """Meaning of a column's name: of its part after the last dot or slash if that has a quantity, else of the whole.
 
     A quantity fits the unit in the name, or the one that the file declares, if any does; otherwise the meaning has a
-    doubt, and no number decides what the column is.
+    doubt, and no number decides what the column is. The A of `I_A` is a phase beside an `I_B` among the siblings, the
+    names of the log's columns, and the ampere without one.
     """
-    plain = without_unit(name)
+    plain = name if is_one_of_a_set(name, siblings) else without_unit(name)
     last = re.split(r"[./]", re.sub(r"\[[^\]]*\]$", "", plain))[-1]
     whole = words_of(plain)
     if refused := [word for word in words_of(last) if word in table()["none"]]:
@@ -131,6 +136,12 @@ def fits(name: str, said: str, quantity: str) -> bool:
     return not said or not quantity or said in known_units(quantity) or bool(units_of(name, known_units(quantity)))
 
 
+def is_one_of_a_set(name: str, siblings: Collection[str]) -> bool:
+    """Whether a name ends in the letter of a phase and a sibling in that of another: phases come as a set."""
+    letters = next((letters for letters in _PHASES if name.endswith(tuple(letters))), "")
+    return any(name[:-1] + letter in siblings for letter in letters if letter != name[-1])
+
+
 def unknown_unit(name: str) -> str:
     """The text in brackets at the end of a name that has a sign of units and is none that is known; else empty."""
     text = unit_of(name)
@@ -141,7 +152,7 @@ def without_unit(name: str) -> str:
     """A name without the unit at its end, so that the A of `motor_current_A` is not taken for a phase."""
     if units_in_brackets(name) or unknown_unit(name):
         return UNIT_IN_BRACKETS.sub("", name)
-    return _AMPERES_OR_VOLTS.sub("", name)
+    return name[:-2] if _LOWER_CASE.search(name) else _AMPERES_OR_VOLTS.sub("", name)
 
 
 def units_in_brackets(name: str) -> str:
@@ -161,7 +172,7 @@ def units_of(name: str, known: list[str]) -> str:
         endings.append(tail[-1])  # `angle.deg`, where a letter alone is a name
     for ending in endings:
         for units, aliases in ALIASES.items():
-            is_unit = written or (units not in ONLY_IN_BRACKETS and _case(ending, units))
+            is_unit = written or (units not in ONLY_IN_BRACKETS and _case(name, ending, units))
             if is_unit and ending.lower() in aliases and units in known:
                 return units
     if written in known:
@@ -169,9 +180,13 @@ def units_of(name: str, known: list[str]) -> str:
     return words_alone(name) if words_alone(name) in known else ""
 
 
-def _case(ending: str, units: str) -> bool:
-    """Whether a one-letter ending has the case of the unit; `_v` and `_a` also stand for velocity and angle."""
-    return len(ending) > 1 or ending == units[-1]
+def _case(name: str, ending: str, units: str) -> bool:
+    """Whether an ending of one letter has the case of its unit, since `_v` and `_a` also stand for velocity and angle.
+
+    Behind a word for a current or a voltage they do not.
+    """
+    of_circuit = units == ending.upper() and _LOWER_CASE.search(name) is not None
+    return len(ending) > 1 or ending == units[-1] or of_circuit
 
 
 def words_alone(name: str) -> str:

@@ -92,8 +92,9 @@ class ProposedStream:
 def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
     """The proposed streams of a survey, with a person's answers applied."""
     streams: list[ProposedStream] = []
+    names = frozenset(name_of(column, table.table) for table in seen.tables for column in table.table.columns)
     for table in seen.tables:
-        stream = stream_of(table, {each.name for each in streams})
+        stream = stream_of(table, names, {each.name for each in streams})
         if stream.channels:
             streams.append(stream)
     for stream in streams:
@@ -104,8 +105,15 @@ def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
     return streams
 
 
-def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
-    """Propose the channels of a table by declarations, documentation and names; `taken` are stream names in use."""
+def stream_of(seen: SurveyedTable, names: frozenset[str], taken: set[str]) -> ProposedStream:
+    """Propose the channels of a table by declarations, documentation and names.
+
+    Parameters
+    ----------
+    seen : the table with its values.
+    names : names of all columns of the log.
+    taken : names of streams in use.
+    """
     table, dialect = seen.table, seen.dialect
     time, time_units, time_why = time_of(seen)
     channels: dict[str, ProposedChannel] = {}
@@ -117,7 +125,7 @@ def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
         if not any(np.isfinite(each).any() for each in values):
             left_out[column.name] = "holds no number"
             continue
-        proposed = channel_of(column, table, dialect)
+        proposed = channel_of(column, table, dialect, names)
         if isinstance(proposed, str):
             left_out[column.name] = proposed
             continue
@@ -128,9 +136,11 @@ def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
     return ProposedStream(name, table, time, time_units, time_why, channels, left_out, stamps)
 
 
-def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
+def channel_of(
+    column: ListedColumn, table: ListedTable, dialect: LogDialect | None, names: frozenset[str]
+) -> ProposedChannel | str:
     """Propose a channel for a column, with what its file declares, or return why it is none."""
-    proposed = column.why_unnamed or channel_by_units(column, table, dialect)
+    proposed = column.why_unnamed or channel_by_units(column, table, dialect, names)
     if isinstance(proposed, str):
         return proposed
     if column.role:
@@ -142,11 +152,18 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
     return proposed
 
 
-def channel_by_units(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
-    """Propose a channel by its documentation, its declared units or its name, or return why it is none."""
-    name = str(column.name)
+def name_of(column: ListedColumn, table: ListedTable) -> str:
+    """The name that tells what a column is: its table's for the only value of an entry or the column of a matrix."""
     if isinstance(column.name, int):
-        name = f"{table.records or ''}[{column.name}]"
+        return f"{table.records or ''}[{column.name}]"
+    return table.records or column.name if column.name == "value" else column.name
+
+
+def channel_by_units(
+    column: ListedColumn, table: ListedTable, dialect: LogDialect | None, names: frozenset[str]
+) -> ProposedChannel | str:
+    """Propose a channel by its documentation, its declared units or its name, or return why it is none."""
+    name = name_of(column, table)
     if dialect is not None and (documented := dialect.channel(name)):
         if not documented.quantity:
             return f"{dialect.meaning} has it, and it is no channel of a run"
@@ -156,7 +173,7 @@ def channel_by_units(column: ListedColumn, table: ListedTable, dialect: LogDiale
         channel.scale, channel.scale_of, channel.sign = documented.scale, documented.scale_of, documented.sign
         channel.location = documented.location
         return channel
-    meaning = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name, column.units)
+    meaning = meaning_of(name, column.units, names)
     quantity = column.quantity or meaning.quantity
     if not quantity:
         return meaning.why_not
