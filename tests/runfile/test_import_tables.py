@@ -93,6 +93,29 @@ def test_a_matrix_beside_its_stamps_is_taken_by_column_from_every_tree(folder, e
         import_runs([f"log.{ending}"], mapping(folder, text.replace("q[1]", "q[2]")), folder / "another")
 
 
+@pytest.mark.parametrize("ending", ["mat", "json"])
+@pytest.mark.parametrize(
+    ("beside", "listed", "values"),
+    [
+        ({"lengths": 3}, [], [0, 1, 2, 3, 4, 5, 6]),
+        ({"lengths": 3, "t": 7}, ["q[0]", "q[1]", "q[2]", "t"], [0, 1, 2, 3, 4, 5, 6]),
+        ({"t": 3}, ["q[0]", "q[1]", "q[2]", "q[3]", "q[4]", "q[5]", "q[6]", "t"], [0, 7, 14]),
+    ],
+)
+def test_a_matrix_wider_than_long_has_its_samples_in_rows_only_beside_stamps(folder, ending, beside, listed, values):
+    tree = {"q": np.arange(21.0).reshape(3, 7)} | {name: np.arange(float(size)) for name, size in beside.items()}
+    if ending == "mat":
+        savemat("log.mat", tree)
+    else:
+        Path("log.json").write_text(json.dumps(tree, default=lambda array: array.tolist()))
+    source = open_source(folder / f"log.{ending}", None, SourceRequest(None))
+    assert source.column("q[0]", None).tolist() == values
+    assert sorted(c.name for table in source.tables() for c in table.columns if c.name in ("t", *Q)) == listed
+
+
+Q = [f"q[{index}]" for index in range(7)]
+
+
 def test_an_array_of_objects_is_never_unpickled(folder):
     np.savez("log.npz", t=np.array([open, 1], dtype=object), q=DEGREES, w=HIP_SPEED)
     assert fault(folder, "log.npz") == "log.npz: t.npy: an array of objects; numbers or text were expected"

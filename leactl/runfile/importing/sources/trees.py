@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.runfile.importing.column_names import is_time
 from leactl.runfile.importing.mapping import as_label
 from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, MissingColumn, as_float
 
@@ -82,7 +83,7 @@ class TreeSource:
         raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str, is_column: bool = False) -> Any:
-        """The node at a path; the last index of a column's path is that of a matrix's column beside a vector."""
+        """The node at a path; a column's last index is that of a column where a matrix's rows are samples."""
         above: Any = None
         if _has_key(node, path):
             return self._child(node, path, "")
@@ -95,7 +96,7 @@ class TreeSource:
             is_index = count == 1 and steps[at][2] is not None
             key = int(steps[at][2]) if is_index else keys[count - 1]
             where = path[: steps[at - 1].end()] if at else ""
-            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_matrix_beside_vector(node, above):
+            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_by_column(node, above):
                 return self._indexed(node, key, where)
             above, node = node, self._child(node, key, where)
             at += count
@@ -147,11 +148,28 @@ def _has_key(node: Any, key: str) -> bool:
     return isinstance(node, dict) and key in node
 
 
-def _is_matrix_beside_vector(value: Any, group: Any) -> bool:
-    """Whether a value is a matrix with as many rows as a column of its group has, whose stamps may then be its own."""
+def _is_by_column(value: Any, group: Any) -> bool:
+    """Whether a value is a matrix whose rows are samples, since a vector of its group has one value for each.
+
+    A matrix that is wider than long, such as 3 joints by 7 samples beside 3 lengths of links, has its samples in rows
+    only where that vector holds stamps by its name.
+    """
     if not isinstance(group, dict) or not _is_matrix(value):
         return False
-    return any(_is_column(other) and np.size(other) == len(value) for other in group.values())
+    beside = [name for name, other in group.items() if _is_column(other) and np.size(other) == len(value)]
+    return bool(beside) and (len(value) >= _width(value) or any(is_time(str(name)) for name in beside))
+
+
+def _is_by_row(value: Any, group: dict[Any, Any]) -> bool:
+    """Whether a value is a matrix, wider than long, whose columns are samples, since a vector has one for each."""
+    if not _is_matrix(value) or len(value) >= _width(value) or _is_by_column(value, group):
+        return False
+    return any(_is_column(other) and np.size(other) == _width(value) for other in group.values())
+
+
+def _width(matrix: Any) -> int:
+    """Number of a matrix's columns."""
+    return int(matrix.shape[1]) if isinstance(matrix, np.ndarray) else len(matrix[0])
 
 
 def _is_matrix(value: Any) -> bool:
@@ -191,11 +209,13 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         for name, value in node.items():
             if _is_column(value):
                 by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
-            elif _is_matrix_beside_vector(value, node):
-                width = min(np.shape(value)[1] if isinstance(value, np.ndarray) else len(value[0]), MOST_COLUMNS)
-                names = [f"{name}[{at}]" for at in range(width)]
+            elif _is_by_column(value, node) or _is_by_row(value, node):
+                channels, samples = _width(value), len(value)
+                if _is_by_row(value, node):
+                    channels, samples = samples, channels
+                names = [f"{name}[{at}]" for at in range(min(channels, MOST_COLUMNS))]
                 new = [ListedColumn(column) for column in names if column not in node]
-                by_length.setdefault(len(value), []).extend(new)
+                by_length.setdefault(samples, []).extend(new)
             elif len(path) < LONGEST_PATH:
                 yield from _tables(value, f"{path}.{name}" if path else str(name))
         for columns in by_length.values():
