@@ -1,5 +1,6 @@
 """The index of every file that h5py writes is a tree, in whatever format, and in the oldest one it is looked at."""
 
+import struct
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,7 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile.hdf5 import btrees
 from leactl.runfile.hdf5.opening import open_foreign
+from leactl.runfile.hdf5.swmr import checksum
 
 OLDEST = [{"libver": ("earliest", "v108")}, {"libver": "earliest", "userblock_size": 1024}]
 NEWER = [{"libver": "v108"}, {"libver": "v110"}, {"libver": "latest"}]
@@ -118,3 +120,114 @@ def test_every_node_of_the_oldest_format_is_looked_at(tmp_path: Path, fill, form
         path.write_bytes(raw[: at + 8] + (at - form.get("userblock_size", 0)).to_bytes(8, "little") + raw[at + 16 :])
         with pytest.raises(InputError, match="is no tree"):
             open_foreign(path)
+
+
+def attributes_of_a_group(file):
+    group = file.create_group("g")
+    for number in range(3000):
+        group.attrs[f"n{number}"] = number
+
+
+def members(file):
+    for number in range(3000):
+        file.create_group(f"g{number}")
+
+
+def chunks_in_two_directions(file):
+    values = np.arange(90_000.0).reshape(300, 300)
+    file.create_dataset("a", data=values, chunks=(2, 2), maxshape=(None, None), compression="gzip")
+
+
+def chunks_in_one_direction(file):
+    file.create_dataset("a", data=np.arange(90_000.0), chunks=(2000,), maxshape=(None,), compression="gzip")
+
+
+def chunks_of_a_fixed_array(file):
+    file.create_dataset("a", data=np.arange(90_000.0), chunks=(2000,), compression="gzip")
+
+
+def large_attributes(file):
+    group = file.create_group("g")
+    for number in range(400):
+        group.attrs[f"n{number}"] = np.bytes_("x" * 50_000)
+
+
+def renewed(raw, begin, end, at, packed):
+    """The file with other bytes in a structure, and its checksum at `end` made right again."""
+    raw[at : at + len(packed)] = packed
+    raw[end : end + 4] = checksum(bytes(raw[begin:end])).to_bytes(4, "little")
+    return bytes(raw)
+
+
+def with_every_child_the_first(raw):
+    """Each pointer of the topmost tree's root leads to the same child."""
+    begin = raw.rindex(b"BTHD")
+    size, record_size, depth = struct.unpack_from("<IHH", raw, begin + 6)
+    root, records = struct.unpack_from("<QH", raw, begin + 16)
+    assert depth >= 1
+    first = root + 6 + records * record_size
+    (pointer_size,) = (
+        width for width in range(9, 14) if is_checksum_at(raw, root, first + (records + 1) * width, size)
+    )
+    return renewed(
+        raw, root, first + (records + 1) * pointer_size, first, bytes(raw[first : first + pointer_size]) * (records + 1)
+    )
+
+
+def is_checksum_at(raw, begin, end, most):
+    return end - begin < most and int.from_bytes(raw[end : end + 4], "little") == checksum(bytes(raw[begin:end]))
+
+
+def with_number(signature, at, length, number, form="<Q"):
+    def change(raw):
+        begin = raw.rindex(signature)
+        return renewed(raw, begin, begin + length, begin + at, struct.pack(form, number))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("fill", "change", "words"),
+    [
+        (attributes_of_a_group, with_every_child_the_first, "/g: damaged: the index of its members, .* is no tree"),
+        (members, with_every_child_the_first, "/: damaged: the index of its members, .* is no tree"),
+        (chunks_in_two_directions, with_every_child_the_first, "/a: damaged: the index of its members, .* is no tree"),
+        (attributes_of_a_group, with_number(b"BTHD", 26, 34, 5), "/g: damaged: its index has 3000 records and says 5"),
+        (attributes_of_a_group, with_number(b"BTHD", 26, 34, 1 << 40), "/g: 1099511627776 records in its index"),
+        (members, with_number(b"BTHD", 10, 34, 20, "<H"), "/: damaged: .* has other records"),
+        (members, with_number(b"BTHD", 12, 34, 60, "<H"), "/: an index of 60 levels"),
+        (members, with_number(b"FRHP", 10, 142, 1 << 20, "<I"), "/: a heap for objects of 1048576 bytes"),
+        (members, with_number(b"FRHP", 7, 142, 9, "<H"), "/: its links or attributes are packed"),
+        (chunks_in_one_direction, with_number(b"EAHD", 44, 68, 1 << 40), "/a: 1099511627776 elements in the index"),
+        (chunks_of_a_fixed_array, with_number(b"FAHD", 8, 24, 1 << 40), "/a: 1099511627776 elements in the index"),
+        (large_attributes, bytes, "/g: more than 16777216 bytes of large links or attributes"),
+    ],
+)
+def test_an_index_of_newer_formats_that_keeps_hdf5_busy_is_refused(tmp_path: Path, fill, change, words):
+    """Its checksums are right; HDF5 overflows its table of the attributes or walks the index for ever."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        fill(file)
+    path.write_bytes(change(bytearray(path.read_bytes())))
+    with pytest.raises(InputError, match=words):
+        open_foreign(path)
+
+
+def test_a_spoiled_index_of_newer_formats_is_for_hdf5_to_tell(tmp_path: Path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        members(file)
+    raw = path.read_bytes()
+    at = raw.rindex(b"BTHD")
+    path.write_bytes(raw[: at + 12] + b"\xff" + raw[at + 13 :])
+    with pytest.raises(InputError, match="checksum"):
+        open_foreign(path)
+
+
+def test_large_attributes_are_read(tmp_path: Path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        group = file.create_group("g", track_order=True)
+        for number in range(12):
+            group.attrs[f"n{number}"] = np.bytes_("x" * 10_000)
+    open_foreign(path).close()

@@ -110,6 +110,32 @@ HOSTILE = {
 }
 
 
+def low_level(make):
+    """An attribute of a type that h5py makes no value of."""
+
+    def change(file):
+        h5py.h5a.create(file["setup"].id, b"more", make(), h5py.h5s.create_simple((2,)))
+
+    return change
+
+
+HOSTILE |= {
+    "/setup: attribute 'more' holds complex numbers; real ones or text": low_level(
+        lambda: h5py.h5t.py_create(np.dtype("c16"))
+    ),
+    "/setup: attribute 'more' holds arrays as single values; numbers or text": low_level(
+        lambda: h5py.h5t.array_create(h5py.h5t.IEEE_F64LE, (3,))
+    ),
+    "/setup: attribute 'more' holds bit fields; numbers or text": low_level(h5py.h5t.STD_B8LE.copy),
+    "/setup: attribute 'more' holds neither numbers nor text but lists of any length": low_level(
+        lambda: h5py.h5t.py_create(h5py.vlen_dtype("f8"), logical=True)
+    ),
+    "/extra: values that are neither numbers nor text but times": lambda file: h5py.h5d.create(
+        file.id, b"extra", h5py.h5t.UNIX_D32LE, h5py.h5s.create_simple((2,))
+    ),
+}
+
+
 @pytest.mark.parametrize("words", HOSTILE)
 def test_what_no_run_holds_is_refused_by_every_door(complete: Path, words: str):
     changed(complete, HOSTILE[words])

@@ -2,8 +2,8 @@
 
 No checksum covers their nodes, and HDF5 follows their addresses unchecked: a node that is its own child ends the
 process, and one that is its own sibling is looked at for ever. So is a list of free blocks, in the heap of a group's
-names, that begins anew. The trees of newer formats have checksums. An object's header tells where its tree begins (HDF5
-file format 3.0: III.A.1 the tree, III.D the heap, IV.A the header and its messages).
+names, that begins anew. The trees of newer formats are checked by `newer_btrees`. An object's header tells where its
+tree begins (HDF5 file format 3.0: III.A.1 the tree, III.D the heap, IV.A the header and its messages).
 """
 
 import struct
@@ -11,9 +11,13 @@ from collections.abc import Iterator
 from typing import BinaryIO, Final, NamedTuple
 
 from leactl.errors import InputError
+from leactl.runfile.hdf5.newer_btrees import NewerBTrees
 from leactl.runfile.hdf5.text_heaps import bytes_at
 
 LAYOUT, CONTINUATION, SYMBOL_TABLE = 0x08, 0x10, 0x11  # types of messages in a header
+LINK_INFO, ATTRIBUTE_INFO = 0x02, 0x15
+SIZE_OF_LAST_NUMBER: Final = {LINK_INFO: 8, ATTRIBUTE_INFO: 2}  # bytes, where links or attributes are numbered
+INDEX_SETTINGS: Final = {3: 1, 4: 5, 5: 6}  # bytes before the address, by kind of a newer layout's index of chunks
 CHUNKED: Final = 2  # class of a dataset's layout
 OF_GROUP, OF_CHUNKS = 0, 1  # types of trees
 NOWHERE: Final = (1 << 64) - 1
@@ -58,6 +62,7 @@ class BTrees:
         self._checked: set[int] = set()  # headers, since an object may have several names
         self._met: set[int] = set()
         self._messages_met = self._bytes_met = 0
+        self._newer = NewerBTrees(self._bytes)
 
     def check(self, header: int, hdf5_path: str) -> None:
         """Check the trees that the object header at an address refers to; what is no tree is left to HDF5.
@@ -74,6 +79,10 @@ class BTrees:
                 self._check_tree(root, hdf5_path)
             if message.kind == SYMBOL_TABLE and len(message.body) >= 16:
                 self._check_heap(ADDRESS.unpack_from(message.body, 8)[0], hdf5_path)
+            if (addresses := index_in(message)) and addresses[0] != NOWHERE:
+                self._newer.check_index(addresses[0], [at for at in addresses[1:] if at != NOWHERE], hdf5_path)
+            if (index := chunk_index_in(message)) is not None and index != NOWHERE:
+                self._newer.check_chunks(index, hdf5_path)
 
     def _check_heap(self, heap: int, hdf5_path: str) -> None:
         """Follow the free blocks of a group's names, from each of which HDF5 makes an entry of a list."""
@@ -183,3 +192,24 @@ def root_in(message: HeaderMessage) -> Root | None:
         return None
     # a key: a chunk's size, the filters that it went without, and its place in each dimension and in the value
     return Root(OF_CHUNKS, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
+
+
+def index_in(message: HeaderMessage) -> list[int]:
+    """Addresses of the heap of links or attributes and of the trees of version 2 that index it; empty if none."""
+    body = message.body
+    if message.kind not in SIZE_OF_LAST_NUMBER or len(body) < 2:
+        return []
+    begin = 2 + (SIZE_OF_LAST_NUMBER[message.kind] if body[1] & 1 else 0)
+    count = 3 if body[1] & 2 else 2  # with a tree by the order of creation
+    end = begin + count * ADDRESS.size
+    return [address for (address,) in ADDRESS.iter_unpack(body[begin:end])] if end <= len(body) else []
+
+
+def chunk_index_in(message: HeaderMessage) -> int | None:
+    """Address of the array or the tree of version 2 that indexes chunks; None if the message refers to none."""
+    body = message.body
+    if message.kind != LAYOUT or len(body) < 5 or body[0] < 4 or body[1] != CHUNKED:
+        return None
+    at = 5 + body[3] * body[4]  # after the lengths of a chunk
+    begin = at + 1 + INDEX_SETTINGS.get(body[at], len(body)) if at < len(body) else at
+    return int(ADDRESS.unpack_from(body, begin)[0]) if begin + ADDRESS.size <= len(body) else None

@@ -22,6 +22,7 @@ from leactl.runfile.hdf5.value_types import (
     faults_of_attribute_types,
     is_shallow,
     is_text_of_any_length,
+    what_is_not_plain,
 )
 from leactl.yamlfile import shown
 
@@ -186,7 +187,8 @@ class Tree:
             is_read = is_read_of_mat if self._foreign else is_read_of_run
             faults += faults_of_attributes(size, path) or faults_of_attribute_types(item, path, is_read)
             if isinstance(item, h5py.h5d.DatasetID) and not is_shallow(item.get_type()):
-                faults.append(f"{path}: {NEITHER[self._foreign]}")
+                other = "references" if self._foreign else "text"
+                faults.append(f"{path}: values that are {what_is_not_plain(item.get_type(), other)}")
             elif isinstance(item, h5py.h5d.DatasetID):
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))

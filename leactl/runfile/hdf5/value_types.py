@@ -13,6 +13,18 @@ from leactl.yamlfile import shown
 
 NUMBERS_AND_TEXTS: Final = {h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM}
 MOST_MEMBERS: Final = 256  # of an enumeration or a compound; a truth value has 2, a complex number 2
+NUMBERS_OF_OTHER_TYPES: Final = {
+    h5py.h5t.ARRAY: "arrays as single values",
+    h5py.h5t.BITFIELD: "bit fields",
+}
+NEITHER_NUMBERS_NOR_TEXTS: Final = {
+    h5py.h5t.COMPOUND: "compounds of several values",
+    h5py.h5t.ENUM: f"an enumeration of more than {MOST_MEMBERS} members",
+    h5py.h5t.OPAQUE: "opaque bytes",
+    h5py.h5t.REFERENCE: "references",
+    h5py.h5t.TIME: "times",
+    h5py.h5t.VLEN: "lists of any length",
+}
 
 
 def is_plain(type_id: Any) -> bool:
@@ -27,7 +39,28 @@ def is_shallow(type_id: Any) -> bool:
     if kind == h5py.h5t.COMPOUND:
         members = type_id.get_nmembers()
         return members <= MOST_MEMBERS and all(is_plain(type_id.get_member_type(number)) for number in range(members))
-    return is_plain(type_id) or kind not in (*NUMBERS_AND_TEXTS, h5py.h5t.ARRAY, h5py.h5t.VLEN)
+    return is_plain(type_id) or kind not in (*NUMBERS_AND_TEXTS, h5py.h5t.ARRAY, h5py.h5t.VLEN, h5py.h5t.TIME)
+
+
+def what_is_not_plain(type_id: Any, other: str = "text") -> str:
+    """What values of a type are, where numbers or `other` were expected and the type is neither."""
+    kind = type_id.get_class()
+    if is_complex(type_id):
+        return f"complex numbers; real ones or {other} were expected"
+    if kind in NUMBERS_OF_OTHER_TYPES:
+        return f"{NUMBERS_OF_OTHER_TYPES[kind]}; numbers or {other} were expected"
+    return (
+        f"neither numbers nor {other} but {NEITHER_NUMBERS_NOR_TEXTS.get(kind, 'values of a type that is not known')}"
+    )
+
+
+def is_complex(type_id: Any) -> bool:
+    """Whether values of a type are complex numbers; h5py stores them as compounds of `r` and `i`."""
+    kind = type_id.get_class()
+    if kind != h5py.h5t.COMPOUND:
+        return bool(kind == getattr(h5py.h5t, "COMPLEX", None))  # a class of its own from HDF5 2.0 on
+    names = [type_id.get_member_name(number) for number in range(min(3, type_id.get_nmembers()))]
+    return names in ([b"r", b"i"], [b"real", b"imag"])
 
 
 def is_text_of_any_length(type_id: Any) -> bool:
@@ -36,12 +69,13 @@ def is_text_of_any_length(type_id: Any) -> bool:
 
 
 def faults_of_attribute_types(item: Any, hdf5_path: str, is_read: Callable[[bytes], bool]) -> list[str]:
-    """One line for each attribute of an object that is read and holds neither numbers nor text."""
-    return [
-        f"{hdf5_path}: attribute {shown(name.decode('utf-8', 'replace'))} holds neither numbers nor text"
-        for name in attribute_names(item)
-        if is_read(name) and not is_plain(h5py.h5a.open(item, name).get_type())
-    ]
+    """One line for each attribute of an object that is read and of a type that is not plain."""
+    faults = []
+    for name in filter(is_read, attribute_names(item)):
+        if not is_plain(type_id := h5py.h5a.open(item, name).get_type()):
+            text = shown(name.decode("utf-8", "replace"))
+            faults.append(f"{hdf5_path}: attribute {text} holds {what_is_not_plain(type_id)}")
+    return faults
 
 
 def attribute_names(item: Any) -> list[bytes]:
