@@ -3,14 +3,18 @@
 The file is written under a hidden name in the same directory, forced to the disk and then renamed.
 """
 
+import errno
 import os
 import secrets
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from leactl.errors import InputError
+
+DISK_FAULTS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 
 
 class NotWritten(InputError):
@@ -23,8 +27,9 @@ def new_file(target: Path) -> Iterator[Path]:
     refuse_existing(target)
     with temporary(target) as path:
         yield path
-        force_to_disk(path)
-        move_without_overwriting(path, target)
+        with _blamed_on(target):
+            force_to_disk(path)
+            move_without_overwriting(path, target)
 
 
 @contextmanager
@@ -32,8 +37,9 @@ def replacement(target: Path) -> Iterator[Path]:
     """Yield a temporary path; the file written there replaces `target` in one step or not at all."""
     with temporary(target) as path:
         yield path
-        force_to_disk(path)
-        path.replace(target)
+        with _blamed_on(target):
+            force_to_disk(path)
+            path.replace(target)
         force_folder_to_disk(target.parent)
 
 
@@ -60,15 +66,38 @@ def move_without_overwriting(source: Path, target: Path) -> None:
 
 @contextmanager
 def temporary(target: Path) -> Iterator[Path]:
-    """Yield an unused hidden path next to the target, and remove the file there at the end."""
+    """Yield an unused hidden path next to the target, and remove the file there at the end.
+
+    Raises
+    ------
+    NotWritten : the block failed with an OSError; the target is blamed only where the system blames it or the disk.
+    """
     path = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield path
     except OSError as fault:
-        raise NotWritten(f"{target}: cannot be written: {' '.join(str(fault).split())}") from fault
+        # a write that failed names no file, and so does a read; the system's number tells a disk that takes no more
+        is_of_target = str(fault.filename) in (str(path), str(target)) or (
+            fault.filename is None and fault.errno in DISK_FAULTS
+        )
+        raise _not_written(target, "cannot be" if is_of_target else "was not", fault) from fault
     finally:
         with suppress(OSError):  # what went wrong before is what is told
             path.unlink()
+
+
+@contextmanager
+def _blamed_on(target: Path) -> Iterator[None]:
+    """Convert an OSError of forcing a finished file to the disk and naming it."""
+    try:
+        yield
+    except OSError as fault:
+        raise _not_written(target, "cannot be", fault) from fault
+
+
+def _not_written(target: Path, verb: str, fault: OSError) -> NotWritten:
+    """The error of one line, with the words of the system."""
+    return NotWritten(f"{target}: {verb} written: {' '.join(str(fault).split())}")
 
 
 def force_folder_to_disk(folder: Path) -> None:

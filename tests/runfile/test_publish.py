@@ -44,3 +44,26 @@ def test_no_file_is_overwritten_by_a_new_one(tmp_path):
         path.write_text("new")
         target.write_text("somebody else's")
     assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("run.txt", "somebody else's")]
+
+
+@pytest.mark.parametrize("publish", [new_file, replacement])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "browser"), "was not written: .*'browser'"),
+        (ConnectionResetError(errno.ECONNRESET, "Connection reset by peer"), "was not written: .*reset by peer"),
+        (OSError(errno.ENOSPC, "No space left on device"), "cannot be written: .*No space left"),
+    ],
+)
+def test_a_target_is_blamed_for_its_own_faults_alone(tmp_path, publish, fault, words):
+    with pytest.raises(NotWritten, match=rf"run\.txt: {words}") as caught, publish(tmp_path / "run.txt") as path:
+        path.write_text("half")
+        raise fault
+    assert len(caught.value.faults) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_the_targets_fault(tmp_path):
+    target = tmp_path / "none" / "run.txt"
+    with pytest.raises(NotWritten, match=r"run\.txt: cannot be written: "), replacement(target) as path:
+        path.write_text("half")
