@@ -40,7 +40,7 @@ def lose_a_run():
     return path
 
 
-@pytest.mark.parametrize("word", [NAME, "testbed.yaml"])
+@pytest.mark.parametrize("word", [NAME, "testbed.yaml"], ids=["by name", "by file"])
 def test_a_bench_that_a_run_drives_is_not_reset(tripped, holder, word):
     refused = leactl("bench", "reset", word, "--yes")
     assert (refused.returncode, refused.stdout) == (5, "")
