@@ -116,6 +116,12 @@ def test_a_matrix_wider_than_long_has_its_samples_in_rows_only_beside_stamps(fol
 Q = [f"q[{index}]" for index in range(7)]
 
 
+@pytest.mark.parametrize(("stamps", "values"), [(7, [0, 1, 2, 3, 4, 5, 6]), (3, [0, 7, 14])])
+def test_an_array_wider_than_long_goes_by_row_where_its_columns_have_stamps(folder, stamps, values):
+    np.savez("log.npz", q=np.arange(21.0).reshape(3, 7), t=np.arange(float(stamps)))
+    assert open_source(folder / "log.npz", None, SourceRequest(None)).column("q[0]", None).tolist() == values
+
+
 def test_an_array_of_objects_is_never_unpickled(folder):
     np.savez("log.npz", t=np.array([open, 1], dtype=object), q=DEGREES, w=HIP_SPEED)
     assert fault(folder, "log.npz") == "log.npz: t.npy: an array of objects; numbers or text were expected"

@@ -160,7 +160,7 @@ def _is_by_column(value: Any, group: Any) -> bool:
     return bool(beside) and (len(value) >= _width(value) or any(is_time(str(name)) for name in beside))
 
 
-def _is_by_row(value: Any, group: dict[Any, Any]) -> bool:
+def is_by_row(value: Any, group: dict[Any, Any]) -> bool:
     """Whether a value is a matrix, wider than long, whose columns are samples, since a vector has one for each."""
     if not _is_matrix(value) or len(value) >= _width(value) or _is_by_column(value, group):
         return False
@@ -209,9 +209,9 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         for name, value in node.items():
             if _is_column(value):
                 by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
-            elif _is_by_column(value, node) or _is_by_row(value, node):
+            elif _is_by_column(value, node) or is_by_row(value, node):
                 channels, samples = _width(value), len(value)
-                if _is_by_row(value, node):
+                if is_by_row(value, node):
                     channels, samples = samples, channels
                 names = [f"{name}[{at}]" for at in range(min(channels, MOST_COLUMNS))]
                 new = [ListedColumn(column) for column in names if column not in node]

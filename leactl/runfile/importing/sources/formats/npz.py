@@ -11,7 +11,7 @@ from leactl.errors import InputError
 from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.sources.source import SourceRequest, reason_text
-from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
+from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource, is_by_row
 
 ENDINGS = (".npz",)
 MOST_ARRAYS: Final = 1000
@@ -21,7 +21,7 @@ DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplem
 
 
 def open_source(path: Path, request: SourceRequest) -> TreeSource:
-    """Open an archive of arrays; `q[2]` is the third column of a matrix `q`.
+    """Open an archive of arrays; `q[2]` is the third column of a matrix `q`, or its third row (see `is_by_row`).
 
     Raises
     ------
@@ -40,8 +40,8 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Columns of matrices by names such as `q[2]`."""
-    matrices = {name: array for name, array in arrays.items() if np.ndim(array) == 2}
+    """Columns of matrices by names such as `q[2]`, but for those whose rows are channels."""
+    matrices = {name: array for name, array in arrays.items() if np.ndim(array) == 2 and not is_by_row(array, arrays)}
     return {
         f"{name}[{at}]": array[:, at] for name, array in matrices.items() for at in range(array.shape[1])[:MOST_COLUMNS]
     }
