@@ -129,7 +129,10 @@ def open_text(path: Path, encoding: str, most: int | None = None, advice: str = 
                 before, after = stream.buffer.read(min(at, SHOWN_BYTES)), stream.buffer.read(SHOWN_BYTES)
                 line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
                 readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in READINGS)
-                raise InputError(f"{path}: not {encoding} at byte {at}; its line reads {readings}{advice}") from None
+                seen = f"its line reads {readings}"
+                if at == 0 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                    seen = "it begins as a text in utf-16 does"
+                raise InputError(f"{path}: not {encoding} at byte {at}; {seen}{advice}") from None
             except UnicodeError as error:  # UTF-16 without a byte order mark
                 raise InputError(f"{path}: not {encoding}: {error}{advice}") from None
     except OSError as error:

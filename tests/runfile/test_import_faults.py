@@ -5,6 +5,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from leactl.errors import InputError
 from leactl.runfile.importing.importer import import_runs
@@ -183,6 +184,8 @@ def test_clocks_that_disagree(folder, clock, told):
         ("a.json", b'{"t": [0, 1], "q": [1]}', "2 stamps for 1 rows"),
         ("a.json", b'{"t": [0, 1], "q": [null, NaN]}', "column 'q' holds no number at all"),
         ("a.json", b"[1, 2", "a.json:1:6  not JSON"),
+        ("a.json", b'{"t": [0, 1], "q": [1, 2], "q": [3, 4]}', "a.json: 'q' stands twice in one object"),
+        ("b.csv", "t,q\n0,1\n1,2\n".encode("utf-16"), "it begins as a text in utf-16 does; csv.encoding decides"),
         ("a.json", b"[" * 100_000, "a.json"),
         ("a.json", b"\xff\xfe", "not UTF-8"),
         ("a.json", b"[]", "no record of the file has 'q'; they have nothing"),
@@ -209,6 +212,13 @@ def test_files_that_are_something_else(folder, name, content, told):
     (folder / name).write_bytes(content)
     text = PLAIN.replace("      speed: {column: w, quantity: velocity}\n", "")
     assert any(told in fault for fault in refused(folder, text, [name]))
+
+
+def test_a_mat_file_that_was_cut_is_called_truncated(folder):
+    savemat("a.mat", {"t": T, "q": ANGLE})
+    (folder / "a.mat").write_bytes((folder / "a.mat").read_bytes()[:-100])
+    text = PLAIN.replace("      speed: {column: w, quantity: velocity}\n", "")
+    assert refused(folder, text, ["a.mat"]) == ["a.mat: truncated: the file ends within a variable; copy it again"]
 
 
 def test_every_source_is_checked_before_the_first_is_written(folder):

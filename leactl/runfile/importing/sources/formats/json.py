@@ -1,12 +1,14 @@
 """JSON documents."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from leactl.errors import InputError
 from leactl.runfile.importing.sources.source import SourceRequest
 from leactl.runfile.importing.sources.trees import TreeSource
+from leactl.yamlfile import shown
 
 ENDINGS = (".json",)
 MAX_JSON_BYTES = 1 << 30  # held in memory about five times over
@@ -22,12 +24,20 @@ def json_tree(path: Path) -> Any:
 
     Raises
     ------
-    InputError : too large, not UTF-8, or not JSON.
+    InputError : too large, not UTF-8, not JSON, or with a key twice in one object.
     """
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """An object, of whose key that stands twice Python's reader would take the last value without a word."""
+        if len(read := dict(pairs)) < len(pairs):
+            ((twice, _),) = Counter(name for name, _ in pairs).most_common(1)
+            raise InputError(f"{path}: {shown(twice)} stands twice in one object; each key once was expected")
+        return read
+
     if (size := path.stat().st_size) > MAX_JSON_BYTES:
         raise InputError(f"{path}: {size} bytes of JSON; at most {MAX_JSON_BYTES} are read, use CSV or MAT")
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:

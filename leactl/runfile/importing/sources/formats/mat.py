@@ -48,6 +48,10 @@ def mat_tree(path: Path) -> Any:
     # scipy meets a damaged file with whatever its parser stumbles over
     except (ValueError, TypeError, KeyError, IndexError, EOFError, NotImplementedError, MemoryError) as error:
         raise InputError(f"{path}: not a MAT file that can be read: {' '.join(str(error).split())}") from None
+    except OSError as error:
+        if error.errno is not None:  # of the system, and not of scipy's parser, which finds the end of the file
+            raise
+        raise InputError(f"{path}: truncated: the file ends within a variable; copy it again") from None
     return {name: value for name, value in tree.items() if not name.startswith("__")}
 
 
