@@ -1,16 +1,13 @@
 """Serial lines of this machine, over pseudo terminals, and what a bench file says of them."""
 
-import fcntl
 import os
-import struct
-import termios
 import time
 from copy import deepcopy
 
 import pytest
 import yaml
 
-from leactl.bench import benchfile, tty
+from leactl.bench import benchfile
 from leactl.bench.benchfile import SerialBus
 from leactl.bench.tty import Tty
 from leactl.bench.wiring import MachineWiring
@@ -92,37 +89,6 @@ def test_a_device_that_is_pulled_out_is_told(far, port):
 def test_a_device_that_is_held_by_another_program_is_refused(far, port):
     with pytest.raises(OSError, match="another program holds it"):
         Tty(SerialBus(kind="serial", port=far.path))
-
-
-@pytest.fixture
-def as_a_device(monkeypatch):
-    """A pseudo terminal is marked as a device would be."""
-    monkeypatch.setattr(tty, "PSEUDO_TERMINALS", range(0))
-
-
-def is_marked(descriptor):
-    return struct.unpack("i", fcntl.ioctl(descriptor, tty.TIOCGEXCL, bytes(4)))[0] == 1
-
-
-def test_a_device_that_is_held_through_another_file_is_refused(far, as_a_device):
-    """In a container: its lock of the file in its own /dev is not seen here, the mark on the device is."""
-    fcntl.ioctl(far._slave, termios.TIOCEXCL)
-    with pytest.raises(OSError, match=f"{far.path}: another program holds it"):
-        Tty(SerialBus(kind="serial", port=far.path))
-
-
-def test_a_device_is_marked_while_it_is_open(far, as_a_device):
-    line = Tty(SerialBus(kind="serial", port=far.path))
-    assert is_marked(far._slave)
-    line.close()
-    assert not is_marked(far._slave)
-
-
-def test_a_pseudo_terminal_is_not_marked(far):
-    """The mark would outlive a run that is killed, and its watchdog could not open the line."""
-    line = Tty(SerialBus(kind="serial", port=far.path))
-    assert not is_marked(far._slave)
-    line.close()
 
 
 @pytest.mark.parametrize(
