@@ -75,16 +75,18 @@ class NewerBTrees:
         InputError : HDF5 might never reach the end of a tree, overflow a table, or read more than is kept.
         """
         identifier_size, huge = self._check_heap(heap, hdf5_path)
+        outside = 0  # bytes; of the index by name and the one by order, which refer to the same objects, the larger
         for address in trees:
             if (tree := self._header(address)) is None:
                 continue
             if RECORDS.get(tree.kind) != tree.record_size or identifier_size != (7 if tree.kind in (5, 6) else 8):
                 raise InputError(f"{hdf5_path}: damaged: the index of its members or attributes has other records")
             rows = self._walked(tree, hdf5_path)
-            if (records := sum(node.records for row in rows for node in row)) != tree.records:
-                raise InputError(f"{hdf5_path}: damaged: its index has {records} records and says {tree.records}")
             if huge:
-                self._weigh_huge(tree, rows, huge, hdf5_path)
+                outside = max(outside, self._bytes_outside(tree, rows, huge))
+        self._huge_bytes += outside
+        if self._huge_bytes > MOST_HUGE:
+            raise InputError(f"{hdf5_path}: more than {MOST_HUGE} bytes of large links or attributes in this file")
 
     def check_chunks(self, address: int, hdf5_path: str) -> None:
         """Check a tree or an array of chunks; the number of its records may grow while it is read.
@@ -111,7 +113,8 @@ class NewerBTrees:
 
     def _walked(self, tree: TreeHeader, hdf5_path: str) -> list[list[Branch]]:
         """The nodes of a tree, level by level from the root down; leaves are not read."""
-        if tree.kind in (HUGE_OBJECTS, *RECORDS) and tree.records > MOST_RECORDS:
+        is_counted = tree.kind in (HUGE_OBJECTS, *RECORDS)
+        if is_counted and tree.records > MOST_RECORDS:
             raise InputError(f"{hdf5_path}: {tree.records} records in its index; at most {MOST_RECORDS} were expected")
         if tree.depth > DEEPEST or not 0 < tree.record_size < tree.node_size <= LARGEST_NODE:
             text = f"{tree.depth} levels of nodes of {tree.node_size} bytes and records of {tree.record_size}"
@@ -126,6 +129,9 @@ class NewerBTrees:
             if pointer_size:
                 layout = tree.record_size, pointer_size, count_size
                 rows.append([child for node in rows[-1] for child in self._children(node, *layout)])
+        records = sum(node.records for row in rows for node in row)
+        if is_counted and records != tree.records:
+            raise InputError(f"{hdf5_path}: damaged: its index has {records} records and says {tree.records}")
         return rows
 
     def _meet(self, rows: list[list[Branch]], most: int, hdf5_path: str) -> None:
@@ -178,14 +184,14 @@ class NewerBTrees:
             longest[number] = max(length, longest.get(number, 0))
         return identifier_size, longest
 
-    def _weigh_huge(self, tree: TreeHeader, rows: list[list[Branch]], huge: dict[int, int], hdf5_path: str) -> None:
-        """Add up what an index refers to outside a heap's blocks, once for each reference."""
+    def _bytes_outside(self, tree: TreeHeader, rows: list[list[Branch]], huge: dict[int, int]) -> int:
+        """What an index refers to outside a heap's blocks, once for each reference."""
+        total = 0
         for record in self._records(tree, rows):
             identifier = record[IDENTIFIERS[tree.kind]]
             if identifier[0] >> 4 & 3 == 1:
-                self._huge_bytes += huge.get(int.from_bytes(identifier[1:], "little"), 0)
-            if self._huge_bytes > MOST_HUGE:
-                raise InputError(f"{hdf5_path}: more than {MOST_HUGE} bytes of large links or attributes in this file")
+                total += huge.get(int.from_bytes(identifier[1:], "little"), 0)
+        return total
 
 
 def capacities(tree: TreeHeader) -> list[tuple[int, int, int]]:
