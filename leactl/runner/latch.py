@@ -62,8 +62,10 @@ class Latch:
         try:
             descriptor = state_folder.opened(path, self.shared)
             try:
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, _told(self.bench, cause, run))
+                text = _told(self.bench, cause, run)
+                if write_at(descriptor, text, 0) < len(text):  # over an earlier cause, which a full disk leaves whole
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.ftruncate(descriptor, len(text))
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
