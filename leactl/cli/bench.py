@@ -49,7 +49,7 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     epilog=examples(
         "bench reset mine.yaml",
         ends=ON_A_BENCH,
-        means={DeviceError: "a run drives the bench", SafetyTrip: "tripped once more meanwhile"},
+        means={DeviceError: "a run drives the bench", SafetyTrip: "what holds it has changed meanwhile"},
     )
 )
 def reset(

@@ -42,13 +42,13 @@ def release(word: str, bench: str, told: Held) -> None:
     Raises
     ------
     DeviceError : a run drives it.
-    SafetyTrip : it has been tripped once more; nothing is released.
+    SafetyTrip : something else holds it than was told; nothing is released.
     InputError : this user may not release a latch, or the file of a lost run can be neither removed nor written: that
         holds the bench.
     """
     with locks.idle(bench):
         if _look(word, bench) != told:
-            raise SafetyTrip(f"bench '{bench}' has been tripped once more meanwhile; nothing was released")
+            raise SafetyTrip(f"what holds bench '{bench}' has changed meanwhile; nothing was released")
         for run in told.unlatched:
             runs_underway.forget(run.lost)
         for held in told.latches:

@@ -2,13 +2,15 @@
 
 import json
 import os
+import resource
 import subprocess
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from leactl.bench import benchfile
-from leactl.errors import InputError, SafetyTrip
+from leactl.errors import InputError, LeactlError, SafetyTrip
 from leactl.runner import bench_reset, latch, locks, runs_underway, state_folder
 from tests.cli.terminal import COMMAND, leactl
 from tests.latches import latch_of
@@ -29,6 +31,25 @@ def tripped(testbed, tmp_path):
     held = latch_of(str(testbed), in_process=False)
     held.set(CAUSE, tmp_path / "a.h5")
     return held
+
+
+@contextmanager
+def full_disk():
+    """Let no write of this process succeed."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_the_cause_of_a_latch_whole(tripped, tmp_path):
+    with full_disk(), pytest.raises(LeactlError, match="the trip could not be latched: File too large"):
+        tripped.set("another one", tmp_path / "b.h5")
+    assert tripped.trip().cause == CAUSE
+    tripped.set("short", tmp_path / "b.h5")
+    assert tripped.trip().cause == "short"
 
 
 def lose_a_run():
@@ -91,7 +112,7 @@ def test_a_trip_that_came_while_a_reset_asked_is_not_released_with_the_one_that_
     tripped.set("test winding of 131 degC", tmp_path / "b.h5")
     _out, said = asked.communicate("y\n", timeout=60)
     assert asked.returncode == 3
-    assert f"leactl: bench '{NAME}' has been tripped once more meanwhile; nothing was released\n" in said
+    assert f"leactl: what holds bench '{NAME}' has changed meanwhile; nothing was released\n" in said
     assert tripped.trip().cause == "test winding of 131 degC"
 
 
