@@ -1,7 +1,7 @@
 """What every device must keep from its opening to its end, whatever it is: units, no waits, nothing held afterwards."""
 
 import threading
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 from leactl.driver.contract import CyclicDevice, MotionDevice, PowerSupply
@@ -10,8 +10,7 @@ from leactl.emulation.trial.stand import ANSWER_S, Broken, Stand
 from leactl.errors import DeviceError
 from leactl.quantities import accepted_units
 
-USED_S, LOOK_S = 1.0, 0.01
-CUT_AFTER_S = 0.5
+LOOKED_S, LOOK_S = 0.5, 0.01
 LATE_S = 1e-6  # of rounding
 OPEN_FILES = Path("/proc/self/fd")  # of Linux alone; elsewhere only threads and ports are counted
 
@@ -43,41 +42,42 @@ def names_its_quantities(stand: Stand) -> None:
 
 
 def waits_for_nothing(stand: Stand) -> None:
-    """`take`, `notices` and `feed` let no time pass, and `end_cycle` ends by its deadline; over a cut cable too."""
+    """No call of a cycle lets time pass but `end_cycle`, which ends by its deadline; over a cut cable too."""
     in_use(stand)
-    began, is_cut = stand.clock.now(), False
-    with suppress(DeviceError):  # a cable that is out is told
-        while (now := stand.clock.now()) < began + USED_S:
-            if not is_cut and now >= began + CUT_AFTER_S:
-                stand.cut()
-                is_cut = True
-            if isinstance(stand.driver, MotionDevice):
-                stand.driver.begin_cycle()
-                until(stand, now, "begin_cycle")
+    calls_in_time(stand, is_cut=False)
+    stand.cut()
+    calls_in_time(stand, is_cut=True)
+
+
+def calls_in_time(stand: Stand, is_cut: bool) -> None:
+    """Make the calls of some cycles, and raise where one is over too late; a cable that is cut may be told by any."""
+
+    def call(name: str, most: float, *arguments: float) -> None:
+        deadline = stand.clock.now() + most
+        with suppress(DeviceError) if is_cut else nullcontext():
+            getattr(stand.driver, name)(*arguments)
+        if (late := stand.clock.now() - deadline) > LATE_S:
+            raise Broken(f"{name}() is over {late:.4f} s too late; it may hold up no cycle")
+
+    began = stand.clock.now()
+    while (now := stand.clock.now()) < began + LOOKED_S:
+        if isinstance(stand.driver, MotionDevice):
+            call("begin_cycle", 0.0)
+            with suppress(DeviceError) if is_cut else nullcontext():
                 stand.synchronise()
-                stand.driver.end_cycle(now + ANSWER_S)
-                until(stand, now + ANSWER_S, "end_cycle")
-                began_at = stand.clock.now()
-                stand.driver.feed()
-                until(stand, began_at, "feed")
-            began_at = stand.clock.now()
-            stand.driver.take()
-            until(stand, began_at, "take")
-            stand.driver.notices()
-            until(stand, began_at, "notices")
-            stand.clock.sleep_until(now + LOOK_S)
-
-
-def until(stand: Stand, moment: float, call: str) -> None:
-    """Raise where the clock has passed the moment by which a call had to be over."""
-    late = stand.clock.now() - moment
-    if late > LATE_S:
-        raise Broken(f"{call}() is over {late:.4f} s too late; it may hold up no cycle")
+            call("end_cycle", ANSWER_S, stand.clock.now() + ANSWER_S)
+            call("feed", 0.0)
+        call("take", 0.0)
+        call("notices", 0.0)
+        stand.clock.sleep_until(now + LOOK_S)
 
 
 def lets_go_when_closed(stand: Stand) -> None:
     """`close` leaves no port, thread or file open; `safe_state` is confirmed afterwards as well."""
-    threads, files = threading.active_count(), open_files()
+    in_use(stand)
+    stand.driver.close()
+    stand.renew_driver()
+    threads, files = threading.active_count(), open_files()  # a process makes some at the first use, and never again
     in_use(stand)
     if not drives.confirmed(stand):
         raise Broken("safe_state in operation is not confirmed although the device answers")
