@@ -74,8 +74,9 @@ def measure(
 
     only : forms of effects to look for, all if not given.
 
-    If a fit only balances torques against each other, noise shrinks them and the torque constant together. If fits to
-    sound runs show this, each machine gets a torque constant of its own, and the fit keeps that of the model.
+    Where no channel fixes the scale of torques, noise biases all of them and the torque constant towards zero together.
+    If a first calibration shows this, the machines are simulated again, each with a torque constant drawn for it, and
+    fits hold the torque constant at the model's value.
     """
     random = np.random.default_rng(seed)
     machines_runs = sound_runs(records, [model] * machines, random)
@@ -91,7 +92,7 @@ def measure(
 def torque_constant_untold(
     machines_runs: Sequence[Sequence[Record]], model: Model
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
-    """Mean and scatter of the torque constant's relative change, and its name; both empty where the runs tell it.
+    """Where runs cannot tell the torque constant: mean and scatter of its relative change, and its name; else empty.
 
     No effect is looked for: its columns take most of the time of a null, and a calibration needs none of them.
     """

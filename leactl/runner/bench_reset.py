@@ -1,4 +1,4 @@
-"""Release a tripped bench: all that holds it is told first, and nothing else is released; no run has it meanwhile."""
+"""Release a tripped bench from what was shown to its user, and from nothing else; no run can use it at either step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from leactl.runner.latch import Latch, Trip, UnlatchedRun
 
 @dataclass(frozen=True)
 class Held:
-    """All that holds a bench: its latches, and runs without a word for which none could be written."""
+    """All that holds a bench: its latches, and lost runs that could not be latched."""
 
     latches: Mapping[Latch, Trip]
     unlatched: Sequence[UnlatchedRun]
 
     @property
     def trips(self) -> list[Trip]:
-        """Each as a person reads it, what could not be written included."""
+        """One entry for each, as a person reads it, with what could not be written."""
         return [*self.latches.values(), *(self._trip_of(run) for run in self.unlatched)]
 
     @staticmethod
@@ -26,7 +26,9 @@ class Held:
 
 
 def held_by(word: str, bench: str) -> Held:
-    """What holds a bench, by the word that leads to its latches and its name.
+    """Latch a bench for its lost runs, then list what holds it.
+
+    word : what the user typed, a name or a path of a bench file.
 
     Raises
     ------
@@ -36,25 +38,26 @@ def held_by(word: str, bench: str) -> Held:
         return _look(word, bench)
 
 
-def release(word: str, bench: str, told: Held) -> None:
-    """Release a bench from what was told of it.
+def release(word: str, bench: str, shown: Held) -> None:
+    """Release a bench from what was shown of it; nothing if that has changed since.
 
     Raises
     ------
     DeviceError : a run drives it.
-    SafetyTrip : something else holds it than was told; nothing is released.
+    SafetyTrip : something else holds it than was shown; nothing is released.
     InputError : this user may not release a latch, or the file of a lost run can be neither removed nor written: that
         holds the bench.
     """
     with locks.idle(bench):
-        if _look(word, bench) != told:
+        if _look(word, bench) != shown:
             raise SafetyTrip(f"what holds bench '{bench}' has changed meanwhile; nothing was released")
-        for run in told.unlatched:
+        for run in shown.unlatched:
             runs_underway.forget(run.lost)
-        for held in told.latches:
+        for held in shown.latches:
             held.release()
 
 
 def _look(word: str, bench: str) -> Held:
+    # in this order: the latches that the first writes are read by the second
     unlatched = latch.latch_lost_runs(bench)
     return Held(latch.tripped(word), unlatched)

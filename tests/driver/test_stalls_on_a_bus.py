@@ -1,6 +1,7 @@
-"""Host and drive that stall on a real bus: a row holds what the drive sampled at its own SYNC, or NaN.
+"""Host and drive both stall at random on a real bus: each reading of a row is from that row's SYNC, or NaN.
 
-STALLED_CYCLES says how many cycles are made; docs/how-to/testing.md has the command for a kernel's bus.
+STALLED_CYCLES is the number of cycles, of which about one in twelve stalls on each side;
+docs/how-to/testing.md has the command for a kernel's bus.
 """
 
 import os
@@ -25,26 +26,27 @@ def test_no_row_holds_another_cycles_values_whoever_stalls(transport, far_end_pr
         bench.cycle()
         before = bench.far.counted()
         bench.far.stall_at_random(12)
-        stale, empty, held_up = [], 0, set()
+        stale, empty, host_stalls = [], 0, set()
         for number in range(before + 1, before + 1 + CYCLES):
             bench.drive.begin_cycle()
             bench.port.sync()
             if draw.random() < 1 / STALL_EVERY:
-                held_up.add(number)
+                host_stalls.add(number)
                 clock.sleep_until(clock.now() + draw.uniform(*STALLS_S))
             bench.drive.end_cycle(clock.now() + ANSWER_S)
             bench.drive.feed()
             ages = ages_of(bench.drive.values, number)
             empty += ages.count(None)
-            stale += [(number, ages)] if {*ages} - {0, None} else []
+            if not {*ages} <= {0, None}:
+                stale.append((number, ages))
         irregular, stalls = bench.drive._answers.irregular, bench.far.stalls()
     finally:
         bench.close()
     assert stale == []
-    too_late = [number for number, seconds in stalls if seconds > ANSWER_S and number not in held_up]
+    too_late = [number for number, seconds in stalls if seconds > ANSWER_S and number not in host_stalls]
     print(
-        f"{CYCLES} cycles, {len(stalls)} stalls of the drive, {len(held_up)} of the host, {empty} readings left out;",
+        f"{CYCLES} cycles, {len(stalls)} stalls of the drive, {len(host_stalls)} of the host, {empty} left out;",
         irregular,
     )
-    assert too_late
+    assert too_late  # else nothing was tried
     assert irregular.late + irregular.surplus >= 2 * len(too_late)  # two answers to each SYNC
