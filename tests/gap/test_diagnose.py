@@ -28,9 +28,9 @@ DEPENDS = {  # of what no effect explains and acts at all times, on what it is s
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 
-def drawn(folder, kind, seed, count):
+def drawn(folder, kind, seed, count, effects=None):
     made = SimpleNamespace(cases=folder / "cases", key=folder / "key")
-    make(count, made.cases, made.key, seed, (kind,), strengths=("plain",), prefix=kind)
+    make(count, made.cases, made.key, seed, (kind,), effects, strengths=("plain",), prefix=kind)
     return made
 
 
@@ -84,7 +84,7 @@ def with_effect(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def with_every_effect(tmp_path_factory):
-    return keyed(drawn(tmp_path_factory.mktemp("every"), "single", 13, len(EVERY)), "effects")
+    return keyed(drawn(tmp_path_factory.mktemp("every"), "single", 13, len(EVERY), EVERY), "effects")
 
 
 @pytest.mark.parametrize("name", OFTEN)

@@ -8,7 +8,17 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals import setpoints
-from leactl.gap.signals.setpoints import MISSED, ReferenceFollowing, against_next, holds, leaps, marked, share_of_next
+from leactl.gap.signals.setpoints import (
+    MISSED,
+    ReferenceFollowing,
+    against_next,
+    changes_between,
+    follow,
+    holds,
+    leaps,
+    marked,
+    share_of_next,
+)
 from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap import joints
@@ -59,6 +69,25 @@ def test_a_late_drive_is_no_sign_of_setpoints_between_rows(delay):
     assert not changes_setpoints_between_rows(joint_case(6, Effect(delay=delay)))
 
 
+def limited_joint(seed, rows):
+    """A joint whose drive takes so many rows for the highest current."""
+    drawn = drawn_joint(np.random.default_rng(seed))
+    return joint_case(seed, Effect(slew=drawn.top * drawn.rate / rows))
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_a_drive_of_a_limited_rate_is_no_sign_of_setpoints_between_rows(seed):
+    limited = limited_joint(seed, 20)
+    runs = [(record, shown) for record in limited.held_out if (shown := follow(record, limited.model)) is not None]
+    assert any(changes_between(shown.missed, shown.leaping) for _, shown in runs), "the limit is missed at leaps"
+    assert not changes_setpoints_between_rows(limited)
+
+
+def test_a_drive_of_a_limited_rate_is_named():
+    found = diagnose(limited_joint(2, 5))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
     found = diagnose(joint_case(6, times_thinned=times))
@@ -86,7 +115,7 @@ def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
     leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
     missed = np.where(np.arange(200) == 20, 60.0, 0.0)
     untold = 0.0, math.inf
-    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, untold) for one in (0.0 * missed, missed)])
+    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, untold, 1.0) for one in (0.0 * missed, missed)])
     monkeypatch.setattr(setpoints, "follow", lambda record, model: next(runs))
     records = [replace(record) for record in joint_case(6).fitted[:2]]
     assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]

@@ -2,8 +2,9 @@
 
 A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
 drive's current is then one weighted sum of the reference's rows around it. Where setpoints come into force somewhere
-inside their intervals, that sum fails where the reference leaps. And no drive knows the setpoint of the next row: where
-the sum gives that row a weight, it stands in for setpoints between the rows.
+inside their intervals, that sum fails where the reference leaps. So it does where a drive changes its current at a
+limited rate only; but then one rate mends the sum at all leaps of the log. And no drive knows the setpoint of the next
+row: where the sum gives that row a weight, it stands in for setpoints between the rows.
 """
 
 import math
@@ -14,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
+from scipy.optimize import minimize_scalar
 
+from leactl.effects.shapes import rate_limited
 from leactl.gap.signals.derived import led, loop, moved_by_a_servo
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.stamps import TAPS, neighbour
@@ -32,6 +35,8 @@ DOUBTED = 4.0  # standard deviations of the next row's weight below zero, from w
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
+RAMPS = 2.0 ** np.arange(0.0, 8.5, 0.5)  # rows in which a drive of a limited rate may follow the largest change
+CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
 
 
 class ReferenceFollowing(NamedTuple):
@@ -41,22 +46,51 @@ class ReferenceFollowing(NamedTuple):
     leaping: Array  # how far the reference leaps, in the same
     steps: Mask  # whether it leaps at once
     foresight: tuple[float, float]  # weight of the next row in those away from leaps, and its standard deviation
+    noise: float  # standard deviation [A] of what it misses as a rule
 
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
-    shown = [followed for record in records if (followed := follow(record, model)) is not None]
-    between = any(changes_between(one.missed, one.leaping) for one in shown)
+    told = [(record, one) for record in records if (one := follow(record, model)) is not None]
+    shown = [one for _, one in told]
+    leaping = [pair for pair in told if (pair[1].leaping > TELLING).any()]
+    missed = any(changes_between(one.missed, one.leaping) for one in shown)
     against = against_next([one.foresight for one in shown])
-    between |= against > MISSED
+    between = against > MISSED
+    if missed and not between:
+        between = any(changes_between(one.missed, one.leaping) for one in at_one_rate(leaping, model))
     held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
-    held &= not between and against < DOUBTED
+    held &= not missed and not between and against < DOUBTED
     return [
         replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
         if record.fast is not None
         else record
         for record in records
     ]
+
+
+def at_one_rate(told: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> list[ReferenceFollowing]:
+    """How currents follow in a drive that changes them no faster than the rate that meets all runs best.
+
+    told : runs, and how their currents follow in a drive without such a limit.
+    """
+    swiftest = max(
+        float(np.max(np.abs(np.diff(record.fast.values[REFERENCE])))) / record.fast.interval
+        for record, _ in told
+        if record.fast is not None
+    )
+
+    def at(log_rows: float) -> list[ReferenceFollowing]:
+        rate = swiftest / math.exp(log_rows)
+        return [again for record, one in told if (again := follow(record, model, rate, one.noise)) is not None]
+
+    def missed(log_rows: float) -> float:
+        return sum(float(np.sum(one.missed**2)) for one in at(log_rows))
+
+    grid = np.log(RAMPS)
+    best = int(np.argmin([missed(one) for one in grid]))
+    bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    return at(float(minimize_scalar(missed, bounds=bounds, options={"xatol": CLOSE}).x))
 
 
 def against_next(shares: Sequence[tuple[float, float]]) -> float:
@@ -94,8 +128,12 @@ def changes_between(missed: Array, leaping: Array) -> bool:
     return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
 
 
-def follow(record: Record, model: Model) -> ReferenceFollowing | None:
-    """How a run's current follows its reference.
+def follow(
+    record: Record, model: Model, rate: float = math.inf, noise: float | None = None
+) -> ReferenceFollowing | None:
+    """How a run's current follows its reference, in a drive that changes it no faster than a rate [A/s].
+
+    noise : standard deviation [A] in which to count; by default that of what is missed.
 
     None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
     say what its stamps mean, and where a servo inside the drive moves the reference between rows.
@@ -106,7 +144,8 @@ def follow(record: Record, model: Model) -> ReferenceFollowing | None:
     if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
         return None
     reference, current = clock.values[REFERENCE], clock.values[CURRENT]
-    ends, means = loop(led(reference, model.bench, clock.interval), bandwidth, clock.interval)
+    asked = limited_means(led(reference, model.bench, clock.interval), rate * clock.interval)
+    ends, means = loop(asked, bandwidth, clock.interval)
     following = means if CURRENT in clock.means else ends
     use = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
     use[: TAPS[-1]] = use[TAPS[0] :] = False
@@ -114,13 +153,22 @@ def follow(record: Record, model: Model) -> ReferenceFollowing | None:
     if int(use.sum()) < 2 * sums.shape[1]:
         return None
     missed = current - sums @ np.linalg.lstsq(sums[use], current[use], rcond=None)[0]
-    noise = float(np.median(np.abs(missed[use]))) / 0.6745
+    noise = float(np.median(np.abs(missed[use]))) / 0.6745 if noise is None else noise
     if noise == 0.0:
         return None
     leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
     calm = use & ~leapt
     foresight = share_of_next(sums[calm], current[calm])
-    return ReferenceFollowing(missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight)
+    return ReferenceFollowing(
+        missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight, noise
+    )
+
+
+def limited_means(setpoints: Array, most: float) -> Array:
+    """Mean over each interval of what follows setpoints by at most so much in an interval."""
+    ends = rate_limited(setpoints, most)
+    change = np.diff(ends, prepend=ends[0])
+    return np.asarray(ends - 0.5 * change * np.minimum(np.abs(change) / most, 1.0), np.float64)
 
 
 def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
