@@ -8,9 +8,6 @@ import sys
 from contextlib import suppress
 from typing import Any, NoReturn
 
-# matrices here are small: a thread pool costs each process a second core and gains nothing; set it to override
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import typer
 
 from leactl import __version__
