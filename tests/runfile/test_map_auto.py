@@ -656,3 +656,64 @@ def test_in_a_terminal_it_asks_and_imports(tmp_path, monkeypatch):
     again = leactl("runs", "import", "log.mcap", "--map", "rig.yaml", "--out", "again")
     assert again.returncode == 0
     assert sorted(again.stdout.split()) == ["again/log-hip.h5", "again/log-knee.h5"]
+
+
+HEADER = "t_s,q_rad,v_rad_s"
+HELD = [f"{0.01 * k:.2f},{0.1 * k:.1f},10.0" for k in range(40)]
+
+
+def proposed(path):
+    return yamlfile.parse(propose(survey(path), {("mechanical",): "free"}).text, "proposed").data
+
+
+@pytest.mark.parametrize("word", ["#N/A", "---", "-9999", "-9999.00", "999999"])
+def test_what_stands_for_a_missed_sample_is_proposed_and_read_as_missing(tmp_path, word):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([HEADER, *HELD[:10], f"0.10,{word},10.0", *HELD[11:]]) + "\n")
+    proposal = propose(survey(path), {("mechanical",): "free"})
+    assert f"# taken for missed samples: {word}\n" in proposal.text
+    assert not proposal.questions
+    (tmp_path / "map.yaml").write_text(proposal.text)
+    with Run.open(import_runs([str(path)], tmp_path / "map.yaml", tmp_path / "runs")[0]) as run:
+        (angle,) = run.channels("angle")
+    assert np.flatnonzero(np.isnan(angle.values)).tolist() == [10]
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        pytest.param({10: "9990"}, id="another number"),
+        pytest.param({10: "-999", 11: "-150", 12: "140"}, id="within ten times the others"),
+        pytest.param({10: "run", 11: "stop"}, id="two words"),
+        pytest.param({10: "12h"}, id="a word with digits"),
+        pytest.param(dict.fromkeys(range(25), "off"), id="most of its cells"),
+    ],
+)
+def test_what_may_be_a_value_is_not_taken_for_a_missed_sample(tmp_path, cells):
+    path = tmp_path / "log.csv"
+    rows = [f"{0.01 * k:.2f},{cells.get(k, f'{0.1 * k:.1f}')},10.0" for k in range(40)]
+    path.write_text("\n".join([HEADER, *rows]) + "\n")
+    assert "csv" not in proposed(path)
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(";", ","), (";", "."), ("|", "."), (",", ".")])
+def test_a_delimiter_that_the_first_line_declares_is_taken(tmp_path, delimiter, decimal):
+    path = tmp_path / "log.csv"
+    rows = [row.replace(",", delimiter) for row in (HEADER, *HELD)]
+    path.write_text("\r\n".join([f"sep={delimiter}", *(row.replace(".", decimal) for row in rows)]) + "\r\n")
+    mapping = proposed(path)
+    assert mapping["csv"]["header_line"] == 2
+    assert set(mapping["streams"]["loop"]["channels"]) == {"q_rad", "v_rad_s"}
+
+
+@pytest.mark.parametrize("name", ["ts", "timestamps", "times"])
+def test_stamps_are_known_by_short_and_plural_names(tmp_path, name):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([HEADER.replace("t_s", name), *HELD]) + "\n")
+    assert proposed(path)["streams"]["loop"]["time"]["column"] == name
+
+
+def test_an_array_of_one_column_is_proposed_once(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, time=T[:, None], angle_rad=HIP[:, None])
+    assert set(proposed(path)["streams"]["loop"]["channels"]) == {"angle_rad"}

@@ -12,7 +12,9 @@ from leactl.tables.text_table import UNIT_IN_BRACKETS, unit_of
 from leactl.units import CONVERSIONS, SECONDS, known_units
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-TIME: Final = frozenset({"t", "time", "timestamp", "stamp", "seconds", "ms", "us", "clock"})
+TIME: Final = frozenset(
+    {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "seconds", "ms", "us", "clock"}
+)
 # how a mapping writes units, and how headers do; `rps` is not among them, which is rev/s to some and rad/s to others
 ALIASES: Final = {
     "N*m": ("nm", "n.m", "n·m", "n m", "n*m", "newton-meter"),

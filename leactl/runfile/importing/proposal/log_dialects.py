@@ -72,8 +72,15 @@ def dialect_of(table: ListedTable) -> LogDialect | None:
     return next((dialect for dialect in dialects() if dialect.speaks(table)), None)
 
 
-def csv_forms() -> Sequence[CsvForm]:
-    """CSV forms to try on a table of text: those of the dialects, then the usual delimiters."""
+def csv_forms(declared: str = "") -> Sequence[CsvForm]:
+    """CSV forms to try on a table of text: those of the dialects, then the usual delimiters.
+
+    declared : delimiter that the first line of the text declares by `sep=`; the header is below it.
+    """
+    if declared:
+        return [
+            CsvForm(delimiter=declared, decimal=decimal, header_line=2) for decimal in (".", ",") if decimal != declared
+        ]
     decimal_point = [CsvForm(delimiter=delimiter) for delimiter in (",", ";", "\t", " ")]
     usual = [*decimal_point, *(CsvForm(delimiter=delimiter, decimal=",") for delimiter in (";", "\t"))]
     return list(dict.fromkeys([*(dialect.csv for dialect in dialects()), *usual]))

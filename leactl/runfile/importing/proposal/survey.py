@@ -10,13 +10,16 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import PLACEHOLDER, TimeBase
 from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
+from leactl.runfile.importing.sources.formats.csv import CsvSource
 from leactl.runfile.importing.sources.registry import format_of, open_source
 from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
 from leactl.runfile.importing.streams import seconds
 from leactl.tables.columns import CsvForm
+from leactl.tables.text_table import SEP_LINE, open_text
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS: Final = 4  # whose values are read
+LONGEST_SEP_LINE: Final = 20  # characters
 
 
 @dataclass
@@ -81,9 +84,13 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     """
     best: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
     faults: list[str] = []
-    for form in csv_forms() if name == "csv" else [CsvForm()]:
+    for form in csv_forms(declared_delimiter(path)) if name == "csv" else [CsvForm()]:
         try:
-            tables = open_source(path, name, SourceRequest(None, csv=form)).tables()
+            source = open_source(path, name, SourceRequest(None, csv=form))
+            if isinstance(source, CsvSource) and (words := source.words_for_missing()):
+                form = form.model_copy(update={"missing": (*form.missing, *words)})
+                source = open_source(path, name, SourceRequest(None, csv=form))
+            tables = source.tables()
         except InputError as fault:
             faults += fault.faults
             continue
@@ -92,6 +99,13 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     if not any(table.columns for table in best[1]):
         raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
     return best
+
+
+def declared_delimiter(path: Path) -> str:
+    """The delimiter that the first line of a text declares, as spreadsheets do (`sep=;`); empty where it does not."""
+    with open_text(path, CsvForm().encoding) as file:
+        found = SEP_LINE.match(file.readline(LONGEST_SEP_LINE))
+    return found[1] if found else ""
 
 
 def size_of(tables: list[ListedTable]) -> tuple[int, int]:
