@@ -32,7 +32,7 @@ def held_by(word: str, bench: str) -> Held:
 
     Raises
     ------
-    DeviceError : a run drives it.
+    DeviceError : a run or another reset has it.
     """
     with locks.idle(bench):
         return _look(word, bench)
@@ -43,7 +43,7 @@ def release(word: str, bench: str, shown: Held) -> None:
 
     Raises
     ------
-    DeviceError : a run drives it.
+    DeviceError : a run or another reset has it.
     SafetyTrip : something else holds it than was shown; nothing is released.
     InputError : this user may not release a latch, or the file of a lost run can be neither removed nor written: that
         holds the bench.

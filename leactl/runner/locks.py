@@ -76,13 +76,13 @@ def idle(bench: str) -> Iterator[None]:
 
     Raises
     ------
-    DeviceError : a run holds one of them, or its watchdog does, which has not made it safe yet; with its process.
+    DeviceError : a run, another reset, or a watchdog that has not made it safe yet, holds one; with its process.
     """
     with ExitStack() as stack:
         if sys.platform == "linux":  # elsewhere no device is driven
             served = (_served(bench, place) for place in state_folder.places())
             for name in dict.fromkeys((_on_real_buses(bench), *served)):
-                stack.enter_context(alone(name, f"bench '{bench}' cannot be reset: a run drives it"))
+                stack.enter_context(alone(name, f"bench '{bench}' cannot be reset: a run or another reset has it"))
         yield
 
 

@@ -66,7 +66,7 @@ def test_a_bench_that_a_run_drives_is_not_reset(tripped, holder, word):
     refused = leactl("bench", "reset", word, "--yes")
     assert (refused.returncode, refused.stdout) == (5, "")
     assert refused.stderr == (
-        f"leactl: bench '{NAME}' cannot be reset: a run drives it, process {holder.pid};"
+        f"leactl: bench '{NAME}' cannot be reset: a run or another reset has it, process {holder.pid};"
         " wait for its end, or: leactl bench stop\n"
     )
     assert tripped.trip().cause == CAUSE
@@ -80,7 +80,7 @@ def test_a_bench_that_is_served_is_not_reset_under_its_run():
     with locks.alone(locks.name_of(served), "taken"):
         refused = leactl("bench", "reset", "emulated", "--yes")
     assert refused.returncode == 5
-    assert f"a run drives it, process {os.getpid()};" in refused.stderr
+    assert f"a run or another reset has it, process {os.getpid()};" in refused.stderr
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_a_run_that_takes_the_bench_while_a_reset_asks_keeps_its_latch(asked, tr
     with locks.held(file, devices):
         _out, said = asked.communicate("y\n", timeout=60)
     assert asked.returncode == 5
-    assert "cannot be reset: a run drives it" in said
+    assert "cannot be reset: a run or another reset has it" in said
     assert tripped.trip().cause == CAUSE
 
 
