@@ -10,7 +10,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
-from leactl.gap.null import beside, compare, confirmed_beside_others, measure
+from leactl.gap.null import confirmed_beside_others, measure, set_floors, with_simulator_runs
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.search import sets
@@ -206,8 +206,8 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     progress("measuring sound machines")
     null = measure(case.fitted, case.model)
     if case.simulated:
-        null = beside(null, case.simulated, case.model)
-    compare(evidence, null)
+        null = with_simulator_runs(null, case.simulated, case.model)
+    set_floors(evidence, null)
     progress("searching effects")
     searched = confirmed_beside_others(evidence, search(evidence))
     progress("trying them on held-out runs")

@@ -24,7 +24,7 @@ from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null, error_of
+from leactl.gap.search.evidence import PRIORS, UNIDENTIFIABLE, Evidence, Null, error_of
 from leactl.gap.search.parameters import (
     UNITS,
     calibrated,
@@ -57,7 +57,7 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
 ALIKE = 2.0  # standard errors of a mean over them, above which they show an effect alike
-SCALE = "torque_constant"
+TORQUE_CONSTANT = "torque_constant"
 FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
 FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
@@ -80,16 +80,16 @@ def measure(
     """
     random = np.random.default_rng(seed)
     machines_runs = sound_runs(records, [model] * machines, random)
-    moved, kept = torque_constant_untold(machines_runs, model)
+    moved, kept = unidentifiable_torque_constant(machines_runs, model)
     if kept:
-        machines_runs = sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random)
+        machines_runs = sound_runs(records, [drawn_machine(model, kept, random) for _ in range(machines)], random)
     shown = NullValues()
     for runs in machines_runs:
-        shown.look(Evidence(runs, model, only, kept))
+        shown.add_machine(Evidence(runs, model, only, kept))
     return shown.null(shown.parameters() | moved, kept)
 
 
-def torque_constant_untold(
+def unidentifiable_torque_constant(
     machines_runs: Sequence[Sequence[Record]], model: Model
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
     """Where runs cannot tell the torque constant: mean and scatter of its relative change, and its name; else empty.
@@ -100,13 +100,13 @@ def torque_constant_untold(
     for runs in machines_runs:
         evidence = Evidence(runs, model, only=())
         if evidence.stack.rows:
-            calibrations.calibrate(evidence)
-    if SCALE not in calibrations.untold():
+            calibrations.add_calibration(evidence)
+    if TORQUE_CONSTANT not in calibrations.unidentifiable():
         return {}, ()
-    return {SCALE: calibrations.parameters()[SCALE]}, (SCALE,)
+    return {TORQUE_CONSTANT: calibrations.parameters()[TORQUE_CONSTANT]}, (TORQUE_CONSTANT,)
 
 
-def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
+def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> Null:
     """The null with what runs of another simulator of the same machine show in it, whose nominal the model is.
 
     The variance that they leave over counts where it is larger, not its ratio to their noise: a simulator may write
@@ -114,7 +114,7 @@ def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
     one floor stands for all orders, and a simulator's own wave of one order says nothing of another.
     """
     shown = NullValues()
-    shown.look(Evidence(records, model, kept=null.kept))
+    shown.add_machine(Evidence(records, model, kept=null.kept))
     own = shown.null(null.moved, null.kept)
     left = {key: max(value, own.left.get(key, 0.0)) for key, value in null.left.items()}
     floors = {
@@ -131,7 +131,7 @@ def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
     return replace(null, left=left, floors=floors, lines=lines)
 
 
-def compare(evidence: Evidence, null: Null) -> None:
+def set_floors(evidence: Evidence, null: Null) -> None:
     """Take what sound machines show in the runs of a case as its floors.
 
     Where the runs give a form of a shaped effect a smaller standard error than the sound machines' runs do (their drive
@@ -161,7 +161,7 @@ class NullValues:
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
 
-    def calibrate(self, evidence: Evidence) -> Fit:
+    def add_calibration(self, evidence: Evidence) -> Fit:
         """Take in how far a fit without effects moves the parameters of one machine."""
         fit = evidence.settle([])
         self.priors = evidence.priors
@@ -171,11 +171,11 @@ class NullValues:
                 self.moved.setdefault(name[1], []).append(float(value))
         return fit
 
-    def look(self, evidence: Evidence) -> None:
+    def add_machine(self, evidence: Evidence) -> None:
         """Take in one machine; nothing of it is kept but these values, for its columns take much memory."""
         if not evidence.stack.rows:
             return
-        fit = self.calibrate(evidence)
+        fit = self.add_calibration(evidence)
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
         for key, value in evidence.left().items():
@@ -206,7 +206,7 @@ class NullValues:
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
-            (*kept, *(name for name in self.untold() if name not in kept)),
+            (*kept, *(name for name in self.unidentifiable() if name not in kept)),
             tuple(kept),
         )
 
@@ -214,12 +214,13 @@ class NullValues:
         """Mean and scatter of what fits make of the model's own parameters, as relative changes."""
         return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
-    def untold(self) -> tuple[str, ...]:
+    def unidentifiable(self) -> tuple[str, ...]:
         """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too."""
         return tuple(
             name
             for name, by in self.parameters().items()
-            if (math.hypot(*by) if name == SCALE else error_of(*by)) > UNTOLD * self.priors.get(name, math.inf)
+            if (math.hypot(*by) if name == TORQUE_CONSTANT else error_of(*by))
+            > UNIDENTIFIABLE * self.priors.get(name, math.inf)
         )
 
 
@@ -282,7 +283,7 @@ def size_beside(
     return math.sqrt(max(shown.size**2 - shown.std**2, 0.0)) if shown is not None else 0.0
 
 
-def drawn(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:
+def drawn_machine(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:
     """A machine whose parameters of these names are off the model by what is usual."""
     changed = []
     for name in names:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import ALIKE, FARTHEST, NULLS, compare, drawn, measure, shown_alike, sound_runs
+from leactl.gap.null import ALIKE, FARTHEST, NULLS, drawn_machine, measure, set_floors, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated, nominal_value
@@ -100,7 +100,7 @@ def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, 
     hidden = [form[0] < np.median([form[0] for form in forms]) for form in forms]
     floors = [0.0 if hides else 0.1 + 0.01 * place for place, hides in enumerate(hidden)]
     errors = [math.inf if hides else 0.01 for hides in hidden]
-    compare(evidence, replace(null, floors={name: floors}, alike={}, errors={name: errors}))
+    set_floors(evidence, replace(null, floors={name: floors}, alike={}, errors={name: errors}))
     assert all(evidence.floor((name, form)) >= 0.1 for form in forms)
     assert [evidence.floor((name, form)) for form, hides in zip(forms, hidden, strict=True) if not hides] == [
         floor for floor in floors if floor
@@ -124,7 +124,7 @@ def test_what_no_sound_machine_tells_is_not_judged(case, null):
 
 
 def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
-    assert null.untold == ()
+    assert null.unidentifiable == ()
     for name in ("torque_constant", "viscous_damping", "coulomb_friction", "rotor_inertia", "phase_resistance"):
         mean, scatter = null.moved[name]
         assert abs(mean) < 0.01, name
@@ -179,7 +179,7 @@ def test_a_parameter_is_drawn_within_what_is_usual():
     nominal, names = model(), ["rotor_inertia", "bench.shaft_stiffness", "thermal.housing_capacitance"]
     random = np.random.default_rng(4)
     for _ in range(20):
-        machine = drawn(nominal, names, random)
+        machine = drawn_machine(nominal, names, random)
         for name in names:
             off = nominal_value(machine, name) / nominal_value(nominal, name) - 1.0
             assert abs(off) <= FARTHEST * PRIORS[name] * (1.0 + 1e-9)

@@ -114,8 +114,8 @@ def test_rows_hold_their_setpoint_only_where_no_leap_is_missed(lost, held):
 def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
     leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
     missed = np.where(np.arange(200) == 20, 60.0, 0.0)
-    untold = 0.0, math.inf
-    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, untold, 1.0) for one in (0.0 * missed, missed)])
+    unknown = 0.0, math.inf
+    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, unknown, 1.0) for one in (0.0 * missed, missed)])
     monkeypatch.setattr(setpoints, "follow", lambda record, model: next(runs))
     records = [replace(record) for record in joint_case(6).fitted[:2]]
     assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]

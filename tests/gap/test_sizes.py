@@ -8,7 +8,7 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import SCALES
 from leactl.gap.diagnose import diagnose
-from leactl.gap.null import compare, measure
+from leactl.gap.null import measure, set_floors
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.signals.scales import form_scales
 from leactl.model.nominal import Model
@@ -80,7 +80,7 @@ def test_a_form_that_runs_hardly_show_has_a_higher_floor_than_one_that_they_show
     random = np.random.default_rng(22)
     drawn = case(drawn_joint(random), Log(), random)
     evidence = Evidence(drawn.fitted, drawn.model)
-    compare(evidence, measure(drawn.fitted, drawn.model))
+    set_floors(evidence, measure(drawn.fitted, drawn.model))
     quick, slow = min(evidence.forms["stribeck"]), max(evidence.forms["stribeck"])
     assert evidence.floor(("stribeck", quick)) >= evidence.floor(("stribeck", slow))
     between = (1.01 * slow[0], slow[1])

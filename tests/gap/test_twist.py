@@ -5,7 +5,7 @@ import json
 import pytest
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import compare, measure
+from leactl.gap.null import measure, set_floors
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import calibrated
 
@@ -46,7 +46,7 @@ def test_a_nominal_inertia_that_is_off_is_no_other_shaft(case):
 def test_what_is_told_of_a_bench_lies_within_its_errors(case, sound_cases):
     """Also where simulated sound machines correct the fit: they must err as the bench does."""
     evidence = Evidence(case.fitted, case.model)
-    compare(evidence, measure(case.fitted, case.model))
+    set_floors(evidence, measure(case.fitted, case.model))
     (entry,) = json.loads((sound_cases.key / "key.json").read_text())["cases"].values()
     truth = entry["true_base"]
     for item in calibrated(evidence, evidence.settle([])):

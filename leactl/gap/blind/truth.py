@@ -124,7 +124,7 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
     here = forms_here(case.fitted, case.model)
     told = [(name, form) for name in effects for form in here.get(name, []) if not library()[name].periodic]
     evidence = Evidence(case.fitted, case.model, only=told)
-    null.compare(evidence, null.measure(case.fitted, case.model, only=told))
+    null.set_floors(evidence, null.measure(case.fitted, case.model, only=told))
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))

@@ -65,7 +65,7 @@ GAINS = (
     "current_sensor_gain",
 )  # not to be asked where no back-EMF tells the torque constant
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
-UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
+UNIDENTIFIABLE = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
 CORRECTED = 0.3  # of a parameter, the largest such error that is taken away: beyond it, the runs hardly show it
 PINNED = 1e-4  # prior of a torque constant that nothing tells
@@ -88,7 +88,7 @@ class Null:
     errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
-    untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
+    unidentifiable: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
     kept: tuple[str, ...]  # and those of them that no fit may move
 
     def bias(self, parameter: str) -> float:
@@ -122,7 +122,7 @@ class Evidence:
         self.worth_knowing = worth_knowing(records, model)  # smallest size of each effect that is
         self.by_form: dict[str, Sequence[float]] = {}  # size of each effect that sound machines show in its forms
         self.lines: Mapping[tuple[str, str, str], float] = {}
-        self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
+        self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.forms, self.travel = forms_here(records, model), widest(records)
         self.visited = visited(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
@@ -168,7 +168,7 @@ class Evidence:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.null, self.lines = null, null.lines
         self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
-        self.kept, self.untold = null.kept, null.untold
+        self.kept, self.unidentifiable = null.kept, null.unidentifiable
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
@@ -232,7 +232,7 @@ class Evidence:
 
     def tells_nothing_of(self, parameter: str) -> bool:
         """Whether these runs cannot tell a parameter of the model: sound machines move it, or no fit may."""
-        return parameter in self.untold or self.priors.get(parameter) == PINNED
+        return parameter in self.unidentifiable or self.priors.get(parameter) == PINNED
 
     def floor(self, candidate: Candidate) -> float:
         """Size below which one form of an effect is model error, or too small to be one.

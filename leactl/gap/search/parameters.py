@@ -73,7 +73,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             continue
         parameter, change = name[1], float(fit.values[index])
         if evidence.tells_nothing_of(parameter):
-            parameters += untold(evidence.model, parameter)
+            parameters += kept_as_nominal(evidence.model, parameter)
             continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
         bias = 0.0
@@ -103,7 +103,7 @@ def factor_of(parameter: str, change: float) -> float:
     return 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
 
 
-def untold(model: Model, parameter: str) -> list[CalibratedParameter]:
+def kept_as_nominal(model: Model, parameter: str) -> list[CalibratedParameter]:
     """A parameter that no run tells, as the model has it, with the error that is usual; a back-EMF constant with it."""
     names = [parameter, *(["back_emf_constant"] if parameter == "torque_constant" else [])]
     values = [(name, nominal_value(model, name)) for name in names]

@@ -80,7 +80,7 @@ def fit_effect_sets(
     runs = servo_runs(records, model)
     fixed = effects_of(model)
     here = {name.partition(".")[0] for name in fixed}
-    held = (*fixed, *untold(runs))
+    held = (*fixed, *unidentifiable(runs))
     begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | dict.fromkeys(RIG, 0.0) | fixed
     (alone,) = fit(runs, [begin | {"reference_delay": runs.interval}], held)
     sets = Sets(runs, {frozenset(): alone}, held)
@@ -197,7 +197,7 @@ def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: 
     return [{name: value for name, value in starts[effect][0].items() if name.startswith(f"{effect}.")}]
 
 
-def untold(runs: ServoRuns) -> tuple[str, ...]:
+def unidentifiable(runs: ServoRuns) -> tuple[str, ...]:
     """Parameters that runs of this kind tell nothing of: without a weight all torques share one scale."""
     none = () if runs.hangs else ("load_zero", "phase_resistance")
     return none if runs.told.any() else (*none, "voltage_delay")

@@ -46,8 +46,8 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
 def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
     """Notes on parameters that sound machines move by themselves, and on equations that none could be simulated for."""
     notes = []
-    if null.untold:
-        named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.untold)
+    if null.unidentifiable:
+        named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.unidentifiable)
         notes.append(
             f"these runs cannot tell {named}: fits to simulated sound runs move it so far; the model's is kept"
         )

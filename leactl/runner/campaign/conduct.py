@@ -81,11 +81,11 @@ def conduct(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, 
         for moved in place.put_aside([*now.unfinished, *now.damaged], folder):
             manner.tell(f"put aside: {moved}")
         plans = {entry.cell.key: entry.request.plan for entry in entries}
-        untold = {
+        unjournaled = {
             key: Finished(run_id=now.finished[key].run_id, unmet=_unmet(plans[key], now.finished[key].path))
-            for key in now.untold(journal)
+            for key in now.unjournaled(journal)
         }
-        journal = journal.resumed(runs, untold, now.finished.keys())
+        journal = journal.resumed(runs, unjournaled, now.finished.keys())
         save(journal, folder)
         conductor = _Conductor(len(entries), pending, expected, folder, manner, journal)
         try:

@@ -58,16 +58,16 @@ class Journal(Block):
         """The journal as a run has come to its end."""
         return self.model_copy(update={"finished": self.finished | {key: finished}, "underway": None})
 
-    def resumed(self, runs: dict[str, str], untold: Mapping[str, Finished], finished: Container[str]) -> "Journal":
+    def resumed(self, runs: dict[str, str], unjournaled: Mapping[str, Finished], finished: Container[str]) -> "Journal":
         """The journal as a campaign goes on.
 
         Parameters
         ----------
         runs : every run in its order, as they are now.
-        untold : finished runs that it does not know yet, or knows by a file that is lost.
+        unjournaled : finished runs that it does not know yet, or knows by a file that is lost.
         finished : keys of all that have their files; any other is to be made again.
         """
-        kept = {key: one for key, one in {**self.finished, **untold}.items() if key in finished}
+        kept = {key: one for key, one in {**self.finished, **unjournaled}.items() if key in finished}
         return self.model_copy(update={"runs": runs, "finished": kept, "underway": None})
 
 

@@ -48,7 +48,7 @@ class CampaignProgress:
     unfinished: Sequence[RunFile]  # of runs that were cut off
     changed: Sequence[str]  # keys of finished runs that were made of something else than the campaign now asks for
 
-    def untold(self, journal: Journal) -> list[str]:
+    def unjournaled(self, journal: Journal) -> list[str]:
         """Keys of finished runs whose files the journal does not know."""
         known = {key: one.run_id for key, one in journal.finished.items()}
         return [key for key, file in self.finished.items() if known.get(key) != file.run_id]

@@ -39,8 +39,8 @@ class Campaign(RuleBasedStateMachine):
             return None, []
         for file in [*now.unfinished, *now.damaged]:
             del self.files[file.run_id]
-        untold = {key: Finished(run_id=now.finished[key].run_id) for key in now.untold(journal)}
-        journal = journal.resumed(self.runs, untold, now.finished.keys())
+        unjournaled = {key: Finished(run_id=now.finished[key].run_id) for key in now.unjournaled(journal)}
+        journal = journal.resumed(self.runs, unjournaled, now.finished.keys())
         self.save(journal)
         return journal, [key for key in self.runs if key not in now.finished]
 
@@ -50,7 +50,7 @@ class Campaign(RuleBasedStateMachine):
 
     @rule(
         good=st.integers(0, 4),
-        end=st.sampled_from(["killed at once", "killed", "stopped", "tripped", "killed untold", "between runs"]),
+        end=st.sampled_from(["killed at once", "killed", "stopped", "tripped", "killed unjournaled", "between runs"]),
         redo=st.booleans(),
     )
     def go_on(self, good, end, redo):
@@ -64,7 +64,7 @@ class Campaign(RuleBasedStateMachine):
             if place == good and end == "killed at once":  # before the first row: the file tells nothing of itself
                 self.files[run_id] = RunFile(Path(f"{run_id}.h5"), run_id, "recording")
                 return
-            if place == good and end != "killed untold":
+            if place == good and end != "killed unjournaled":
                 self.write(key, run_id, {"killed": "recording"}.get(end, end))
                 return
             self.write(key, run_id, "complete")
