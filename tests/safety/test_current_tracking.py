@@ -69,6 +69,16 @@ def test_the_zero_of_a_drive_that_is_off_is_no_current(make):
     rig.run(0.6)
 
 
+@pytest.mark.parametrize("agreeing", [0.0, 0.5 * OFF * FLOOR * LIMITS.current_A])
+def test_a_disagreement_that_ends_in_time_is_forgotten(make, agreeing):
+    rig = make("current_disagreement: {for_s: 0.05}")
+    for _ in range(3):
+        reads(rig, 1.5)
+        rig.run(0.04)
+        reads(rig, agreeing)
+        rig.run(0.005)
+
+
 def test_a_drive_that_chooses_its_current_is_not_judged(make):
     rig = make()
     rig.engage(Mode.VELOCITY)
