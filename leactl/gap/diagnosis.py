@@ -95,6 +95,7 @@ class Picture:
     off_zero_before: int  # bins whose interval does not hold zero
     off_zero_after: int
     bins: tuple[ResidualBin, ...]
+    refitted: bool = True  # whether `before` has everything else fitted anew; else the effect alone is taken out
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ MOST_CARDS = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
 PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs"
 WITHOUT_AND_WITH = ("before: calibrated without it", "after: with it")
+LEFT_OUT_AND_WITH = ("before: left out, else as with it", "after: with it")
 LOGGED_AND_MENDED = ("before: as logged", "after: mended")
 LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
@@ -64,7 +65,12 @@ def effect_cards(answer: DiagnosisResult) -> list[Card]:
     return [
         picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
         if cause.family == "setup"
-        else picture_card(cause.effect, picture, WITHOUT_AND_WITH, f"{PICTURE} where the effect acts")
+        else picture_card(
+            cause.effect,
+            picture,
+            WITHOUT_AND_WITH if picture.refitted else LEFT_OUT_AND_WITH,
+            f"{PICTURE} where the effect acts",
+        )
         for cause, picture in drawn
     ]
 

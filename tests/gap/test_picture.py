@@ -1,9 +1,13 @@
 """Over which variable an effect is drawn."""
 
+import math
+
 import numpy as np
 import pytest
 
-from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, view_of
+from leactl.gap.diagnose import diagnose
+from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, shows, view_of
+from tests.gap.joints import Effect, Log, case, drawn_joint
 
 CHANNEL = ResidualChannel("velocity", "test", "free", "free_torque", "N*m")
 
@@ -36,3 +40,20 @@ def test_what_goes_on_over_several_turns_is_drawn_over_the_whole_angle():
     assert [one.before for one in drawn.bins] == pytest.approx(
         [-0.05 * (one.low + one.high) for one in drawn.bins], abs=0.05
     )
+
+
+def test_an_effect_that_a_calibration_stands_in_for_is_drawn_by_itself():
+    """A bandwidth of the loop takes most of a delay: what is left without the delay follows no rate of the current."""
+    random = np.random.default_rng(6)
+    [cause] = diagnose(case(drawn_joint(random), Log(), random, Effect(delay=2))).causes
+    drawn = cause.picture
+    assert cause.effect == "transport_delay"
+    assert drawn.variable == "current_rate"
+    assert not drawn.refitted
+    assert shows(drawn)
+    falling, rising = (
+        [one.before for one in drawn.bins if sign * (one.low + one.high) > 0.0 and math.isfinite(one.before)]
+        for sign in (-1, 1)
+    )
+    assert np.mean(falling) > 50.0 * drawn.after_rms, "the current of a falling reference is too high"
+    assert np.mean(rising) < -50.0 * drawn.after_rms

@@ -168,6 +168,15 @@ def test_an_effect_has_its_residual_over_what_it_acts_in_before_and_after():
     assert heights == sorted(heights, reverse=True)  # upwards, as the cube of the current
 
 
+def test_an_effect_that_is_left_out_alone_is_drawn_under_words_of_its_own():
+    said = answer()
+    alone = replace(said.causes[0], picture=replace(picture(), refitted=False))
+    shown = words(by_class(tree(replace(said, causes=(alone,))), "pictures")[0])
+    assert "before: left out, else as with it" in shown
+    assert "before: calibrated without it" not in shown
+    assert "before is the effect left out, all else as fitted with it" in shown
+
+
 def test_what_is_not_explained_has_its_shape_and_the_effects_that_come_near():
     root = tree(answer(verdict="unknown", causes=(), unexplained=rest()))
     part = next(s for s in root.iter("section") if s.find("h2").text == "What is not explained")

@@ -1,7 +1,9 @@
 """The picture of an effect: what equations leave over on held-out runs, over the variable that the effect acts in.
 
 Before: everything else fitted without the effect. After: with it. Both are fitted on the fitted runs alone; what
-belongs to a held-out run by itself, such as where its lock stands, is fitted there in both.
+belongs to a held-out run by itself, such as where its lock stands, is fitted there in both. Where what is fitted
+without the effect stands in for it, as a filter for a lag, what is left follows nothing of it: before is then the
+effect alone taken out of what is fitted with it, which is the partial residual of regression.
 """
 
 from collections.abc import Sequence
@@ -40,6 +42,7 @@ from leactl.vocabulary.variable import VARIABLES, Variable
 Array = npt.NDArray[np.float64]
 Groups = npt.NDArray[np.intp]
 LEAST_EDGES = 3  # of two bins: one says nothing of a variable
+FEWEST_OFF, CLOSED = 2, 0.4  # bins off zero before, and share of their means left after, of an effect that shows
 STILL = 1e-3  # of the largest value, below which a variable has no sign
 
 
@@ -120,9 +123,18 @@ def pictured(
             rest = [candidate for candidate in several if candidate[0] != cause.effect]
             [form] = [candidate for candidate in several if candidate[0] == cause.effect]
             before, after = (transferred(normal, evidence, evidence.settle(tried)) for tried in (rest, several))
-            drawn = picture(cause, parts_of(others, form, before, after))
+            parts = parts_of(others, form, before, after)
+            drawn = picture(cause, parts)
+            if drawn is not None and not shows(drawn):
+                alone = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
+                drawn = replace(alone, refitted=False) if alone is not None and shows(alone) else drawn
         answered.append(replace(cause, picture=drawn))
     return tuple(answered)
+
+
+def shows(drawn: Picture) -> bool:
+    """Whether the means follow the variable before, and far less after."""
+    return drawn.off_zero_before >= FEWEST_OFF and drawn.after_rms < CLOSED * drawn.before_rms
 
 
 def pictured_by_replays(
