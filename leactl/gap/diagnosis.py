@@ -95,7 +95,8 @@ class Picture:
     off_zero_before: int  # bins whose interval does not hold zero
     off_zero_after: int
     bins: tuple[ResidualBin, ...]
-    refitted: bool = True  # whether `before` has everything else fitted anew; else the effect alone is taken out
+    # whether `before` has everything else fitted anew; else the effect alone is taken out; None where nothing is fitted
+    refitted: bool | None = None
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.evidence import PRIORS, UNIDENTIFIABLE, Evidence, Null, error_of
+from leactl.gap.search.evidence import MOST_MOVED, PRIORS, Evidence, Null, error_of
 from leactl.gap.search.parameters import (
     UNITS,
     calibrated,
@@ -220,7 +220,7 @@ class NullValues:
             name
             for name, by in self.parameters().items()
             if (math.hypot(*by) if name == TORQUE_CONSTANT else error_of(*by))
-            > UNIDENTIFIABLE * self.priors.get(name, math.inf)
+            > MOST_MOVED * self.priors.get(name, math.inf)
         )
 
 

@@ -68,7 +68,7 @@ def effect_cards(answer: DiagnosisResult) -> list[Card]:
         else picture_card(
             cause.effect,
             picture,
-            WITHOUT_AND_WITH if picture.refitted else LEFT_OUT_AND_WITH,
+            LEFT_OUT_AND_WITH if picture.refitted is False else WITHOUT_AND_WITH,
             f"{PICTURE} where the effect acts",
         )
         for cause, picture in drawn

@@ -234,7 +234,7 @@ def picture_words(picture: Picture) -> str:
     units, bins = bare_units(picture.units), len(picture.bins)
     rms = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
     off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
-    alone = "" if picture.refitted else "; before is the effect left out, all else as fitted with it"
+    alone = "; before is the effect left out, all else as fitted with it" if picture.refitted is False else ""
     return f"{rms} (RMS of {bins} means); {off_zero}{alone}"
 
 

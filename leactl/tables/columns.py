@@ -29,7 +29,7 @@ class CsvForm(TableFormat):
     encoding: str = "utf-8-sig"
     header_line: Line = 1  # counted from 1; 0: none, columns go by index
     data_line: Line | None = None  # where numbers begin; the line after the header by default
-    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # cells of missed samples
+    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "N/A", "#N/A", "null")  # cells of missed samples
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -87,7 +87,7 @@ class Columns:
                         self.names = self.names[1:]  # `# t q` of numpy.savetxt
                 if line < first or not (cells if every_row else any(cells)):
                     continue
-                if comment and cells[0].startswith(comment):
+                if comment and cells[0].startswith(comment) and cells[0].strip() not in self._missing:
                     continue
                 if not width:
                     width = self._choose(wanted, labels, line, cells)

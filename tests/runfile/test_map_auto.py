@@ -21,6 +21,8 @@ from leactl.runfile.importing.mapping import Mapping as MappingFile
 from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT, streams_of
 from leactl.runfile.importing.proposal.proposal import UNDECIDED, accepted_answer, propose
 from leactl.runfile.importing.proposal.survey import survey
+from leactl.runfile.importing.sources.registry import open_source
+from leactl.runfile.importing.sources.source import SourceRequest, WantedColumn
 from leactl.runfile.read.reader import Run
 from leactl.units import converter
 
@@ -666,33 +668,26 @@ def proposed(path):
     return yamlfile.parse(propose(survey(path), {("mechanical",): "free"}).text, "proposed").data
 
 
-@pytest.mark.parametrize("word", ["#N/A", "---", "-9999", "-9999.00", "999999"])
-def test_what_stands_for_a_missed_sample_is_proposed_and_read_as_missing(tmp_path, word):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([HEADER, *HELD[:10], f"0.10,{word},10.0", *HELD[11:]]) + "\n")
-    proposal = propose(survey(path), {("mechanical",): "free"})
-    assert f"# taken for missed samples: {word}\n" in proposal.text
-    assert not proposal.questions
-    (tmp_path / "map.yaml").write_text(proposal.text)
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("word", ["#N/A", "N/A", "nan", ""])
+def test_what_a_spreadsheet_writes_for_a_missed_sample_is_one(tmp_path, word, column):
+    path, rows = tmp_path / "log.csv", [row.split(",")[1:] + row.split(",")[1:2] for row in HELD]
+    rows[10][column] = word
+    path.write_text("\n".join(["q_rad,v_rad_s,tau_Nm", *map(",".join, rows)]) + "\n")
+    answers = {("mechanical",): "free", ("streams", "loop", "time", "rate_Hz"): "100"}
+    (tmp_path / "map.yaml").write_text(propose(survey(path), answers).text)
     with Run.open(import_runs([str(path)], tmp_path / "map.yaml", tmp_path / "runs")[0]) as run:
-        (angle,) = run.channels("angle")
-    assert np.flatnonzero(np.isnan(angle.values)).tolist() == [10]
+        channels = [run.channels(quantity)[0].values for quantity in ("angle", "velocity", "torque")]
+    missing = [np.flatnonzero(np.isnan(values)).tolist() for values in channels]
+    assert [len(values) for values in channels] == [len(rows)] * 3, "no row is taken for a comment"
+    assert missing == [[10] if at == column else [] for at in range(3)]
 
 
-@pytest.mark.parametrize(
-    "cells",
-    [
-        pytest.param({10: "9990"}, id="another number"),
-        pytest.param({10: "-999", 11: "-150", 12: "140"}, id="within ten times the others"),
-        pytest.param({10: "run", 11: "stop"}, id="two words"),
-        pytest.param({10: "12h"}, id="a word with digits"),
-        pytest.param(dict.fromkeys(range(25), "off"), id="most of its cells"),
-    ],
-)
-def test_what_may_be_a_value_is_not_taken_for_a_missed_sample(tmp_path, cells):
+@pytest.mark.parametrize("nines", ["999", "-9999"])
+def test_a_number_is_no_missed_sample_unless_a_person_says_so(tmp_path, nines):
     path = tmp_path / "log.csv"
-    rows = [f"{0.01 * k:.2f},{cells.get(k, f'{0.1 * k:.1f}')},10.0" for k in range(40)]
-    path.write_text("\n".join([HEADER, *rows]) + "\n")
+    rows = [f"{0.01 * k:.2f},0.0,{nines if k > 20 else 0}" for k in range(40)]  # a step of a setpoint
+    path.write_text("\n".join(["t_s,q_rad,velocity_cmd_rpm", *rows]) + "\n")
     assert "csv" not in proposed(path)
 
 
@@ -713,7 +708,17 @@ def test_stamps_are_known_by_short_and_plural_names(tmp_path, name):
     assert proposed(path)["streams"]["loop"]["time"]["column"] == name
 
 
+def test_stamps_with_a_stated_unit_come_before_a_counter(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "\n".join(["ts,t_s,q_rad", *(f"{k},{row}" for k, row in enumerate(HELD))]).replace(",10.0", "") + "\n"
+    )
+    assert proposed(path)["streams"]["loop"]["time"] == {"column": "t_s", "units": "s"}
+
+
 def test_an_array_of_one_column_is_proposed_once(tmp_path):
     path = tmp_path / "log.npz"
     np.savez(path, time=T[:, None], angle_rad=HIP[:, None])
     assert set(proposed(path)["streams"]["loop"]["channels"]) == {"angle_rad"}
+    source = open_source(path, "npz", SourceRequest([WantedColumn("angle_rad[0]")]))
+    assert source.column("angle_rad[0]", None).tolist() == HIP.tolist(), "as mappings may call it"

@@ -65,7 +65,7 @@ GAINS = (
     "current_sensor_gain",
 )  # not to be asked where no back-EMF tells the torque constant
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
-UNIDENTIFIABLE = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
+MOST_MOVED = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
 CORRECTED = 0.3  # of a parameter, the largest such error that is taken away: beyond it, the runs hardly show it
 PINNED = 1e-4  # prior of a torque constant that nothing tells

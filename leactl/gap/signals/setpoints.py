@@ -51,16 +51,16 @@ class ReferenceFollowing(NamedTuple):
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
-    told = [(record, one) for record in records if (one := follow(record, model)) is not None]
-    shown = [one for _, one in told]
-    leaping = [pair for pair in told if (pair[1].leaping > TELLING).any()]
-    missed = any(changes_between(one.missed, one.leaping) for one in shown)
+    followed = [(record, one) for record in records if (one := follow(record, model)) is not None]
+    shown = [one for _, one in followed]
+    leaping = [pair for pair in followed if (pair[1].leaping > TELLING).any()]
+    leaps_missed = any(changes_between(one.missed, one.leaping) for one in shown)
     against = against_next([one.foresight for one in shown])
     between = against > MISSED
-    if missed and not between:
+    if leaps_missed and not between:
         between = any(changes_between(one.missed, one.leaping) for one in at_one_rate(leaping, model))
     held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
-    held &= not missed and not between and against < DOUBTED
+    held &= not leaps_missed and not between and against < DOUBTED
     return [
         replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
         if record.fast is not None
@@ -69,28 +69,28 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     ]
 
 
-def at_one_rate(told: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> list[ReferenceFollowing]:
+def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> list[ReferenceFollowing]:
     """How currents follow in a drive that changes them no faster than the rate that meets all runs best.
 
-    told : runs, and how their currents follow in a drive without such a limit.
+    followed : runs, and how their currents follow in a drive without such a limit.
     """
     swiftest = max(
         float(np.max(np.abs(np.diff(record.fast.values[REFERENCE])))) / record.fast.interval
-        for record, _ in told
+        for record, _ in followed
         if record.fast is not None
     )
 
     def at(log_rows: float) -> list[ReferenceFollowing]:
         rate = swiftest / math.exp(log_rows)
-        return [again for record, one in told if (again := follow(record, model, rate, one.noise)) is not None]
+        return [again for record, one in followed if (again := follow(record, model, rate, one.noise)) is not None]
 
-    def missed(log_rows: float) -> float:
+    def squares_missed(log_rows: float) -> float:
         return sum(float(np.sum(one.missed**2)) for one in at(log_rows))
 
     grid = np.log(RAMPS)
-    best = int(np.argmin([missed(one) for one in grid]))
+    best = int(np.argmin([squares_missed(one) for one in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    return at(float(minimize_scalar(missed, bounds=bounds, options={"xatol": CLOSE}).x))
+    return at(float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": CLOSE}).x))
 
 
 def against_next(shares: Sequence[tuple[float, float]]) -> float:
@@ -133,7 +133,8 @@ def follow(
 ) -> ReferenceFollowing | None:
     """How a run's current follows its reference, in a drive that changes it no faster than a rate [A/s].
 
-    noise : standard deviation [A] in which to count; by default that of what is missed.
+    noise : standard deviation [A] in which to count; by default that of what is missed. Where it is given, the next
+        row's weight is not looked for.
 
     None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
     say what its stamps mean, and where a servo inside the drive moves the reference between rows.
@@ -153,12 +154,14 @@ def follow(
     if int(use.sum()) < 2 * sums.shape[1]:
         return None
     missed = current - sums @ np.linalg.lstsq(sums[use], current[use], rcond=None)[0]
-    noise = float(np.median(np.abs(missed[use]))) / 0.6745 if noise is None else noise
-    if noise == 0.0:
-        return None
-    leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
-    calm = use & ~leapt
-    foresight = share_of_next(sums[calm], current[calm])
+    foresight = 0.0, math.inf
+    if noise is None:
+        noise = float(np.median(np.abs(missed[use]))) / 0.6745
+        if noise == 0.0:
+            return None
+        leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
+        calm = use & ~leapt
+        foresight = share_of_next(sums[calm], current[calm])
     return ReferenceFollowing(
         missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight, noise
     )

@@ -124,10 +124,11 @@ def pictured(
             [form] = [candidate for candidate in several if candidate[0] == cause.effect]
             before, after = (transferred(normal, evidence, evidence.settle(tried)) for tried in (rest, several))
             parts = parts_of(others, form, before, after)
-            drawn = picture(cause, parts)
-            if drawn is not None and not shows(drawn):
+            if (drawn := picture(cause, parts)) is not None:
+                drawn = replace(drawn, refitted=True)
                 alone = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
-                drawn = replace(alone, refitted=False) if alone is not None and shows(alone) else drawn
+                if not shows(drawn) and alone is not None and shows(alone):
+                    drawn = replace(alone, refitted=False)
         answered.append(replace(cause, picture=drawn))
     return tuple(answered)
 

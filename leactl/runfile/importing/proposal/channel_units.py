@@ -199,20 +199,21 @@ def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], 
         return table.time, (table.time.units,), table.time.declared_by
     if dialect is not None and dialect.time is not None:
         return ListedColumn(dialect.time.column), (dialect.time.units,), f"{dialect.time.units} by {dialect.meaning}"
-    for column in table.columns:
-        values = seen.columns[0].get(column.name)
-        if values is None or not is_time(str(column.name)) or not increases(values):
-            continue
+    columns = [
+        (column, values)
+        for column in table.columns
+        if (values := seen.columns[0].get(column.name)) is not None and is_time(str(column.name)) and increases(values)
+    ]
+    for column, _ in columns:
         units = column.units or meaning_of(str(column.name)).units
         if units in SECONDS:
-            return (
-                column,
-                (units,),
-                f"{units} stands {'in its name' if not column.units else 'in ' + column.declared_by}",
-            )
+            where = f"in {column.declared_by}" if column.units else "in its name"
+            return column, (units,), f"{units} stands {where}"
+    if columns:
+        column, values = columns[0]
         likely, why = units_of_time(values)
         return column, tuple(likely), why
-    return None, (), "no column of stamps by its name"
+    return None, (), "no column that increases has a name for stamps"
 
 
 def increases(values: Array) -> bool:

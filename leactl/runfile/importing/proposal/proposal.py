@@ -19,7 +19,6 @@ from leactl.runfile.importing.proposal.channel_units import (
     streams_of,
 )
 from leactl.runfile.importing.proposal.survey import Survey
-from leactl.tables.columns import CsvForm
 from leactl.units import SECONDS, known_units
 
 UNDECIDED: Final = "UNDECIDED"
@@ -115,8 +114,6 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
     form = seen.csv.model_dump(exclude_defaults=True)
     if form:
         lines.append(f"csv: {{{', '.join(f'{key}: {csv_value(value)}' for key, value in form.items())}}}")
-    if words := [word for word in seen.csv.missing if word not in CsvForm().missing]:
-        lines[-1] += f"  # taken for missed samples: {one_line(', '.join(words))}"
     if run := [f"{name}: {stated(value)}" for table in seen.tables for name, value in table.table.run]:
         lines.append(f"run: {{{', '.join(run)}}}  # as the file declares")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
@@ -181,10 +178,8 @@ def stated(value: str | bool) -> str:
     return str(value).lower() if isinstance(value, bool) else quoted(value)
 
 
-def csv_value(value: str | int | tuple[str, ...]) -> str:
+def csv_value(value: str | int) -> str:
     """A setting of a CSV form as YAML."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(quoted, value))}]"
     return str(value) if isinstance(value, int) else quoted(value)
 
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import PLACEHOLDER, TimeBase
 from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
-from leactl.runfile.importing.sources.formats.csv import CsvSource
 from leactl.runfile.importing.sources.registry import format_of, open_source
 from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
 from leactl.runfile.importing.streams import seconds
@@ -86,11 +85,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     faults: list[str] = []
     for form in csv_forms(declared_delimiter(path)) if name == "csv" else [CsvForm()]:
         try:
-            source = open_source(path, name, SourceRequest(None, csv=form))
-            if isinstance(source, CsvSource) and (words := source.words_for_missing()):
-                form = form.model_copy(update={"missing": (*form.missing, *words)})
-                source = open_source(path, name, SourceRequest(None, csv=form))
-            tables = source.tables()
+            tables = open_source(path, name, SourceRequest(None, csv=form)).tables()
         except InputError as fault:
             faults += fault.faults
             continue
@@ -103,7 +98,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
 
 def declared_delimiter(path: Path) -> str:
     """The delimiter that the first line of a text declares, as spreadsheets do (`sep=;`); empty where it does not."""
-    with open_text(path, CsvForm().encoding) as file:
+    with open_text(path, CsvForm().encoding, advice="; csv.encoding decides") as file:
         found = SEP_LINE.match(file.readline(LONGEST_SEP_LINE))
     return found[1] if found else ""
 

@@ -208,7 +208,9 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         by_length: dict[int, list[ListedColumn]] = {}
         for name, value in node.items():
             if _is_column(value):
-                by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
+                whole = node.get(str(name)[: -len("[0]")]) if str(name).endswith("[0]") else None
+                if not _is_column(whole):  # else `q[0]` of an array of one column, which is listed as `q`
+                    by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
             elif _is_by_column(value, node) or is_by_row(value, node):
                 channels, samples = _width(value), len(value)
                 if is_by_row(value, node):

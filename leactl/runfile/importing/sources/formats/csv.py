@@ -1,6 +1,5 @@
 """Tables of text, such as CSV, in the format that the mapping states."""
 
-import re
 from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
@@ -19,9 +18,6 @@ from leactl.tables.columns import Columns
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
 SURVEYED = 200  # leading rows by which a column is judged to be numeric
-MOST_MISSING = 0.5  # of a column's cells, that may hold a word for a missed sample
-NINES = re.compile(r"-?9{3,}([.,][09]*)?")  # what loggers write for a missed sample
-BEYOND = 10.0  # times all other numbers of its column, that nines have to be to stand for a missed sample
 
 
 def open_source(path: Path, request: SourceRequest) -> "CsvSource":
@@ -83,24 +79,6 @@ class CsvSource(Columns):
         with suppress(ValueError):
             return cell in self._missing or self.number(cell) is not None
         return False
-
-    def words_for_missing(self) -> tuple[str, ...]:
-        """What stands in columns of numbers for a missed sample, as far as the form does not say it: `#N/A`, `-9999`.
-
-        A word counts if it is the only one of its column and has no digit.
-        """
-        found: dict[str, None] = {}
-        for cells in self._kept.values():
-            texts = [str(cell) for cell in cells if cell not in self._missing]
-            words = {text for text in texts if not self.is_number(text)}
-            numbers = {text: abs(self.number(text)) for text in {*texts} - words}
-            nines = {text for text in numbers if NINES.fullmatch(text)}
-            largest = max((size for text, size in numbers.items() if text not in nines), default=np.nan)
-            odd = {text for text in nines if numbers[text] > BEYOND * largest} | words
-            is_word = len(words) <= 1 and not any(letter.isdigit() for word in words for letter in word)
-            if is_word and sum(text in odd for text in texts) < MOST_MISSING * len(texts):
-                found |= dict.fromkeys(sorted(odd))
-        return tuple(found)
 
     def field(self, name: str | int) -> float | str:
         """The value of a column that never changes."""
