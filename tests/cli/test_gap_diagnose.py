@@ -81,7 +81,7 @@ def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
     for item in said["causes"]:
         fits(item, CAUSE, ("separating_experiment", "change", "picture"))
         if item["picture"] is not None:
-            fits(item["picture"], PICTURE, ("periods", "along"))
+            fits(item["picture"], PICTURE, ("periods", "along", "refitted"))
             for stretch in item["picture"]["bins"]:
                 fits(stretch, {"low": NUMBER, "high": NUMBER, "count": int}, MEANS)
         assert item["separating_experiment"] is None or isinstance(item["separating_experiment"], str)
@@ -94,6 +94,7 @@ def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
 def test_the_first_cause_is_pictured_over_the_variable_that_it_acts_in(diagnosed):
     seen = diagnosed.json["causes"][0]["picture"]
     assert (seen["variable"], seen["variable_units"], seen["periods"]) == ("q_axis_current", "A", None)
+    assert seen["refitted"] is True
     assert seen["after_rms"] < 0.1 * seen["before_rms"]
     assert seen["off_zero_before"] > 0.5 * len(seen["bins"])
     edges = [(stretch["low"], stretch["high"]) for stretch in seen["bins"]]
