@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.effects.shapes import bristle
@@ -16,7 +18,7 @@ class Presliding(Effect):
     one_sided = True
     explains = 0.6  # the curve of bristles differs from one bearing to the next
     shaped = True
-    forms = ((0.0005,), (0.002,), (0.006,), (0.02,))
+    forms = tuple((float(displacement),) for displacement in np.geomspace(0.0005, 0.02, 6))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """What is missing from Coulomb friction until the bristles are bent; a locked rotor moves by its twist."""

@@ -1,5 +1,6 @@
 """Every effect of the library keeps its definition's words and fills known places with finite columns."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from leactl.effects.contract import PLACES, Signals
 from leactl.effects.gear_backlash import SEEN
 from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import Plant
+from leactl.gap.search.sets import SHAPE
 from leactl.gap.signals.effect_variables import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
@@ -150,3 +152,9 @@ def test_a_load_that_is_nearly_all_of_the_inertia_is_told_as_it_is_and_simulated
     plant = Plant(MODEL, None, 0.0)
     effect.act(numbers, plant)
     assert (plant.elastic_load or plant.geared_load).share == HIGHEST
+
+
+def test_no_displacement_of_bristles_lies_between_what_two_forms_may_stand_for():
+    """What is left of a reversal in a slow log grows with up to the cube of the displacement."""
+    forms = [displacement for (displacement,) in library()["presliding"].forms]
+    assert all((above / below) ** 3 < SHAPE[1] / SHAPE[0] for below, above in pairwise(forms))
