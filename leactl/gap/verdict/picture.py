@@ -126,9 +126,9 @@ def pictured(
             parts = parts_of(others, form, before, after)
             if (drawn := picture(cause, parts)) is not None:
                 drawn = replace(drawn, refitted=True)
-                alone = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
-                if not shows(drawn) and alone is not None and shows(alone):
-                    drawn = replace(alone, refitted=False)
+                if not shows(drawn):
+                    alone = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
+                    drawn = replace(alone, refitted=False) if alone is not None and shows(alone) else drawn
         answered.append(replace(cause, picture=drawn))
     return tuple(answered)
 

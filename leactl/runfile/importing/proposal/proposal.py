@@ -113,7 +113,8 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
     ]
     form = seen.csv.model_dump(exclude_defaults=True)
     if form:
-        lines.append(f"csv: {{{', '.join(f'{key}: {csv_value(value)}' for key, value in form.items())}}}")
+        written = (f"{key}: {value if isinstance(value, int) else quoted(value)}" for key, value in form.items())
+        lines.append(f"csv: {{{', '.join(written)}}}")
     if run := [f"{name}: {stated(value)}" for table in seen.tables for name, value in table.table.run]:
         lines.append(f"run: {{{', '.join(run)}}}  # as the file declares")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
@@ -176,11 +177,6 @@ def streams_joints(streams: list[ProposedStream]) -> list[str]:
 def stated(value: str | bool) -> str:
     """A root attribute of a run as YAML."""
     return str(value).lower() if isinstance(value, bool) else quoted(value)
-
-
-def csv_value(value: str | int) -> str:
-    """A setting of a CSV form as YAML."""
-    return str(value) if isinstance(value, int) else quoted(value)
 
 
 def yaml_value(value: str | int) -> str:
