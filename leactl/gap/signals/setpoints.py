@@ -2,9 +2,10 @@
 
 A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
 drive's current is then one weighted sum of the reference's rows around it. Where setpoints come into force somewhere
-inside their intervals, that sum fails where the reference leaps. So it does where a drive changes its current at a
-limited rate only; but then one rate mends the sum at all leaps of the log. And no drive knows the setpoint of the next
-row: where the sum gives that row a weight, it stands in for setpoints between the rows.
+inside their intervals, that sum fails where the reference leaps. It also fails
+there where a drive limits the rate of its current; but with the right limit, one for the whole log, the sum holds
+again. And no drive knows the setpoint of the next row: where the sum gives that row a weight, it stands in for
+setpoints between the rows.
 """
 
 import math
@@ -35,7 +36,7 @@ DOUBTED = 4.0  # standard deviations of the next row's weight below zero, from w
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
-RAMPS = 2.0 ** np.arange(0.0, 8.5, 0.5)  # rows in which a drive of a limited rate may follow the largest change
+RAMPS = 2.0 ** np.arange(0.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
 CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
 
 
@@ -70,9 +71,9 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
 
 
 def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> list[ReferenceFollowing]:
-    """How currents follow in a drive that changes them no faster than the rate that meets all runs best.
+    """How currents follow if the drive limits their rate, under the one limit that fits all runs best.
 
-    followed : runs, and how their currents follow in a drive without such a limit.
+    followed : each run, and how its current follows without a limit.
     """
     swiftest = max(
         float(np.max(np.abs(np.diff(record.fast.values[REFERENCE])))) / record.fast.interval
