@@ -18,7 +18,7 @@ from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
-MOST_LOST = 3  # rounds lost in sequence, after which an error is raised
+MOST_LOST = 3  # rounds, or tries to put settings back, lost in sequence, after which an error is raised
 LEAVE_S = 2.0
 TRY_S = 0.1
 REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
@@ -268,12 +268,24 @@ class SupplyLine:
         self._opened = False
         try:
             if self._seen_off:
-                self._port.discard()
-                Talk(self._port, self._dialogue.leave(), self._answer_s).finish(self._clock.now() + LEAVE_S)
+                self._put_back()
         except DeviceError as error:
             raise type(error)(f"its protections were not put back as they were found: {error}") from None
         finally:
             self._port.close()
+
+    def _put_back(self) -> None:
+        """Restore the settings; from the start again where a late answer to an earlier query is taken for another's."""
+        deadline = self._clock.now() + LEAVE_S
+        for tries_left in reversed(range(MOST_LOST)):
+            try:
+                self._port.discard()
+                Talk(self._port, self._dialogue.leave(), self._answer_s).finish(deadline)
+            except DeviceError:
+                if not tries_left or self._clock.now() >= deadline:
+                    raise
+            else:
+                return
 
     # -- demands -----------------------------------------------------------------------------------------------------
 

@@ -254,6 +254,20 @@ def test_protections_stay_where_the_output_may_be_on(here):
     assert here.far.levels()[2:] == [8.0, 10.0]
 
 
+@pytest.mark.parametrize(
+    "spoilt",
+    [[None], [None, None], [(b"HEWLETT-PACKARD,E3633A,0,1.7-5.0-1.0\r\n" * 2).hex()]],
+    ids=["lost", "lost twice", "doubled"],
+)
+def test_protections_are_put_back_though_answers_are_lost_or_one_too_many(here, spoilt):
+    here.energise()
+    assert here.made_safe().safe
+    here.far.spoil(*spoilt)
+    here.supply.close()
+    assert here.far.levels()[2:] == [22.0, 22.0]
+    assert not here.port.connected
+
+
 def test_a_protection_that_is_not_put_back_is_told_and_the_line_let_go(here):
     here.supply.open()
     here.far.ignore("VOLT:PROT 22")

@@ -207,10 +207,9 @@ class ScpiDialogue:
 
     def leave(self) -> Script[Sequence[str]]:
         """Restore all protections and give the front panel back; returns the names of the protections."""
-        protections, self._found = self._found, []
-        if protections:
+        if self._found:
             yield from self.in_step()
-        for protection, level, armed in protections:
+        for protection, level, armed in self._found:
             yield from self._written(protection.level, level)
             if protection.switch:
                 yield protection.switch.format("ON" if armed else "OFF")
@@ -220,7 +219,8 @@ class ScpiDialogue:
             yield self._dialect.local
             for _ in range(PAUSES):
                 yield Pause()
-        return [before.protection.name for before in protections]
+        restored, self._found = [before.protection.name for before in self._found], []
+        return restored
 
     def switched(self, on: bool) -> Script[None]:
         """Switch the output and check its state.
