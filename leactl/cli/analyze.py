@@ -6,8 +6,12 @@ from pathlib import Path
 import typer
 
 from leactl.cli import finite
+from leactl.cli.helptext import examples, single_command
+
+app = single_command()
 
 
+@app.command(epilog=examples("analyze runs", "analyze RUN.h5 --json"))
 def analyze(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Run files or folders; repeats are combined, experiments kept apart."

@@ -7,10 +7,15 @@ from pathlib import Path
 
 import typer
 
+from leactl.cli.helptext import ON_A_BENCH, examples, single_command
+
+app = single_command()
+
 PROTOCOLS = ("torque-constant", "friction")
 HEADLINES = ("torque_constant", "viscous_damping", "coulomb_friction")
 
 
+@app.command(epilog=examples("demo", "demo --out demo --seed 7", ends=ON_A_BENCH))
 def demo(
     out: Path = typer.Option(Path("leactl-demo"), help="Directory of the run files."),
     seed: int = typer.Option(1, min=0, help="Seed of the emulated bench."),

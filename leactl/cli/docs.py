@@ -6,7 +6,10 @@ from pathlib import Path
 import typer
 
 import leactl
+from leactl.cli.helptext import examples, single_command
 from leactl.errors import InputError
+
+app = single_command()
 
 INSTALLED = "share/doc/leactl"  # below the environment, as pyproject.toml has it
 FOLDERS = ("tutorial", "how-to", "reference", "explanation", "evidence")
@@ -18,6 +21,7 @@ def pages(incomplete: str) -> list[str]:
     return [name for name in pages_by_name(folder_of_pages()) if name.startswith(incomplete)]
 
 
+@app.command(epilog=examples("docs", "docs safety"))
 def docs(
     page: str = typer.Argument("", help="Print this page; without one all are listed.", autocompletion=pages),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),

@@ -4,7 +4,13 @@ import json
 
 import typer
 
+from leactl.cli.helptext import examples, single_command
+from leactl.errors import InputError
 
+app = single_command()
+
+
+@app.command(epilog=examples("doctor", "doctor --json", means={InputError: "something needed is missing"}))
 def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout.")) -> None:
     """Check Python, packages, plug-ins, buses, browser and disk."""
     from dataclasses import asdict

@@ -34,7 +34,12 @@ class WholeSentences(TyperGroup):
 
 def group_of_commands(kind: type[WholeSentences] = WholeSentences) -> typer.Typer:
     """Create a command group that prints its help when called without a command."""
-    return typer.Typer(cls=kind, no_args_is_help=True, rich_markup_mode=None)
+    return typer.Typer(cls=kind, no_args_is_help=True, rich_markup_mode=None, add_completion=False)
+
+
+def single_command() -> typer.Typer:
+    """Create the `app` of a module with one command and no group."""
+    return typer.Typer(rich_markup_mode=None, add_completion=False)
 
 
 def examples(

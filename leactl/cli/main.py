@@ -11,11 +11,9 @@ from typing import Any, NoReturn
 import typer
 
 from leactl import __version__
-from leactl.cli import analyze, demo, docs, doctor, report, run, schema, stats
-from leactl.cli.groups import Groups
-from leactl.cli.helptext import ON_A_BENCH, examples
+from leactl.cli.commands import Commands
 from leactl.cli.printable import show_control_characters
-from leactl.errors import AcceptanceFailed, InputError, LeactlError, Stopped
+from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
 READER_GONE = 141  # as a shell has it where SIGPIPE ends a command: 128 + 13
@@ -23,7 +21,7 @@ MOST_LINES = 50  # of faults: a screen, where a file has one in each of its line
 UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
 app = typer.Typer(
-    cls=Groups,
+    cls=Commands,
     name="leactl",
     help="Characterise electric actuators: protocols in, HDF5 runs and fitted parameters out.",
     no_args_is_help=True,
@@ -31,30 +29,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="leactl COMMAND --help has examples and exit statuses; leactl docs has the manual.",
     context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command("analyze", epilog=examples("analyze runs", "analyze RUN.h5 --json"))(analyze.analyze)
-app.command(
-    "report",
-    cls=report.SeveralCompared,
-    epilog=examples("report runs --html sheet.html", "report new --html sheet.html --pdf --compare old"),
-)(report.report)
-app.command(
-    "run",
-    cls=run.RunWithPage,
-    epilog=examples(
-        "run friction --bench emulated --out runs",
-        "run torque-constant --bench mine.yaml --set hold_s=6 --actuator LEA-2",
-        "run friction --bench mine.yaml --dry-run",
-        "run friction --bench mine.yaml --web",
-        ends=(*ON_A_BENCH, AcceptanceFailed),
-    ),
-)(run.run)
-app.command("schema", epilog=examples("schema protocol > protocol.schema.json", "schema bench --table"))(schema.schema)
-app.command("stats", epilog=examples("stats runs", "stats runs --result torque_constant --json"))(stats.stats)
-app.command("demo", epilog=examples("demo", "demo --out demo --seed 7", ends=ON_A_BENCH))(demo.demo)
-app.command("docs", epilog=examples("docs", "docs safety"))(docs.docs)
-app.command("doctor", epilog=examples("doctor", "doctor --json", means={InputError: "something needed is missing"}))(
-    doctor.doctor
 )
 
 

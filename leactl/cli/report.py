@@ -8,7 +8,10 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from leactl.cli.helptext import examples, single_command
 from leactl.errors import InputError
+
+app = single_command()
 
 COMPARED = "--compare"
 
@@ -32,6 +35,10 @@ class SeveralCompared(TyperCommand):
         return super().parse_args(ctx, spread)
 
 
+@app.command(
+    cls=SeveralCompared,
+    epilog=examples("report runs --html sheet.html", "report new --html sheet.html --pdf --compare old"),
+)
 def report(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files, or folders of them, of any experiments."),
     html: Path | None = typer.Option(None, "--html", metavar="OUT.html", help="Write the datasheet."),

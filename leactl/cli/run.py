@@ -14,7 +14,11 @@ from typer.core import TyperCommand
 
 from leactl.cli import print_answer
 from leactl.cli.completion import benches, protocols, settings
+from leactl.cli.helptext import ON_A_BENCH, examples, single_command
+from leactl.errors import AcceptanceFailed
 from leactl.report.web import FREE_PORT_HERE
+
+app = single_command()
 
 if TYPE_CHECKING:
     from leactl.report.web.feed import RunPage
@@ -49,6 +53,16 @@ class RunWithPage(TyperCommand):
         return words
 
 
+@app.command(
+    cls=RunWithPage,
+    epilog=examples(
+        "run friction --bench emulated --out runs",
+        "run torque-constant --bench mine.yaml --set hold_s=6 --actuator LEA-2",
+        "run friction --bench mine.yaml --dry-run",
+        "run friction --bench mine.yaml --web",
+        ends=(*ON_A_BENCH, AcceptanceFailed),
+    ),
+)
 def run(
     protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
     bench: str = typer.Option(

@@ -5,6 +5,10 @@ from enum import StrEnum
 
 import typer
 
+from leactl.cli.helptext import examples, single_command
+
+app = single_command()
+
 
 class Kind(StrEnum):
     """What a file describes."""
@@ -17,6 +21,7 @@ class Kind(StrEnum):
     MAPPING = "mapping"
 
 
+@app.command(epilog=examples("schema protocol > protocol.schema.json", "schema bench --table"))
 def schema(
     kind: Kind = typer.Argument(help="Which kind of file."),
     table: bool = typer.Option(False, "--table", help="Print tables in Markdown instead."),

@@ -6,8 +6,12 @@ from pathlib import Path
 import typer
 
 from leactl.cli import finite
+from leactl.cli.helptext import examples, single_command
+
+app = single_command()
 
 
+@app.command(epilog=examples("stats runs", "stats runs --result torque_constant --json"))
 def stats(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Runs or folders, under two conditions or more, or answers of `analyze --json`."

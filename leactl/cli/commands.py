@@ -1,4 +1,4 @@
-"""The command groups; a group's module is imported only when one of its commands is called.
+"""The commands and command groups of `leactl`, each imported only when it is called.
 
 Building the parameters of all fifty commands would take as long as importing typer.
 """
@@ -6,13 +6,23 @@ Building the parameters of all fifty commands would take as long as importing ty
 from importlib import import_module
 from typing import Any, Final
 
-from typer.core import TyperGroup
-from typer.main import get_group
+from typer.core import TyperCommand
+from typer.main import get_command
 
 from leactl.cli.helptext import WholeSentences
 from leactl.errors import Stopped
 
-GROUPS: Final = {  # by the name of the module that has the group as `app`
+COMMANDS: Final = {  # by the name of the module whose `app` it is: the first sentence of its help
+    "analyze": "Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition.",
+    "report": "Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures.",
+    "run": "Run a protocol on a bench: every setpoint supervised, every sample in one run file.",
+    "schema": "Print the JSON Schema of a kind of file, for editors and CI.",
+    "stats": "Compare results over conditions: ANOVA with the actuator as a random factor, Tukey HSD, effect sizes.",
+    "demo": (
+        "Characterise an emulated actuator: torque constant and friction in three preloads, beside the paper's figures."
+    ),
+    "docs": "List the pages of the manual and where they lie, or print one.",
+    "doctor": "Check Python, packages, plug-ins, buses, browser and disk.",
     "bench": "Bench files, and what is done at a bench beside a protocol.",
     "campaign": "Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
     "driver": "List, explain and check driver plug-ins.",
@@ -26,21 +36,22 @@ GROUPS: Final = {  # by the name of the module that has the group as `app`
 }
 
 
-class Groups(WholeSentences):
-    """The root group: its own commands, and the command groups by name, which are imported on use."""
+class Commands(WholeSentences):
+    """The root group: commands and command groups by name, which are imported on use."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands.update({name: TyperGroup(name=name, help=text) for name, text in GROUPS.items()})
+        self.commands.update({name: TyperCommand(name=name, help=text) for name, text in COMMANDS.items()})
         self._only_named = False  # while the root's own help is written
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command or group of this name, None if there is none."""
-        if cmd_name not in GROUPS or self._only_named:
+        if cmd_name not in self.commands or self._only_named:
             return super().get_command(ctx, cmd_name)
-        group: Any = get_group(import_module(f"leactl.cli.{cmd_name}").app)
-        group.name, group.help = cmd_name, GROUPS[cmd_name]
-        return group
+        command: Any = get_command(import_module(f"leactl.cli.{cmd_name}").app)
+        command.name = cmd_name
+        command.help = command.help or COMMANDS[cmd_name]
+        return command
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl-C ends it as an error with its notes, which typer would drop.
