@@ -24,7 +24,7 @@ from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.evidence import MOST_MOVED, PRIORS, Evidence, Null, error_of
+from leactl.gap.search.evidence import MOST_MOVED, PINNED, PRIORS, Evidence, Null, error_of
 from leactl.gap.search.parameters import (
     UNITS,
     calibrated,
@@ -82,7 +82,7 @@ def measure(
     machines_runs = sound_runs(records, [model] * machines, random)
     moved, kept = unidentifiable_torque_constant(machines_runs, model)
     if kept:
-        machines_runs = sound_runs(records, [drawn_machine(model, kept, random) for _ in range(machines)], random)
+        machines_runs = sound_runs(records, drawn_machines(model, kept, machines, random), random)
     shown = NullValues()
     for runs in machines_runs:
         shown.add_machine(Evidence(runs, model, only, kept))
@@ -215,11 +215,15 @@ class NullValues:
         return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
     def unidentifiable(self) -> tuple[str, ...]:
-        """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too."""
+        """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too.
+
+        One that every fit holds is none of them: it moves by its narrow prior alone.
+        """
         return tuple(
             name
             for name, by in self.parameters().items()
-            if (math.hypot(*by) if name == TORQUE_CONSTANT else error_of(*by))
+            if self.priors.get(name) != PINNED
+            and (math.hypot(*by) if name == TORQUE_CONSTANT else error_of(*by))
             > MOST_MOVED * self.priors.get(name, math.inf)
         )
 
@@ -283,15 +287,24 @@ def size_beside(
     return math.sqrt(max(shown.size**2 - shown.std**2, 0.0)) if shown is not None else 0.0
 
 
-def drawn_machine(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:
-    """A machine whose parameters of these names are off the model by what is usual."""
-    changed = []
-    for name in names:
-        nominal = nominal_value(model, name)
-        change = PRIORS[name] * float(np.clip(random.standard_normal(), -FARTHEST, FARTHEST))
-        if nominal is not None:
-            changed.append(CalibratedParameter(name, nominal, nominal * (1.0 + change), 0.0, UNITS.get(name, "")))
-    return with_calibration(model, changed)
+def drawn_machines(model: Model, names: Sequence[str], count: int, random: np.random.Generator) -> list[Model]:
+    """Machines whose parameters of these names are off the model by what is usual.
+
+    Each has a counterpart that is off by the inverse factor, but for the last of an odd number, which is the model:
+    what fits to them all are off by alike is the fits' own error, and no chance of a draw.
+    """
+    pairs = np.clip(random.standard_normal((count // 2, len(names))), -FARTHEST, FARTHEST)
+    return [
+        with_calibration(
+            model,
+            [
+                CalibratedParameter(name, nominal, nominal * math.exp(PRIORS[name] * off), 0.0, UNITS.get(name, ""))
+                for name, off in zip(names, offsets, strict=True)
+                if (nominal := nominal_value(model, name)) is not None
+            ],
+        )
+        for offsets in (*pairs, *-pairs, *np.zeros((count % 2, len(names))))
+    ]
 
 
 def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.random.Generator) -> list[list[Record]]:

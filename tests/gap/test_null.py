@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import ALIKE, FARTHEST, NULLS, drawn_machine, measure, set_floors, shown_alike, sound_runs
+from leactl.gap.null import ALIKE, FARTHEST, NULLS, drawn_machines, measure, set_floors, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated, nominal_value
@@ -175,15 +175,17 @@ def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_meas
                 assert 0.3 * before <= rough <= 3.0 * before + 1e-12, (one.name, key)
 
 
-def test_a_parameter_is_drawn_within_what_is_usual():
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_parameters_are_drawn_within_what_is_usual_and_together_not_off_the_model(count):
     nominal, names = model(), ["rotor_inertia", "bench.shaft_stiffness", "thermal.housing_capacitance"]
-    random = np.random.default_rng(4)
-    for _ in range(20):
-        machine = drawn_machine(nominal, names, random)
-        for name in names:
-            off = nominal_value(machine, name) / nominal_value(nominal, name) - 1.0
-            assert abs(off) <= FARTHEST * PRIORS[name] * (1.0 + 1e-9)
-        assert machine.torque_constant == nominal.torque_constant
+    machines = drawn_machines(nominal, names, count, np.random.default_rng(4))
+    assert len(machines) == count
+    for name in names:
+        off = np.log([nominal_value(machine, name) / nominal_value(nominal, name) for machine in machines])
+        assert np.all(np.abs(off) <= FARTHEST * PRIORS[name] * (1.0 + 1e-9))
+        assert off.sum() == pytest.approx(0.0, abs=1e-12)
+        assert np.count_nonzero(off) == count // 2 * 2
+    assert all(machine.torque_constant == nominal.torque_constant for machine in machines)
 
 
 @settings(max_examples=20, deadline=None)
