@@ -22,7 +22,10 @@ from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of
 from leactl.gap.signals.scales import worth_knowing
 from leactl.gap.signals.voltage_ceiling import at_ceiling
+from leactl.joints.machine import draw_machine
+from leactl.joints.make import draw_runs
 from leactl.model.nominal import read_model
+from tests.gap.drawn_machines import case_of, write_cases
 from tests.gap.synthetic import clocked, model, record
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -129,6 +132,19 @@ def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
         mean, scatter = null.moved[name]
         assert abs(mean) < 0.01, name
         assert scatter < 0.01, name
+
+
+def test_a_torque_constant_that_every_fit_holds_biases_no_other_parameter(tmp_path):
+    """So precise runs move even what a narrow prior holds; nothing but ratios to it can be told without a voltage."""
+    machine = draw_machine(np.random.default_rng([3, 0]), "spindle")
+    fine = {"rate": 1000.0, "seconds": 20.0, "count": machine.count / 8.0, "sampling": True}
+    machine = replace(machine, channels=("current", "angle", "current_reference", "velocity"), **fine)
+    write_cases(tmp_path, {"spindle": (machine, draw_runs(np.random.default_rng([3, 1]), machine, [], "plain"))})
+    joint = case_of(tmp_path / "spindle")
+    found = measure(joint.fitted, joint.model, only=())
+    assert found.kept == ()
+    for name in ("viscous_damping", "coulomb_friction", "rotor_inertia"):
+        assert abs(found.moved[name][0]) < 0.002, name
 
 
 @pytest.mark.parametrize(
