@@ -58,7 +58,6 @@ Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
 ALIKE = 2.0  # standard errors of a mean over them, above which they show an effect alike
 TORQUE_CONSTANT = "torque_constant"
-FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
 FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
@@ -74,15 +73,15 @@ def measure(
 
     only : forms of effects to look for, all if not given.
 
-    Where no channel fixes the scale of torques, noise biases all of them and the torque constant towards zero together.
-    If a first calibration shows this, the machines are simulated again, each with a torque constant drawn for it, and
-    fits hold the torque constant at the model's value.
+    Where a voltage or a torque should tell the torque constant and does not, noise biases it and all torques towards
+    zero together. If a first calibration shows this, the machines are simulated again, with constants about the
+    model's, and fits hold the model's. Where nothing should tell it, every fit holds it as it is.
     """
     random = np.random.default_rng(seed)
     machines_runs = sound_runs(records, [model] * machines, random)
     moved, kept = unidentifiable_torque_constant(machines_runs, model)
     if kept:
-        machines_runs = sound_runs(records, drawn_machines(model, kept, machines, random), random)
+        machines_runs = sound_runs(records, machines_off(model, TORQUE_CONSTANT, machines), random)
     shown = NullValues()
     for runs in machines_runs:
         shown.add_machine(Evidence(runs, model, only, kept))
@@ -99,6 +98,8 @@ def unidentifiable_torque_constant(
     calibrations = NullValues()
     for runs in machines_runs:
         evidence = Evidence(runs, model, only=())
+        if evidence.tells_nothing_of(TORQUE_CONSTANT):  # nothing should tell it
+            return {}, ()
         if evidence.stack.rows:
             calibrations.add_calibration(evidence)
     if TORQUE_CONSTANT not in calibrations.unidentifiable():
@@ -206,7 +207,7 @@ class NullValues:
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
-            (*kept, *(name for name in self.unidentifiable() if name not in kept)),
+            (*kept, *self.unidentifiable()),
             tuple(kept),
         )
 
@@ -217,7 +218,7 @@ class NullValues:
     def unidentifiable(self) -> tuple[str, ...]:
         """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too.
 
-        One that every fit holds is none of them: it moves by its narrow prior alone.
+        One that every fit holds is none of them: what its narrow prior lets it move says nothing.
         """
         return tuple(
             name
@@ -287,23 +288,22 @@ def size_beside(
     return math.sqrt(max(shown.size**2 - shown.std**2, 0.0)) if shown is not None else 0.0
 
 
-def drawn_machines(model: Model, names: Sequence[str], count: int, random: np.random.Generator) -> list[Model]:
-    """Machines whose parameters of these names are off the model by what is usual.
+def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
+    """Machines whose parameter is off the model's, by what is usual as a root mean square.
 
-    Each has a counterpart that is off by the inverse factor, but for the last of an odd number, which is the model:
-    what fits to them all are off by alike is the fits' own error, and no chance of a draw.
+    Off is one over it, with which all goes that a fit puts into the place of it: half of the machines one way, half the
+    other and of an odd number one not at all, so that what all fits are off by alike is their own error. A single
+    machine is off one way.
     """
-    pairs = np.clip(random.standard_normal((count // 2, len(names))), -FARTHEST, FARTHEST)
+    nominal = nominal_value(model, parameter)
+    if nominal is None:
+        return [model] * count
+    by = PRIORS[parameter] * math.sqrt(count / max(2 * (count // 2), 1))
+    steps = [by, -by] * (count // 2) + ([0.0] if count > 1 else [by]) * (count % 2)
+    units = UNITS.get(parameter, "")
     return [
-        with_calibration(
-            model,
-            [
-                CalibratedParameter(name, nominal, nominal * math.exp(PRIORS[name] * off), 0.0, UNITS.get(name, ""))
-                for name, off in zip(names, offsets, strict=True)
-                if (nominal := nominal_value(model, name)) is not None
-            ],
-        )
-        for offsets in (*pairs, *-pairs, *np.zeros((count % 2, len(names))))
+        with_calibration(model, [CalibratedParameter(parameter, nominal, nominal / (1.0 + step), 0.0, units)])
+        for step in steps
     ]
 
 
