@@ -1,6 +1,6 @@
 """The commands and command groups of `leactl`, each imported only when it is called.
 
-Building the parameters of all fifty commands would take as long as importing typer.
+Building the parameters of all of them would take as long as importing typer.
 """
 
 from importlib import import_module
@@ -46,7 +46,7 @@ class Commands(WholeSentences):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command or group of this name, None if there is none."""
-        if cmd_name not in self.commands or self._only_named:
+        if cmd_name not in COMMANDS or self._only_named:
             return super().get_command(ctx, cmd_name)
         command: Any = get_command(import_module(f"leactl.cli.{cmd_name}").app)
         command.name = cmd_name

@@ -19,7 +19,7 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
 MOST_LOST = 3  # rounds, or tries to put settings back, lost in sequence, after which an error is raised
-LEAVE_S = 2.0
+LEAVE_S = 2.0  # for settings to be put back, beside answers that are lost
 TRY_S = 0.1
 REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
 REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
@@ -102,6 +102,8 @@ class Dialogue(Protocol):
 
     def leave(self) -> Script[Sequence[str]]:
         """Restore the settings that `set_up` changed; returns their names.
+
+        After an error it is run again, and restores those that are not confirmed.
 
         Raises
         ------
@@ -275,8 +277,8 @@ class SupplyLine:
             self._port.close()
 
     def _put_back(self) -> None:
-        """Restore the settings; from the start again where a late answer to an earlier query is taken for another's."""
-        deadline = self._clock.now() + LEAVE_S
+        """Restore the settings; after an error over a new connection, in `MOST_LOST` tries at most."""
+        deadline = self._clock.now() + LEAVE_S + MOST_LOST * self._answer_s
         for tries_left in reversed(range(MOST_LOST)):
             try:
                 self._port.discard()
@@ -284,6 +286,7 @@ class SupplyLine:
             except DeviceError:
                 if not tries_left or self._clock.now() >= deadline:
                     raise
+                self._start_afresh(deadline)
             else:
                 return
 

@@ -144,3 +144,9 @@ def test_bash_completes_names_and_parameters(words, names):
 def test_the_list_of_commands_says_what_the_help_of_each_begins_with():
     listed = {name: command.get_short_help_str(UNCUT) for name, command in ROOT.commands.items()}
     assert listed == {name: ROOT.get_command(None, name).get_short_help_str(UNCUT) for name in listed}
+
+
+def test_help_imports_no_command():
+    program = "import sys; from leactl.cli.main import main\ntry: main()\nfinally: print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True)
+    assert not {f"leactl.cli.{name}" for name in ROOT.commands} & set(done.stderr.split())

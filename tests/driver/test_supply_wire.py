@@ -86,6 +86,9 @@ def bench(make_supply):
     return make_supply()
 
 
+IDENTITY = b"HEWLETT-PACKARD,E3633A,0,1.7-5.0-1.0\r\n"
+
+
 @pytest.fixture
 def here():
     """A bench in this process: its time is emulated, and its line fails on request."""
@@ -256,8 +259,8 @@ def test_protections_stay_where_the_output_may_be_on(here):
 
 @pytest.mark.parametrize(
     "spoilt",
-    [[None], [None, None], [(b"HEWLETT-PACKARD,E3633A,0,1.7-5.0-1.0\r\n" * 2).hex()]],
-    ids=["lost", "lost twice", "doubled"],
+    [[None], [None, None], [IDENTITY.hex(), None], [(2 * IDENTITY).hex()]],
+    ids=["lost", "lost twice", "lost halfway", "doubled"],
 )
 def test_protections_are_put_back_though_answers_are_lost_or_one_too_many(here, spoilt):
     here.energise()
@@ -266,6 +269,32 @@ def test_protections_are_put_back_though_answers_are_lost_or_one_too_many(here, 
     here.supply.close()
     assert here.far.levels()[2:] == [22.0, 22.0]
     assert not here.port.connected
+
+
+def test_protections_are_put_back_over_a_new_connection(here):
+    here.supply.open()
+    here.dead_connections = here.connections
+    here.supply.close()
+    assert here.connections == 2
+    assert here.far.levels()[2:] == [22.0, 22.0]
+
+
+def test_protections_of_another_instrument_that_answers_now_are_left(here):
+    here.supply.open()
+    here.said.clear()
+    here.far.spoil(*[IDENTITY.replace(b"E3633A", b"E3634A").hex()] * 3)
+    with pytest.raises(DeviceError, match="HEWLETT-PACKARD E3634A answers; E3633A was expected"):
+        here.supply.close()
+    assert set(here.lines()) == {b"*IDN?"}
+
+
+def test_an_instrument_that_answers_nothing_holds_closing_up_for_three_answers(here):
+    here.supply.open()
+    here.far.freeze()
+    began = here.clock.now()
+    with pytest.raises(NoAnswer, match="not put back as they were found: no answer to"):
+        here.supply.close()
+    assert here.clock.now() - began == pytest.approx(3 * here.settings.answer_s)
 
 
 def test_a_protection_that_is_not_put_back_is_told_and_the_line_let_go(here):

@@ -207,20 +207,22 @@ class ScpiDialogue:
 
     def leave(self) -> Script[Sequence[str]]:
         """Restore all protections and give the front panel back; returns the names of the protections."""
+        names = [before.protection.name for before in self._found]
         if self._found:
-            yield from self.in_step()
-        for protection, level, armed in self._found:
+            self._check((yield from self.in_step()))
+        while self._found:
+            protection, level, armed = self._found[0]
             yield from self._written(protection.level, level)
             if protection.switch:
                 yield protection.switch.format("ON" if armed else "OFF")
             if (yield from _armed(protection)) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
+            del self._found[0]
         if self._dialect.local:
             yield self._dialect.local
             for _ in range(PAUSES):
                 yield Pause()
-        restored, self._found = [before.protection.name for before in self._found], []
-        return restored
+        return names
 
     def switched(self, on: bool) -> Script[None]:
         """Switch the output and check its state.
