@@ -34,7 +34,9 @@ SHARES = [  # effect, parameter, what of the model it goes with, kind of machine
     ("encoder_eccentricity", "amplitude", "rotor_inertia", "gimbal_motor", 7, 0.01),
 ]
 COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
+QUICK = {"spindle": 21, "heavy_axis": 22}  # seeds of machines that turn back within a few samples of a slow log
 PUSHED = [32, 42, 47]  # of which the search makes a saturation, a joint elasticity, and nothing
+SLOW = {"seconds": 10.0, "count": 2.0 * np.pi / 8192}
 COARSEST = {"rate": 250.0, "count": 2.0 * np.pi / 4096}
 COARSER = {"rate": 1000.0, "count": 2.0 * np.pi / 8192}
 DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, by what a test calls the case
@@ -50,6 +52,7 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     **{f"pushed {seed}": ("heavy_axis", ["push_in_time"], seed, "strong", COARSEST) for seed in PUSHED},
     "coarse": ("heavy_axis", [], 6, "plain", COARSE),
     "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
+    **{f"quick {kind}": (kind, ["presliding"], seed, "plain", SLOW) for kind, seed in QUICK.items()},
     "between two values": ("drone_motor", ["power_foldback"], 6, "plain", {"rate": 250.0}),
 }
 SELDOM = {  # cases of long tests
@@ -114,6 +117,15 @@ def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     told = {item.name: item for item in found.causes[0].parameters}
     assert told[parameter].value == pytest.approx(run.parameter(name, parameter), rel=near)
     assert told[parameter].std > 0.0
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_friction_that_builds_up_over_an_angle_shows_where_a_reversal_is_over_within_a_row(drawn_case, kind):
+    case, run = drawn_case(f"quick {kind}")
+    found = diagnose(case)
+    assert named(found) == ["presliding"]
+    (displacement,) = found.causes[0].parameters
+    assert displacement.value == pytest.approx(run.parameter("presliding", "displacement"), rel=0.4)
 
 
 def test_a_limit_between_two_values_of_the_grid_is_not_taken_for_one_that_is_near_its_value(drawn_case):

@@ -23,17 +23,22 @@ MECHANICAL_EQUATIONS = (
     twist.coupled,
     twist.locked,
 )
+FREE_ROTOR = ("free_torque", "reversal_torque")
 DECIMATION_FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
 
 
-def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> Equation | None:
+def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> list[Equation]:
     """Return a free rotor's torque balance at the highest rate at which encoder noise does not mask acceleration.
 
-    The log's own rate is kept for creeping motion, and where decimation does not help or leaves too few rows.
+    The log's own rate is kept for creeping motion, and where decimation does not help or leaves too few rows. The
+    second equation has the rows that touch a reversal.
     """
     logged = mechanical.free(record, fast)
-    if logged is None or not mechanical.is_loud(record, logged) or "creep" in fast.extra:
-        return logged
+    if logged is None:
+        return []
+    as_logged = [logged, mechanical.reversals(record, logged)]
+    if not mechanical.is_loud(record, logged) or "creep" in fast.extra:
+        return as_logged
     assert record.fast is not None
     for factor in DECIMATION_FACTORS:
         slower = replace(record, fast=decimated(record.fast, factor))
@@ -42,10 +47,10 @@ def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> Equation 
         complete(slower, signals)
         equation = mechanical.free(slower, signals)
         if equation is None or int(usable(equation).sum()) < FEWEST_ROWS:
-            return logged  # too few rows are left
+            return as_logged  # too few rows are left
         if not mechanical.is_loud(slower, equation):
-            return equation
-    return logged
+            return [equation, mechanical.reversals(slower, equation)]
+    return as_logged
 
 
 def equations(record: Record, model: Model) -> list[Equation]:
@@ -55,11 +60,11 @@ def equations(record: Record, model: Model) -> list[Equation]:
     fast = fast_signals(record, model, slow)
     if fast is not None:
         complete(record, fast)
-        candidates = [*(build(record, fast) for build in ELECTRICAL_EQUATIONS), free_rotor(record, fast, slow)]
+        candidates = [*(build(record, fast) for build in ELECTRICAL_EQUATIONS), *free_rotor(record, fast, slow)]
         candidates += [build(record, fast) for build in MECHANICAL_EQUATIONS]
         built += [equation for equation in candidates if equation is not None]
         if (axis_balance := axis.axis(record, fast)) is not None:
-            built = [equation for equation in built if equation.name != "free_torque"] + [axis_balance]
+            built = [equation for equation in built if equation.name not in FREE_ROTOR] + [axis_balance]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
         if fed_by_voltage(record, model) is not None:

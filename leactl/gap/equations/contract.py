@@ -20,6 +20,7 @@ Place = Callable[[Array], Array]
 
 FEWEST_ROWS = 20  # of an equation, that a run tells something with
 MEMORY = 60  # rows, within which one may depend on another where an equation does not say
+TOUCHED = 1e-3  # of a row's weight, from which it touches samples
 STAMPED = 0.05  # of an interval, to which two channels of one sample are of one moment
 
 
@@ -33,7 +34,7 @@ class Equation:
     units: str
     left_over: Array
     signals: Signals
-    mask: Mask  # samples that may be used
+    mask: Mask  # samples that may be used: a row touches no other
     places: dict[str, Place]
     calibration: dict[str, Array]
     nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
@@ -44,9 +45,13 @@ class Equation:
     width: float = 4.0
     step: int = 8
     memory: int = MEMORY  # rows, within which one may depend on another
+    around: Mask | None = None  # samples of which a row touches one, where not all rows count
     rough: bool = False  # whether it neglects so much that what it leaves over is no sign of anything
 
 
 def usable(equation: Equation) -> Mask:
-    """Which rows of an equation touch no sample that is masked."""
-    return np.asarray(thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999)
+    """Which rows of an equation touch no sample that is masked, and one of those it is about."""
+    rows = thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
+    if equation.around is not None:
+        rows &= thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED
+    return np.asarray(rows)

@@ -1,6 +1,7 @@
 """Torque: the balance of a free rotor, of two on a shaft, and what the torque channel makes of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from leactl.gap.equations.motion import load_lag
 from leactl.gap.signals.derived import averaged, held
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import middle, noise_of_acceleration, sharp_senses, slope, smooth
+from leactl.gap.signals.smoothing import REACH, middle, noise_of_acceleration, sharp_senses, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -27,8 +28,13 @@ STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 def moving(s: Signals, velocity: Array, reach: float) -> Mask:
     """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
+    return np.asarray(smooth(slow(s, velocity).astype(float), reach) < 1e-3)
+
+
+def slow(s: Signals, velocity: Array) -> Mask:
+    """Samples in which the shaft may stand as well."""
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
-    return np.asarray(smooth((np.abs(velocity) <= slowest).astype(float), reach) < 1e-3)
+    return np.asarray(np.abs(velocity) <= slowest)
 
 
 def highest_speed(s: Signals, velocity: Array) -> float:
@@ -75,6 +81,30 @@ def free(record: Record, s: Signals) -> Equation | None:
         width=width,
         step=step,
         memory=MEMORY * EVENED[1] // step,  # as long in closer rows
+    )
+
+
+def reversals(record: Record, balance: Equation) -> Equation:
+    """The same balance in rows that touch a reversal, which the balance of a rotor that turns leaves out.
+
+    Friction that builds up over an angle shows there and nowhere else. How it does so differs from bearing to bearing,
+    so that what these rows leave over is no sign of anything. A rest that lasts as long as a row's smoothing reaches is
+    no reversal: friction holds the rotor there by as much as it must.
+    """
+    s = balance.signals
+    assert record.fast is not None and s.velocity is not None
+    standing, rests = slow(s, s.velocity), np.zeros(len(s.velocity), np.bool_)
+    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        turns = begin > 0 and end < len(standing) and s.velocity[begin - 1] * s.velocity[end] < 0.0
+        rests[begin:end] = not turns or end - begin > REACH * balance.width
+    known = record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    return replace(
+        balance,
+        name="reversal_torque",
+        mask=s.resolved & known & ~rests,
+        around=standing & ~rests,
+        rough=True,
     )
 
 
