@@ -12,7 +12,7 @@ from leactl.gap.equations.motion import load_lag
 from leactl.gap.signals.derived import averaged, held
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import REACH, middle, noise_of_acceleration, sharp_senses, slope, smooth
+from leactl.gap.signals.smoothing import BASE, REACH, middle, noise_of_acceleration, sharp_senses, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +35,19 @@ def slow(s: Signals, velocity: Array) -> Mask:
     """Samples in which the shaft may stand as well."""
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
     return np.asarray(np.abs(velocity) <= slowest)
+
+
+def resting(s: Signals, velocity: Array) -> Mask:
+    """Samples whose smoothing reaches into a rest of the shaft, where friction holds it by as much as it must.
+
+    It rests where it goes on the same way afterwards, or where it stands for as long as the smoothing reaches.
+    """
+    standing, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
+    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        turns_back = begin > 0 and end < len(standing) and velocity[begin - 1] * velocity[end] < 0.0
+        rests[begin:end] = not turns_back or end - begin > reach
+    return np.asarray(smooth(rests) > 0.0)
 
 
 def highest_speed(s: Signals, velocity: Array) -> float:
@@ -61,6 +74,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     calibration["torque_constant"] = -drive
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
+    mask &= ~resting(s, s.velocity)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval / record.fast.decimation)}
     stamp |= between_instants(record.fast, s)
@@ -88,24 +102,14 @@ def reversals(record: Record, balance: Equation) -> Equation:
     """The same balance in rows that touch a reversal, which the balance of a rotor that turns leaves out.
 
     Friction that builds up over an angle shows there and nowhere else. How it does so differs from bearing to bearing,
-    so that what these rows leave over is no sign of anything. A rest that lasts as long as a row's smoothing reaches is
-    no reversal: friction holds the rotor there by as much as it must.
+    so that what these rows leave over is no sign of anything.
     """
     s = balance.signals
     assert record.fast is not None and s.velocity is not None
-    standing, rests = slow(s, s.velocity), np.zeros(len(s.velocity), np.bool_)
-    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        turns = begin > 0 and end < len(standing) and s.velocity[begin - 1] * s.velocity[end] < 0.0
-        rests[begin:end] = not turns or end - begin > REACH * balance.width
+    rests = resting(s, s.velocity)
     known = record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
-    return replace(
-        balance,
-        name="reversal_torque",
-        mask=s.resolved & known & ~rests,
-        around=standing & ~rests,
-        rough=True,
-    )
+    mask, around = s.resolved & known & ~rests, slow(s, s.velocity) & ~rests
+    return replace(balance, name="reversal_torque", mask=mask, around=around, rough=True)
 
 
 def noise_of_counts(s: Signals, width: float) -> float:

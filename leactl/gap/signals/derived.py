@@ -6,6 +6,7 @@ is; instants are averaged with the one before. All get one smoothing, so that no
 sharp one.
 """
 
+import math
 from functools import partial
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
 from leactl.gap.signals.noise import noise_of, quantum_of
-from leactl.gap.signals.record import Clocked, Record, smallest_step
+from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds
 from leactl.model.motor_schema import Thermal
 from leactl.model.nominal import BenchModel, Model
@@ -72,7 +73,8 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.angle = smooth(s.sharp_angle)
         s.velocity = smooth(speed)
         s.acceleration = slope(s.velocity, dt)
-        s.sliding = smooth(sharp_senses(speed, smallest_step(angle) / dt))
+        s.count = quantum_of(np.diff(angle))
+        s.sliding = smooth(sharp_senses(speed, max(s.count, math.sqrt(2.0) * noise_of(angle)) / dt))
     elif (velocity := clock.get("velocity")) is not None:
         s.velocity = smooth(middle(velocity))
         s.acceleration = slope(s.velocity, dt)
@@ -85,7 +87,6 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     if s.velocity is not None:
         s.calm_velocity = smooth(s.velocity, CALM)
     if angle is not None:
-        s.count = quantum_of(np.diff(angle))
         s.resolved = resolved(angle, s.count) & ~unseen(clock, model.bench)
     s.settled, s.unleapt = settled(s, STICKS), settled(s, SLIDES)
     return s
