@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.effects.plant import bare
@@ -12,7 +12,16 @@ from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import measured_speed
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.smoothing import middle, senses, sharp_senses, slope, speeds, thinned, thinned_index
+from leactl.gap.signals.smoothing import (
+    bent_senses,
+    middle,
+    senses,
+    sharp_senses,
+    slope,
+    speeds,
+    thinned,
+    thinned_index,
+)
 from tests.gap.synthetic import clocked, model
 
 COEFFICIENTS = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
@@ -130,3 +139,19 @@ def test_a_run_that_begins_while_it_turns_has_its_speed_from_the_first_sample_on
     begun = Record(Path("a.h5"), "free", "free", clocked(40, INTERVAL, {("angle", "test"): turned}), None, {})
     np.testing.assert_allclose(speeds(turned, INTERVAL), rate, atol=1e-9)
     np.testing.assert_allclose(measured_speed(Job(begun, bare(model()))), rate, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    begin=st.floats(0.0, 1.0),
+    slowing=st.floats(1.0, 100.0),
+    ratio=st.floats(0.05, 1.0),
+    way=st.sampled_from((-1.0, 1.0)),
+)
+def test_where_friction_bends_a_speed_it_turns_back_where_two_lines_meet(begin, slowing, ratio, way):
+    """Speeds as means over intervals: a friction that turns round makes what slows a rotor weaker afterwards."""
+    moment, parts = 20.0 + begin, 200
+    fine = (np.arange(40 * parts) + 0.5) / parts
+    course = way * (moment - fine) * np.where(fine < moment, slowing, ratio * slowing)
+    means, true = (values.reshape(40, parts).mean(axis=1) for values in (course, np.where(fine < moment, way, -way)))
+    np.testing.assert_allclose(bent_senses(means)[1:-2], true[1:-2], atol=0.03)

@@ -54,6 +54,29 @@ def senses(speeds: Array) -> Array:
     return np.where(turns, distance / np.where(turns, change, 1.0), np.sign(speeds))
 
 
+def bent_senses(speeds: Array) -> Array:
+    """The same where friction bends the speed at a reversal: where the lines before and after it come to zero.
+
+    Each line goes through two speeds that the bend is not in; the steeper one tells the moment more finely. A reversal
+    that two lines do not meet at within an interval or so stays as `senses` has it.
+    """
+    signs = senses(speeds)
+    at = np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0))
+    at = at[(at >= 3) & (at < len(speeds) - 2)]
+    first, last = speeds[at - 2], speeds[at + 1]
+    slopes = first - speeds[at - 3], speeds[at + 2] - last
+    falls = np.sign(-first)
+    kept = (first * last < 0.0) & (slopes[0] * falls > 0.0) & (slopes[1] * falls > 0.0)
+    at, first, last, before, after = (values[kept] for values in (at, first, last, *slopes))
+    zeros = np.stack([at - 2.5 - first / before, at + 0.5 - last / after])
+    moment = np.average(zeros, axis=0, weights=np.stack([before, after]) ** 2) if len(at) else zeros[0]
+    for place, zero, sign in zip(at, moment, np.sign(first), strict=True):
+        if abs(zero - (place - 0.5)) < 1.5:
+            for each in (place - 1, place, place + 1):
+                signs[each] = sign * (2.0 * min(max(zero - (each - 1), 0.0), 1.0) - 1.0)
+    return signs
+
+
 def sharp_senses(speeds: Array, noise: float) -> Array:
     """The same of noisy speeds: as smoothed ones have it, but where they turn back so fast that noise hardly matters.
 
@@ -67,7 +90,7 @@ def sharp_senses(speeds: Array, noise: float) -> Array:
     swift = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > SWIFT * noise)
     turning = np.zeros(len(even), np.bool_)
     turning[reach:-reach] = swift
-    return np.where(turning, senses(speeds), signs)
+    return np.where(turning, bent_senses(speeds), signs)
 
 
 def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
