@@ -51,7 +51,8 @@ def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
         notes.append(
             f"these runs cannot tell {named}: fits to simulated sound runs move it so far; the model's is kept"
         )
-    missing = sorted({equation for equation, _ in evidence.unrest().keys() - null.unrest.keys()})
+    judged = {(rows.equation, rows.kind) for rows in evidence.stack.rows if not rows.rough}
+    missing = sorted({equation for equation, _ in judged - null.unrest.keys()})
     if missing:
         notes.append(f"no sound run could be simulated for {', '.join(missing)}: what is left over there is not judged")
     return tuple(notes)
