@@ -10,6 +10,7 @@ from scipy.signal import upfirdn
 Array = npt.NDArray[np.float64]
 BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
 REACH = 4.0  # standard deviations to either side
+MEETING = 1.5  # samples from where a reversal seems to be, within which the lines before and after it meet at zero
 SWIFT = 4.0  # times the noise of a speed, that it has on either side of where it turns back fast
 
 
@@ -61,19 +62,18 @@ def bent_senses(speeds: Array) -> Array:
     that two lines do not meet at within an interval or so stays as `senses` has it.
     """
     signs = senses(speeds)
-    at = np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0))
-    at = at[(at >= 3) & (at < len(speeds) - 2)]
-    first, last = speeds[at - 2], speeds[at + 1]
-    slopes = first - speeds[at - 3], speeds[at + 2] - last
-    falls = np.sign(-first)
-    kept = (first * last < 0.0) & (slopes[0] * falls > 0.0) & (slopes[1] * falls > 0.0)
-    at, first, last, before, after = (values[kept] for values in (at, first, last, *slopes))
-    zeros = np.stack([at - 2.5 - first / before, at + 0.5 - last / after])
-    moment = np.average(zeros, axis=0, weights=np.stack([before, after]) ** 2) if len(at) else zeros[0]
-    for place, zero, sign in zip(at, moment, np.sign(first), strict=True):
-        if abs(zero - (place - 0.5)) < 1.5:
-            for each in (place - 1, place, place + 1):
-                signs[each] = sign * (2.0 * min(max(zero - (each - 1), 0.0), 1.0) - 1.0)
+    for at in np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0)).tolist():
+        if not 3 <= at < len(speeds) - 2:
+            continue
+        first, last = float(speeds[at - 2]), float(speeds[at + 1])
+        before, after = first - float(speeds[at - 3]), float(speeds[at + 2]) - last  # what the speed changes by
+        if first * last >= 0.0 or first * before >= 0.0 or first * after >= 0.0:
+            continue
+        zeros = at - 2.5 - first / before, at + 0.5 - last / after
+        moment = (before**2 * zeros[0] + after**2 * zeros[1]) / (before**2 + after**2)
+        if abs(moment - (at - 0.5)) < MEETING:
+            ends = np.arange(at - 1, at + 2)
+            signs[ends] = np.sign(first) * (2.0 * np.clip(moment - (ends - 1), 0.0, 1.0) - 1.0)
     return signs
 
 
