@@ -154,7 +154,12 @@ def test_a_load_that_is_nearly_all_of_the_inertia_is_told_as_it_is_and_simulated
     assert (plant.elastic_load or plant.geared_load).share == HIGHEST
 
 
-def test_no_displacement_of_bristles_lies_between_what_two_forms_may_stand_for():
-    """What is left of a reversal in a slow log grows with up to the cube of the displacement."""
-    forms = [displacement for (displacement,) in library()["presliding"].forms]
+SHAPED = [name for name, effect in library().items() if effect.shaped]
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_no_shape_lies_between_what_two_forms_may_stand_for(name):
+    """What a reversal or a step leaves in a slow log grows with up to the cube of a displacement or a delay."""
+    forms = [number for (number,) in library()[name].forms]
+    assert len(SHAPED) >= 8
     assert all((above / below) ** 3 < SHAPE[1] / SHAPE[0] for below, above in pairwise(forms))

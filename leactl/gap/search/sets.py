@@ -46,7 +46,7 @@ FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own form
 ERROR_ELSEWHERE = 0.01  # the same over variables in which none of it acts
 BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
-SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
+SHAPE = (0.3, 3.0)  # how much of a shape may be there: neighbours in a grid stand 2.1 times apart at most
 
 
 @dataclass(frozen=True)
