@@ -291,9 +291,9 @@ def size_beside(
 def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
     """Machines whose parameter is off the model's, by what is usual as a root mean square.
 
-    Off is one over it, with which all goes that a fit puts into the place of it: half of the machines one way, half the
-    other and of an odd number one not at all, so that what all fits are off by alike is their own error. A single
-    machine is off one way.
+    One over the value is spread evenly, for parameters that are fitted beside a wrong one scale with that: half of the
+    machines are off one way, half the other and of an odd number one not at all, so that what all fits are off by alike
+    is their own error. A single machine is off one way.
     """
     nominal = nominal_value(model, parameter)
     if nominal is None:

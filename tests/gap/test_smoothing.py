@@ -154,4 +154,18 @@ def test_where_friction_bends_a_speed_it_turns_back_where_two_lines_meet(begin, 
     fine = (np.arange(40 * parts) + 0.5) / parts
     course = way * (moment - fine) * np.where(fine < moment, slowing, ratio * slowing)
     means, true = (values.reshape(40, parts).mean(axis=1) for values in (course, np.where(fine < moment, way, -way)))
-    np.testing.assert_allclose(bent_senses(means)[1:-2], true[1:-2], atol=0.03)
+    np.testing.assert_allclose(bent_senses(means, 0.0)[1:-2], true[1:-2], atol=0.03)
+
+
+@pytest.mark.parametrize("ratio", [0.9, 0.6, 0.3])
+@pytest.mark.parametrize("slowing", [2.0, 4.0, 8.0, 30.0])
+def test_lines_through_an_encoder_s_counts_tell_a_reversal_no_worse_than_the_speed_between_two(slowing, ratio):
+    """Root mean square of how far off the moments are, in samples, over reversals at any place within one."""
+    random, off = np.random.default_rng(5), []
+    ends = np.arange(41.0)
+    for moment in 20.0 + random.random(200):
+        angle = np.where(ends < moment, -0.5 * slowing, -0.5 * ratio * slowing) * (ends - moment) ** 2 + random.random()
+        counted = np.diff(np.round(angle))  # counts an interval
+        off.append([0.5 * np.sum(1.0 + told(counted)) - moment for told in (senses, lambda s: bent_senses(s, 1.0))])
+    even, bent = np.sqrt(np.mean(np.square(off), axis=0))
+    assert bent <= 1.1 * even + 0.01

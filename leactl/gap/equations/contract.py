@@ -50,7 +50,7 @@ class Equation:
 
 
 def usable(equation: Equation) -> Mask:
-    """Which rows of an equation touch no sample that is masked, and one of those it is about."""
+    """Which rows of an equation touch no sample but those of `mask`, and at least one of those of `around`."""
     rows = thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
     if equation.around is not None:
         rows &= thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED

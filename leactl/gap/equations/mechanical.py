@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
 SLOW_REACH = 4.0  # samples around a slow one that tell nothing of friction: on a shaft its twist turns back there too
-FREE_SLOW_REACH = 0.5  # the same of a free rotor, whose reversals show over which angle friction builds up
+FREE_SLOW_REACH = 0.5  # the same of a free rotor, which tells friction right beside them
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
 QUIET = 0.01  # of an acceleration, that its noise may have
 LOUD = 0.1  # of it, from which samples are too close: a fit takes the square of that share from an inertia
@@ -40,7 +40,8 @@ def slow(s: Signals, velocity: Array) -> Mask:
 def resting(s: Signals, velocity: Array) -> Mask:
     """Samples whose smoothing reaches into a rest of the shaft, where friction holds it by as much as it must.
 
-    It rests where it goes on the same way afterwards, or where it stands for as long as the smoothing reaches.
+    A shaft that is slow counts as resting where it goes on the same way afterwards, or where it is slow for as long as
+    the smoothing reaches: nobody can say that it moves then.
     """
     standing, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
     edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
@@ -99,7 +100,7 @@ def free(record: Record, s: Signals) -> Equation | None:
 
 
 def reversals(record: Record, balance: Equation) -> Equation:
-    """The same balance in rows that touch a reversal, which the balance of a rotor that turns leaves out.
+    """The same balance in rows that touch a slow reversal, which the balance of a rotor that turns leaves out.
 
     Friction that builds up over an angle shows there and nowhere else. How it does so differs from bearing to bearing,
     so that what these rows leave over is no sign of anything.

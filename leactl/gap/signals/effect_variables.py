@@ -44,7 +44,7 @@ OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
 }
 """Every variable from the signals of one run; None where the run does not show it."""
 CURRENT = ("q_axis_current", "current_rate")
-HOLD_THE_REST = {"free_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
+HOLD_THE_REST = {"free_torque": CURRENT, "reversal_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
 """Variables of which an equation's rest is a part: beside the motion, a rotor's current says just what is missing."""
 
 

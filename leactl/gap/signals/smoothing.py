@@ -10,6 +10,7 @@ from scipy.signal import upfirdn
 Array = npt.NDArray[np.float64]
 BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
 REACH = 4.0  # standard deviations to either side
+BEYOND_NOISE = 2.0  # times what noise may move a reversal, by which two lines must move it
 MEETING = 1.5  # samples from where a reversal seems to be, within which the lines before and after it meet at zero
 SWIFT = 4.0  # times the noise of a speed, that it has on either side of where it turns back fast
 
@@ -55,11 +56,12 @@ def senses(speeds: Array) -> Array:
     return np.where(turns, distance / np.where(turns, change, 1.0), np.sign(speeds))
 
 
-def bent_senses(speeds: Array) -> Array:
+def bent_senses(speeds: Array, noise: float) -> Array:
     """The same where friction bends the speed at a reversal: where the lines before and after it come to zero.
 
-    Each line goes through two speeds that the bend is not in; the steeper one tells the moment more finely. A reversal
-    that two lines do not meet at within an interval or so stays as `senses` has it.
+    Each line goes through two speeds that the bend is not in, as what slows down is stronger before it than after; the
+    steeper line tells the moment more finely. A reversal stays as `senses` has it where the lines meet nowhere near it,
+    or no further from it than noise may move them.
     """
     signs = senses(speeds)
     for at in np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0)).tolist():
@@ -69,9 +71,12 @@ def bent_senses(speeds: Array) -> Array:
         before, after = first - float(speeds[at - 3]), float(speeds[at + 2]) - last  # what the speed changes by
         if first * last >= 0.0 or first * before >= 0.0 or first * after >= 0.0:
             continue
-        zeros = at - 2.5 - first / before, at + 0.5 - last / after
-        moment = (before**2 * zeros[0] + after**2 * zeros[1]) / (before**2 + after**2)
-        if abs(moment - (at - 0.5)) < MEETING:
+        reaches, steep = np.array([-first / before, -last / after]), np.array([before, after])  # intervals to zero
+        share = steep**2 / np.sum(steep**2)
+        moment = float(share @ (np.array([at - 2.5, at + 0.5]) + reaches))
+        astray = noise * float(np.sqrt(np.sum(share**2 * ((1.0 + reaches) ** 2 + reaches**2) / steep**2)))
+        even = at - 0.5 + 0.5 * float(signs[at]) * np.sign(first)  # where `senses` has it
+        if BEYOND_NOISE * astray < abs(moment - even) and abs(moment - (at - 0.5)) < MEETING:
             ends = np.arange(at - 1, at + 2)
             signs[ends] = np.sign(first) * (2.0 * np.clip(moment - (ends - 1), 0.0, 1.0) - 1.0)
     return signs
@@ -90,7 +95,7 @@ def sharp_senses(speeds: Array, noise: float) -> Array:
     swift = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > SWIFT * noise)
     turning = np.zeros(len(even), np.bool_)
     turning[reach:-reach] = swift
-    return np.where(turning, bent_senses(speeds), signs)
+    return np.where(turning, bent_senses(speeds, noise), signs)
 
 
 def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
