@@ -19,7 +19,7 @@ class CommandSlewLimit(Effect):
     one_sided = True
     explains = 0.75  # the moment within an interval at which a command comes is not known
     shaped = True
-    forms = ((0.0015,), (0.0025,), (0.004,), (0.007,), (0.012,), (0.019,), (0.03,), (0.046,), (0.07,))
+    forms = ((0.0015,), (0.0032,), (0.0068,), (0.0145,), (0.03,), (0.05,), (0.07,))
     form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:

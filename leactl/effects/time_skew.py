@@ -15,7 +15,7 @@ class TimeSkew(Effect):
     one_sided = True
     shaped = True
     delays = True
-    forms = ((0.8,), (1.4,), (2.5,), (4.2,), (7.0,), (10.6,), (16.0,), (23.0,), (33.0,), (50.0,))
+    forms = ((0.8,), (1.7,), (3.6,), (7.6,), (16.0,), (33.0,), (50.0,))
     form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:

@@ -14,7 +14,7 @@ class TorqueSensorLag(Effect):
     name = "torque_sensor_lag"
     one_sided = True
     shaped = True
-    forms = ((0.8,), (1.4,), (2.5,), (4.2,), (7.0,), (9.5,), (13.0,), (18.7,), (27.0,))
+    forms = ((0.8,), (1.7,), (3.6,), (7.5,), (15.0,), (27.0,))
     form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:

@@ -15,7 +15,7 @@ class TransportDelay(Effect):
     one_sided = True
     shaped = True
     delays = True
-    forms = ((1.5,), (2.5,), (4.0,), (6.6,), (11.0,), (16.5,), (25.0,))
+    forms = ((1.5,), (3.1,), (6.4,), (13.0,), (25.0,))
     form_scales = ("loop",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:

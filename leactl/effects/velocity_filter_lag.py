@@ -14,7 +14,7 @@ class VelocityFilterLag(Effect):
     name = "velocity_filter_lag"
     one_sided = True
     shaped = True
-    forms = ((1.0,), (1.7,), (3.0,), (5.5,), (10.0,), (17.0,), (30.0,), (49.0,), (80.0,))
+    forms = ((1.0,), (2.1,), (4.4,), (9.2,), (19.0,), (39.0,), (80.0,))
     form_scales = ("velocity filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:

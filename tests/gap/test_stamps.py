@@ -43,12 +43,13 @@ def test_of_many_sound_joints_next_to_all_are_called_so(told):
 @pytest.mark.parametrize(("delay", "seed"), [(5, 11), (6, 12), (8, 5)])
 def test_a_delay_is_named_that_no_stamps_explain(delay, seed):
     random = np.random.default_rng(seed)
-    joint = drawn_joint(random)
-    found = diagnose(case(joint, drawn_log(random), random, Effect(delay=delay)))
+    joint, log = drawn_joint(random), drawn_log(random)
+    found = diagnose(case(joint, log, random, Effect(delay=delay)))
     assert named(found) == ["transport_delay"]
     [told] = found.causes[0].parameters
     assert 0.5 < told.std * joint.rate < 1.5, "what the stamps may add is part of the error"
-    assert abs(told.value - delay / joint.rate) < 3.0 * told.std
+    stamps_add = log.current_late + 0.5 * (not log.held) + (not log.before) + 0.5 * log.filtered_by_samples
+    assert told.value * joint.rate == pytest.approx(delay + stamps_add, abs=0.6), "no run tells the two apart"
     assert any(note.startswith("one side of current is later than stamps can be") for note in found.notes)
 
 
