@@ -73,9 +73,10 @@ def measure(
 
     only : forms of effects to look for, all if not given.
 
-    Where a voltage or a torque should tell the torque constant and does not, noise biases it and all torques towards
-    zero together. If a first calibration shows this, the machines are simulated again, with constants about the
-    model's, and fits hold the model's. Where nothing should tell it, every fit holds it as it is.
+    A voltage or a torque sensor determines the torque constant. Where one is logged and too noisy to do so, the
+    constant and all torques are biased towards zero together: then the machines are simulated again, with constants on
+    either side of the model's, and fits hold the model's. Where none is logged, `Evidence` holds the constant in all
+    fits.
     """
     random = np.random.default_rng(seed)
     machines_runs = sound_runs(records, [model] * machines, random)
@@ -291,9 +292,8 @@ def size_beside(
 def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
     """Machines whose parameter is off the model's, by what is usual as a root mean square.
 
-    One over the value is spread evenly, for parameters that are fitted beside a wrong one scale with that: half of the
-    machines are off one way, half the other and of an odd number one not at all, so that what all fits are off by alike
-    is their own error. A single machine is off one way.
+    One over the value is spread symmetrically about the model's, with the prior as its root mean square, so that an
+    error common to all machines comes from the fits. Of an odd number one machine is the model; a single one is off.
     """
     nominal = nominal_value(model, parameter)
     if nominal is None:

@@ -16,10 +16,10 @@ from leactl.gap.signals.smoothing import BASE, REACH, middle, noise_of_accelerat
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
+SLOW_SHARE = 0.005  # of a run's highest speed, below which a shaft cannot be told from one that stands
 SWING_REACH = 8.0  # samples
-SLOW_REACH = 4.0  # samples around a slow one that tell nothing of friction: on a shaft its twist turns back there too
-FREE_SLOW_REACH = 0.5  # the same of a free rotor, which tells friction right beside them
+SLOW_REACH = 4.0  # samples, Gaussian margin around slow ones on a coupled shaft, whose twist turns back there too
+FREE_SLOW_REACH = 0.5  # the same of a free rotor, which needs next to none
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
 QUIET = 0.01  # of an acceleration, that its noise may have
 LOUD = 0.1  # of it, from which samples are too close: a fit takes the square of that share from an inertia
@@ -32,16 +32,16 @@ def moving(s: Signals, velocity: Array, reach: float) -> Mask:
 
 
 def slow(s: Signals, velocity: Array) -> Mask:
-    """Samples in which the shaft may stand as well."""
+    """Samples in which the shaft cannot be told from one that stands."""
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
     return np.asarray(np.abs(velocity) <= slowest)
 
 
 def resting(s: Signals, velocity: Array) -> Mask:
-    """Samples whose smoothing reaches into a rest of the shaft, where friction holds it by as much as it must.
+    """Samples whose smoothing touches a slow stretch that is no quick reversal.
 
-    A shaft that is slow counts as resting where it goes on the same way afterwards, or where it is slow for as long as
-    the smoothing reaches: nobody can say that it moves then.
+    At rest friction is as large as what drives the shaft, and unknown. A stretch is no quick reversal where the shaft
+    goes on the same way afterwards, where it is longer than the smoothing reaches, and at either end of a run.
     """
     standing, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
     edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
@@ -103,7 +103,7 @@ def reversals(record: Record, balance: Equation) -> Equation:
     """The same balance in rows that touch a slow reversal, which the balance of a rotor that turns leaves out.
 
     Friction that builds up over an angle shows there and nowhere else. How it does so differs from bearing to bearing,
-    so that what these rows leave over is no sign of anything.
+    so that a residual of these rows does not make a machine unexplained.
     """
     s = balance.signals
     assert record.fast is not None and s.velocity is not None

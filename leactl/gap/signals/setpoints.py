@@ -2,10 +2,9 @@
 
 A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
 drive's current is then one weighted sum of the reference's rows around it. Where setpoints come into force somewhere
-inside their intervals, that sum fails where the reference leaps. It also fails
-there where a drive limits the rate of its current; but with the right limit, one for the whole log, the sum holds
-again. And no drive knows the setpoint of the next row: where the sum gives that row a weight, it stands in for
-setpoints between the rows.
+inside their intervals, that sum fails where the reference leaps. It also fails there where a drive limits the rate of
+its current; but with the right limit, one for the whole log, the sum holds again. And no drive knows the setpoint of
+the next row: where the sum gives that row a weight, it stands in for setpoints between the rows.
 """
 
 import math

@@ -10,7 +10,7 @@ from scipy.signal import upfirdn
 Array = npt.NDArray[np.float64]
 BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
 REACH = 4.0  # standard deviations to either side
-BEYOND_NOISE = 2.0  # times what noise may move a reversal, by which two lines must move it
+BEYOND_NOISE = 2.0  # times its error by noise, by which the reversal of two lines must differ from that of `senses`
 MEETING = 1.5  # samples from where a reversal seems to be, within which the lines before and after it meet at zero
 SWIFT = 4.0  # times the noise of a speed, that it has on either side of where it turns back fast
 
@@ -59,9 +59,9 @@ def senses(speeds: Array) -> Array:
 def bent_senses(speeds: Array, noise: float) -> Array:
     """The same where friction bends the speed at a reversal: where the lines before and after it come to zero.
 
-    Each line goes through two speeds that the bend is not in, as what slows down is stronger before it than after; the
-    steeper line tells the moment more finely. A reversal stays as `senses` has it where the lines meet nowhere near it,
-    or no further from it than noise may move them.
+    Friction brakes before the reversal and opposes the drive after it, so that the slope changes there. Each line goes
+    through two speeds beside the bend; both are weighted by their slopes squared, which is how finely they tell the
+    moment. A reversal stays as `senses` has it where theirs is far away, or differs by no more than noise makes it.
     """
     signs = senses(speeds)
     for at in np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0)).tolist():
