@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import rate_limited
+from leactl.effects.shapes import ramp_shares, rate_limited
 from leactl.model.nominal import Model
 
 ROUNDING = 1e-9  # of an interval
@@ -19,24 +19,22 @@ class CommandSlewLimit(Effect):
     one_sided = True
     explains = 0.75  # the moment within an interval at which a command comes is not known
     shaped = True
-    forms = ((0.0015,), (0.0032,), (0.0068,), (0.0145,), (0.03,), (0.05,), (0.07,))
+    forms = ((0.0015,), (0.0032,), (0.0068,), (0.0145,), (0.03,), (0.06,), (0.12,), (0.25,), (0.5,))
     form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The change of the model's current by a limit of its command before the current loop."""
-        if signals.command is None or signals.following is None:
+        if signals.command is None or signals.following is None or signals.looped is None:
             return {}
-        initial = None if signals.current is None else float(signals.current[0])  # a run may begin during a ramp
         most = form[0] * signals.interval
-        ends = rate_limited(signals.command, most, initial)
-        change = np.diff(ends, prepend=ends[0] if initial is None else initial)
-        ramp = np.minimum(np.abs(change) / most, 1.0)  # share of each interval
-        # the mean of an interval stands for its end where the limit acts throughout it, and in the next, where the ramp
-        # ends; a ramp within one interval counts as a step, for stamps may be wrong by an interval
-        limited = ramp > 1.0 - ROUNDING
-        averaged = limited | np.append(False, limited[:-1])
-        means = ends - np.where(averaged, 0.5 * change * ramp, 0.0)
-        return {"current_following": {"strength": signals.looped(means) - signals.following}}
+        # a run may begin during a ramp
+        begin = float(signals.command[0] if signals.current is None else signals.current[0])
+        ends = rate_limited(signals.command, most, begin)
+        shares = ramp_shares(ends, most, begin)
+        if not signals.stamped:  # a ramp within one interval counts as a step: stamps may be wrong by an interval
+            limited = shares > 1.0 - ROUNDING
+            shares = np.where(limited | np.append(False, limited[:-1]), shares, 0.0)
+        return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""

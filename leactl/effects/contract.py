@@ -73,8 +73,9 @@ class Signals:
     fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
     current: Array | None = None
     command: Array | None = None  # A, mean over each interval of what the model's loop is to follow
-    looped: Callable[[Array], Array] = np.asarray  # what the model's loop makes of a command, as the current is read
-    following: Array | None = None  # A, what it makes of the reference
+    following: Array | None = None  # A, what the model's loop makes of the reference, as the current is read
+    looped: Callable[[Array, Array, float], Array] | None = None  # the same of ramps: ends, shares of intervals, begin
+    stamped: bool = False  # whether the file says when in an interval a current and its reference hold
     voltage: Array | None = None
     angle: Array | None = None
     sharp_angle: Array | None = None  # rad, mean over the interval that ends at each sample, not smoothed

@@ -86,3 +86,8 @@ def rate_limited(values: Array, step: float, begin: float | None = None) -> Arra
             out[reached] = kept
             reached += 1
     return np.array(out, np.float64)
+
+
+def ramp_shares(values: Array, step: float, begin: float) -> Array:
+    """Share of each interval, up to 1, that a ramp of at most so much in an interval takes to the next value."""
+    return np.minimum(np.abs(np.diff(values, prepend=begin)) / step, 1.0)

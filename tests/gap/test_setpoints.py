@@ -88,6 +88,12 @@ def test_a_drive_of_a_limited_rate_is_named():
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
+@pytest.mark.parametrize("seed", [2, 7])
+def test_a_limit_whose_ramps_end_within_their_rows_is_named(seed):
+    found = diagnose(limited_joint(seed, 1))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
     found = diagnose(joint_case(6, times_thinned=times))

@@ -13,6 +13,8 @@ from leactl.gap.signals.derived import fast_signals
 from leactl.gap.signals.setpoints import SETTLES, settling
 from tests.gap.synthetic import clocked, model, record
 
+WIDE = {"current_loop_bandwidth": 1e5}  # Hz, of a loop that follows at once
+
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.0, 0.01))
 def test_a_row_is_settling_from_before_a_change_until_the_loop_has_forgotten_it(changing, settles):
@@ -50,3 +52,20 @@ def test_a_command_is_limited_before_its_loop(as_mean):
     column = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
     missed = reading - signals.following - column
     assert np.std(missed) < 0.02 * np.std(column)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_ramp_within_one_interval_is_late_by_half_of_it_where_stamps_are_told(stamped):
+    interval, parts, rate = 1e-3, 200, 300.0
+    steps = np.array([0.0, 0.25, 0.1, -0.15, -0.1, 0.1])  # A, of which a ramp takes no more than 0.84 of an interval
+    asked, keys = np.repeat(steps, 50), [("q_axis_current_reference", "test"), ("q_axis_current", "test")]
+    reached, course = 0.0, []
+    for wanted in np.repeat(asked, parts):
+        reached += min(max(wanted - reached, -rate * interval / parts), rate * interval / parts)
+        course.append(reached)
+    means = np.reshape(course, (len(asked), parts)).mean(axis=1)
+    clock = clocked(len(asked), interval, dict(zip(keys, [asked, means], strict=True)))
+    clock = replace(clock, means={keys[1]}, unstamped=set() if stamped else set(keys))
+    signals = fast_signals(replace(record("free"), fast=clock, slow=None), model(bench=WIDE), None)
+    column = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
+    assert column == pytest.approx(means - asked if stamped else np.zeros_like(asked), abs=2e-3)

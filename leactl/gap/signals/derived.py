@@ -39,6 +39,7 @@ STICKY = 0.01  # of the largest torque, friction below which it hardly matters w
 DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
 SETTLES = 3.0  # time constants of a current loop
 SUDDEN, AROUND = 4.0, 9  # noise power, over so many samples, from which the motion changes between two of them
+SHORTEST = 1e-6  # time constants of a loop, that a ramp takes; a shorter one is a step
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
@@ -55,9 +56,10 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         if not moved_by_a_servo(clock):
             reference = led(reference, model.bench, dt)
         bandwidth, as_means = model.bench.current_loop_bandwidth, ("q_axis_current", "test") in clock.means
+        s.stamped = not {("q_axis_current", "test"), ("q_axis_current_reference", "test")} & clock.unstamped
         ends, means = loop(reference, bandwidth, dt)
         s.command, s.following = reference, means if as_means else ends
-        s.looped = partial(read_of_loop, bandwidth=bandwidth, interval=dt, as_mean=as_means)
+        s.looped = partial(read_of_ramps, bandwidth=bandwidth, interval=dt, as_mean=as_means)
         if not as_means and current is not None and not moved_by_a_servo(clock):
             current = current + means - middle(ends)  # what a step does between two instants
     if current is not None:
@@ -145,18 +147,33 @@ def led(reference: Array, bench: BenchModel, interval: float) -> Array:
     return reference + bench.setpoint_lead * (reference - caught_up)
 
 
-def loop(reference: Array, bandwidth: float, interval: float) -> tuple[Array, Array]:
-    """A first-order loop's answer to references that hold over an interval each: at its end, and its mean over it."""
+def loop(
+    command: Array, bandwidth: float, interval: float, begin: float | None = None, shares: Array | None = None
+) -> tuple[Array, Array]:
+    """A first-order loop's answer to a command, settled before the first interval: at each end, and each mean.
+
+    command : A, at the end of each interval; it holds over the interval, or ramps there over a share of it first.
+    begin : A, before the first interval; by default the first value.
+    shares : of each interval, that a ramp to its value takes, 0 to 1; by default none.
+    """
     constant = 1.0 / (2.0 * np.pi * bandwidth)
     decay = float(np.exp(-interval / constant))
-    ends: Array = lfilter([1 - decay], [1, -decay], reference, zi=[decay * reference[0]])[0]
-    begins = np.concatenate([reference[:1], ends[:-1]])
-    return ends, np.asarray(reference + (begins - reference) * (constant / interval) * (1 - decay), np.float64)
+    before = float(command[0]) if begin is None else begin
+    driven, means = (1.0 - decay) * command, command
+    if shares is not None:
+        change = np.diff(command, prepend=before)
+        lasts = np.maximum(shares * interval / constant, SHORTEST)
+        driven = driven - change * (np.exp(lasts - interval / constant) - decay * (1.0 + lasts)) / lasts
+        means = command - 0.5 * change * shares
+    ends: Array = lfilter([1.0], [1.0, -decay], driven, zi=[decay * before])[0]
+    return ends, np.asarray(means - (constant / interval) * np.diff(ends, prepend=before), np.float64)
 
 
-def read_of_loop(reference: Array, bandwidth: float, interval: float, as_mean: bool) -> Array:
-    """Of such an answer what the current's channel reads: its mean over each interval, or its end."""
-    return loop(reference, bandwidth, interval)[int(as_mean)]
+def read_of_ramps(
+    command: Array, shares: Array, begin: float, bandwidth: float, interval: float, as_mean: bool
+) -> Array:
+    """Of a loop's answer what the current's channel reads: its mean over each interval, or its end."""
+    return loop(command, bandwidth, interval, begin, shares)[int(as_mean)]
 
 
 def settled(s: Signals, swing: float) -> Mask:

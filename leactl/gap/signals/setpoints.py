@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize_scalar
 
-from leactl.effects.shapes import rate_limited
+from leactl.effects.shapes import ramp_shares, rate_limited
 from leactl.gap.signals.derived import led, loop, moved_by_a_servo
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.stamps import TAPS, neighbour
@@ -35,7 +35,7 @@ DOUBTED = 4.0  # standard deviations of the next row's weight below zero, from w
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
-RAMPS = 2.0 ** np.arange(0.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
+RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
 CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
 
 
@@ -57,8 +57,9 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     leaps_missed = any(changes_between(one.missed, one.leaping) for one in shown)
     against = against_next([one.foresight for one in shown])
     between = against > MISSED
-    if leaps_missed and not between:
-        between = any(changes_between(one.missed, one.leaping) for one in at_one_rate(leaping, model))
+    if not between and (leaps_missed or any(misses(*one[:3]).any() for one in shown)):
+        shown = at_one_rate(leaping, model)
+        leaps_missed = between = any(changes_between(one.missed, one.leaping) for one in shown)
     held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
     held &= not leaps_missed and not between and against < DOUBTED
     return [
@@ -145,8 +146,9 @@ def follow(
     if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
         return None
     reference, current = clock.values[REFERENCE], clock.values[CURRENT]
-    asked = limited_means(led(reference, model.bench, clock.interval), rate * clock.interval)
-    ends, means = loop(asked, bandwidth, clock.interval)
+    asked, most = led(reference, model.bench, clock.interval), rate * clock.interval
+    command, begin = rate_limited(asked, most), float(asked[0])
+    ends, means = loop(command, bandwidth, clock.interval, begin, ramp_shares(command, most, begin))
     following = means if CURRENT in clock.means else ends
     use = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
     use[: TAPS[-1]] = use[TAPS[0] :] = False
@@ -165,13 +167,6 @@ def follow(
     return ReferenceFollowing(
         missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight, noise
     )
-
-
-def limited_means(setpoints: Array, most: float) -> Array:
-    """Mean over each interval of what follows setpoints by at most so much in an interval."""
-    ends = rate_limited(setpoints, most)
-    change = np.diff(ends, prepend=ends[0])
-    return np.asarray(ends - 0.5 * change * np.minimum(np.abs(change) / most, 1.0), np.float64)
 
 
 def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
