@@ -83,6 +83,16 @@ def test_a_drive_of_a_limited_rate_is_no_sign_of_setpoints_between_rows(seed):
     assert not changes_setpoints_between_rows(limited)
 
 
+@pytest.mark.parametrize(("times_thinned", "held"), [(0, True), (1, False), (2, False)])
+@pytest.mark.parametrize("rows", [1, 4])
+def test_rows_hold_their_setpoint_where_one_rate_meets_every_leap(rows, times_thinned, held):
+    limited = limited_joint(2, rows)
+    for _ in range(times_thinned):
+        limited = thinned(limited)
+    runs = marked([*limited.fitted, *limited.held_out], limited.model)
+    assert {record.fast.setpoints_held for record in runs} == {held}
+
+
 def test_a_drive_of_a_limited_rate_is_named():
     found = diagnose(limited_joint(2, 5))
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
@@ -120,10 +130,12 @@ def test_rows_hold_their_setpoint_only_where_no_leap_is_missed(lost, held):
 def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
     leaping = np.where(np.arange(200) % 50 == 20, 300.0, 0.0)
     missed = np.where(np.arange(200) == 20, 60.0, 0.0)
-    unknown = 0.0, math.inf
-    runs = iter([ReferenceFollowing(one, leaping, leaping > 0.0, unknown, 1.0) for one in (0.0 * missed, missed)])
-    monkeypatch.setattr(setpoints, "follow", lambda record, model: next(runs))
-    records = [replace(record) for record in joint_case(6).fitted[:2]]
+    records = joint_case(6).fitted[:2]
+    shown = {
+        record.name: ReferenceFollowing(one, leaping, leaping > 0.0, (0.0, math.inf), 1.0)
+        for record, one in zip(records, (0.0 * missed, missed), strict=True)
+    }
+    monkeypatch.setattr(setpoints, "follow", lambda record, *at_a_rate: shown[record.name])
     assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]
 
 

@@ -51,7 +51,7 @@ def test_a_command_is_limited_before_its_loop(as_mean):
     signals = fast_signals(run, model(bench={"current_loop_bandwidth": bandwidth}), None)
     column = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
     missed = reading - signals.following - column
-    assert np.std(missed) < 0.02 * np.std(column)
+    assert np.std(missed) < 0.005 * np.std(column)
 
 
 @pytest.mark.parametrize("stamped", [True, False])
