@@ -47,6 +47,7 @@ def signals(mechanical, slow=False):
         s.extra = {"heat": 20 + 5 * wave, "heat_per_ampere": wave}
     else:
         s.current, s.voltage, s.following, s.command = 12 * wave, 6 * wave, 12 * wave, 12 * wave
+        s.looped = lambda ends, shares, begin: ends
         s.bus_voltage = np.full_like(time, 29.6)
         s.angle, s.acceleration = 8 * time, np.cos(time)
         if mechanical != "free":
