@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.effects.shapes import ramp_shares, rate_limited
 from leactl.model.nominal import Model
 
+Array = npt.NDArray[np.float64]
 ROUNDING = 1e-9  # of an interval
 
 
@@ -31,7 +33,7 @@ class CommandSlewLimit(Effect):
         begin = float(signals.command[0] if signals.current is None else signals.current[0])
         ends = rate_limited(signals.command, most, begin)
         shares = ramp_shares(ends, most, begin)
-        if not signals.stamped:  # a ramp within one interval counts as a step: stamps may be wrong by an interval
+        if not signals.command_held:  # a ramp within one interval counts as a step, whose moment may be any
             limited = shares > 1.0 - ROUNDING
             shares = np.where(limited | np.append(False, limited[:-1]), shares, 0.0)
         return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
@@ -47,8 +49,15 @@ class CommandSlewLimit(Effect):
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reference that is followed at a limited rate."""
         rate = parameters["rate"]
-        plant.command.append(lambda values, interval: rate_limited(values, rate * interval))
+        plant.command.append(lambda values, interval: limited_means(values, rate * interval))
 
     def whole(self, form: Form, strength: float) -> Form:
         """The rate as it is: a limit of half the strength is not a limit at another rate."""
         return form
+
+
+def limited_means(values: Array, most: float) -> Array:
+    """Means over short steps of what follows values by at most so much in a step, from the first value on."""
+    begin = float(values[0])
+    ends = rate_limited(values, most, begin)
+    return np.asarray(ends - 0.5 * np.diff(ends, prepend=begin) * ramp_shares(ends, most, begin), np.float64)

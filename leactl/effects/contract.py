@@ -72,10 +72,11 @@ class Signals:
     run: str = ""
     fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
     current: Array | None = None
-    command: Array | None = None  # A, mean over each interval of what the model's loop is to follow
+    command: Array | None = None  # A, that the model's loop is to follow over each interval
+    command_held: bool = False  # whether it is known to step where an interval begins, and to hold from there
     following: Array | None = None  # A, what the model's loop makes of the reference, as the current is read
-    looped: Callable[[Array, Array, float], Array] | None = None  # the same of ramps: ends, shares of intervals, begin
-    stamped: bool = False  # whether the file says when in an interval a current and its reference hold
+    # the same of a command that ramps from where an interval begins: its ends, the share it ramps for, where it began
+    looped: Callable[[Array, Array, float], Array] | None = None
     voltage: Array | None = None
     angle: Array | None = None
     sharp_angle: Array | None = None  # rad, mean over the interval that ends at each sample, not smoothed

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.effects import library
+from leactl.effects.plant import Plant
 from leactl.gap.signals.derived import fast_signals
 from leactl.gap.signals.setpoints import SETTLES, settling
 from tests.gap.synthetic import clocked, model, record
@@ -54,8 +55,8 @@ def test_a_command_is_limited_before_its_loop(as_mean):
     assert np.std(missed) < 0.005 * np.std(column)
 
 
-@pytest.mark.parametrize("stamped", [True, False])
-def test_a_ramp_within_one_interval_is_late_by_half_of_it_where_stamps_are_told(stamped):
+@pytest.mark.parametrize("case", ["held", "unstamped", "between", "servo"])
+def test_a_ramp_within_one_interval_is_late_by_half_of_it_where_the_command_is_known_to_hold(case):
     interval, parts, rate = 1e-3, 200, 300.0
     steps = np.array([0.0, 0.25, 0.1, -0.15, -0.1, 0.1])  # A, of which a ramp takes no more than 0.84 of an interval
     asked, keys = np.repeat(steps, 50), [("q_axis_current_reference", "test"), ("q_axis_current", "test")]
@@ -65,7 +66,19 @@ def test_a_ramp_within_one_interval_is_late_by_half_of_it_where_stamps_are_told(
         course.append(reached)
     means = np.reshape(course, (len(asked), parts)).mean(axis=1)
     clock = clocked(len(asked), interval, dict(zip(keys, [asked, means], strict=True)))
-    clock = replace(clock, means={keys[1]}, unstamped=set() if stamped else set(keys))
+    if case == "servo":
+        clock.values["velocity_reference", "test"] = np.zeros(len(asked))
+    unstamped = set(keys) if case == "unstamped" else set()
+    clock = replace(clock, means={keys[1]}, unstamped=unstamped, setpoints_between=case == "between")
     signals = fast_signals(replace(record("free"), fast=clock, slow=None), model(bench=WIDE), None)
     column = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
-    assert column == pytest.approx(means - asked if stamped else np.zeros_like(asked), abs=2e-3)
+    assert column == pytest.approx(means - asked if case == "held" else np.zeros_like(asked), abs=2e-3)
+
+
+@given(st.floats(0.05, 20.0), st.sampled_from([1, 4, 16]))
+def test_a_replayed_ramp_is_late_by_half_of_it_however_short_a_step_is(rows, parts):
+    plant = Plant(model(), 1.0, 0.0)
+    library()["command_slew_limit"].act({"rate": 1.0 / rows}, plant)  # A, in rows, for a leap of 1 A
+    [limit] = plant.command
+    means = limit(np.append(0.0, np.ones(40 * parts)), 1.0 / parts)
+    assert np.sum(1.0 - means[1:]) / parts == pytest.approx(0.5 * rows)

@@ -56,7 +56,9 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         if not moved_by_a_servo(clock):
             reference = led(reference, model.bench, dt)
         bandwidth, as_means = model.bench.current_loop_bandwidth, ("q_axis_current", "test") in clock.means
-        s.stamped = not {("q_axis_current", "test"), ("q_axis_current_reference", "test")} & clock.unstamped
+        keys = {("q_axis_current", "test"), ("q_axis_current_reference", "test")}
+        unsaid = keys & (clock.unstamped | clock.between.keys())
+        s.command_held = not (unsaid or clock.setpoints_between or moved_by_a_servo(clock))
         ends, means = loop(reference, bandwidth, dt)
         s.command, s.following = reference, means if as_means else ends
         s.looped = partial(read_of_ramps, bandwidth=bandwidth, interval=dt, as_mean=as_means)

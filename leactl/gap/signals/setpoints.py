@@ -36,6 +36,7 @@ SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, 
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
 RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
+SHORT_RAMP = 2.0  # rows, up to which the row of a leap tells when in its interval the ramp began
 CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
 
 
@@ -49,6 +50,13 @@ class ReferenceFollowing(NamedTuple):
     noise: float  # standard deviation [A] of what it misses as a rule
 
 
+class LimitedFollowing(NamedTuple):
+    """How the currents of a log follow at the one rate that fits them best."""
+
+    shown: list[ReferenceFollowing]
+    ramp: float  # rows that the largest change of a reference takes
+
+
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
     followed = [(record, one) for record in records if (one := follow(record, model)) is not None]
@@ -57,9 +65,11 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     leaps_missed = any(changes_between(one.missed, one.leaping) for one in shown)
     against = against_next([one.foresight for one in shown])
     between = against > MISSED
-    if not between and (leaps_missed or any(misses(*one[:3]).any() for one in shown)):
-        shown = at_one_rate(leaping, model)
-        leaps_missed = between = any(changes_between(one.missed, one.leaping) for one in shown)
+    if not between and (leaps_missed or sum(int(misses(*one[:3]).sum()) for one in shown) >= FEWEST):
+        limited = at_one_rate(leaping, model)
+        between = leaps_missed and any(changes_between(one.missed, one.leaping) for one in limited.shown)
+        if limited.ramp <= SHORT_RAMP:
+            shown, leaps_missed = limited.shown, between
     held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
     held &= not leaps_missed and not between and against < DOUBTED
     return [
@@ -70,7 +80,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     ]
 
 
-def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> list[ReferenceFollowing]:
+def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> LimitedFollowing:
     """How currents follow if the drive limits their rate, under the one limit that fits all runs best.
 
     followed : each run, and how its current follows without a limit.
@@ -91,7 +101,8 @@ def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Mo
     grid = np.log(RAMPS)
     best = int(np.argmin([squares_missed(one) for one in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    return at(float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": CLOSE}).x))
+    log_rows = float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": CLOSE}).x)
+    return LimitedFollowing(at(log_rows), math.exp(log_rows))
 
 
 def against_next(shares: Sequence[tuple[float, float]]) -> float:
