@@ -19,7 +19,7 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
-    explains = 0.75  # the moment within an interval at which a command comes is not known
+    explains = 0.75  # in many a log the moment within an interval at which a command comes is not known
     shaped = True
     forms = ((0.0015,), (0.0032,), (0.0068,), (0.0145,), (0.03,), (0.06,), (0.12,), (0.25,), (0.5,))
     form_scales = ("highest rate",)

@@ -73,7 +73,7 @@ class Signals:
     fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
     current: Array | None = None
     command: Array | None = None  # A, that the model's loop is to follow over each interval
-    command_held: bool = False  # whether it is known to step where an interval begins, and to hold from there
+    command_held: bool = False  # as far as the log tells: it steps where an interval begins and holds from there
     following: Array | None = None  # A, what the model's loop makes of the reference, as the current is read
     # the same of a command that ramps from where an interval begins: its ends, the share it ramps for, where it began
     looped: Callable[[Array, Array, float], Array] | None = None
