@@ -188,9 +188,11 @@ class JointEffects:
             before, most = (
                 (0.0, of["current"]) if name == "torque_limit" else (self._now["command"], of["rate"] * interval)
             )
-            wanted = before + min(max(wanted - before, -most), most)
+            change = min(max(wanted - before, -most), most)
+            wanted = before + change
             if name == "command_slew_limit":
                 self._now["command"] = wanted
+                wanted -= 0.5 * change * abs(change) / most  # the mean of a step that ramps there and holds
         for of in self._each("power_foldback"):
             most = of["power"] / at["torque_constant"] / abs(speed) if speed else math.inf
             wanted = min(max(wanted, -most), most)
