@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import ramp_shares, rate_limited
+from leactl.effects.shapes import ramp_means, ramp_shares, rate_limited
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -60,4 +60,4 @@ def limited_means(values: Array, most: float) -> Array:
     """Means over short steps of what follows values by at most so much in a step, from the first value on."""
     begin = float(values[0])
     ends = rate_limited(values, most, begin)
-    return np.asarray(ends - 0.5 * np.diff(ends, prepend=begin) * ramp_shares(ends, most, begin), np.float64)
+    return ramp_means(ends, ramp_shares(ends, most, begin), begin)

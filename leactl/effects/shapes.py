@@ -91,3 +91,8 @@ def rate_limited(values: Array, step: float, begin: float | None = None) -> Arra
 def ramp_shares(values: Array, step: float, begin: float) -> Array:
     """Share of each interval, up to 1, that a ramp of at most so much in an interval takes to the next value."""
     return np.minimum(np.abs(np.diff(values, prepend=begin)) / step, 1.0)
+
+
+def ramp_means(ends: Array, shares: Array, begin: float) -> Array:
+    """Mean over each interval of what ramps to its end over a share of it and then holds."""
+    return np.asarray(ends - 0.5 * np.diff(ends, prepend=begin) * shares, np.float64)

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
-from leactl.effects.shapes import play
+from leactl.effects.shapes import play, ramp_means
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds
@@ -166,7 +166,7 @@ def loop(
         change = np.diff(command, prepend=before)
         lasts = np.maximum(shares * interval / constant, SHORTEST)
         driven = driven - change * (np.exp(lasts - interval / constant) - decay * (1.0 + lasts)) / lasts
-        means = command - 0.5 * change * shares
+        means = ramp_means(command, shares, before)
     ends: Array = lfilter([1.0], [1.0, -decay], driven, zi=[decay * before])[0]
     return ends, np.asarray(means - (constant / interval) * np.diff(ends, prepend=before), np.float64)
 
