@@ -29,13 +29,14 @@ class CommandSlewLimit(Effect):
         if signals.command is None or signals.following is None or signals.looped is None:
             return {}
         most = form[0] * signals.interval
-        # a run may begin during a ramp
+        # a run may begin during a ramp: where the current is, not where the command wants it
         begin = float(signals.command[0] if signals.current is None else signals.current[0])
         ends = rate_limited(signals.command, most, begin)
         shares = ramp_shares(ends, most, begin)
-        if not signals.command_held:  # a ramp within one interval counts as a step, whose moment may be any
-            limited = shares > 1.0 - ROUNDING
-            shares = np.where(limited | np.append(False, limited[:-1]), shares, 0.0)
+        if not signals.command_held:
+            # the command may change anywhere in an interval: a ramp counts in those that it fills and where it ends
+            filled = shares > 1.0 - ROUNDING
+            shares = np.where(filled | np.append(False, filled[:-1]), shares, 0.0)
         return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
@@ -57,7 +58,7 @@ class CommandSlewLimit(Effect):
 
 
 def limited_means(values: Array, most: float) -> Array:
-    """Means over short steps of what follows values by at most so much in a step, from the first value on."""
+    """Mean over each step of what follows values by no more than `most` in a step, from the first value on."""
     begin = float(values[0])
     ends = rate_limited(values, most, begin)
     return ramp_means(ends, ramp_shares(ends, most, begin), begin)

@@ -75,7 +75,8 @@ class Signals:
     command: Array | None = None  # A, that the model's loop is to follow over each interval
     command_held: bool = False  # as far as the log tells: it steps where an interval begins and holds from there
     following: Array | None = None  # A, what the model's loop makes of the reference, as the current is read
-    # the same of a command that ramps from where an interval begins: its ends, the share it ramps for, where it began
+    # the same of a command that ramps to its value as each interval begins, then holds: called with the values, the
+    # share of each interval that the ramp takes, and the value before the first
     looped: Callable[[Array, Array, float], Array] | None = None
     voltage: Array | None = None
     angle: Array | None = None

@@ -61,7 +61,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.command_held = not (unsaid or clock.setpoints_between or moved_by_a_servo(clock))
         ends, means = loop(reference, bandwidth, dt)
         s.command, s.following = reference, means if as_means else ends
-        s.looped = partial(read_of_ramps, bandwidth=bandwidth, interval=dt, as_mean=as_means)
+        s.looped = partial(loop_reading, bandwidth=bandwidth, interval=dt, as_mean=as_means)
         if not as_means and current is not None and not moved_by_a_servo(clock):
             current = current + means - middle(ends)  # what a step does between two instants
     if current is not None:
@@ -152,10 +152,10 @@ def led(reference: Array, bench: BenchModel, interval: float) -> Array:
 def loop(
     command: Array, bandwidth: float, interval: float, begin: float | None = None, shares: Array | None = None
 ) -> tuple[Array, Array]:
-    """A first-order loop's answer to a command, settled before the first interval: at each end, and each mean.
+    """What a first-order loop makes of a command: its values at the ends of intervals, and its means over them.
 
-    command : A, at the end of each interval; it holds over the interval, or ramps there over a share of it first.
-    begin : A, before the first interval; by default the first value.
+    command : A; over each interval it holds, or first ramps to its value over a share of the interval.
+    begin : A, at which the command and the loop are before the first interval; by default the first value.
     shares : of each interval, that a ramp to its value takes, 0 to 1; by default none.
     """
     constant = 1.0 / (2.0 * np.pi * bandwidth)
@@ -165,17 +165,19 @@ def loop(
     if shares is not None:
         change = np.diff(command, prepend=before)
         lasts = np.maximum(shares * interval / constant, SHORTEST)
+        # what a ramp still lacks of its end, change * (1 - t / lasts), as the loop remembers it when the interval ends
         driven = driven - change * (np.exp(lasts - interval / constant) - decay * (1.0 + lasts)) / lasts
         means = ramp_means(command, shares, before)
     ends: Array = lfilter([1.0], [1.0, -decay], driven, zi=[decay * before])[0]
     return ends, np.asarray(means - (constant / interval) * np.diff(ends, prepend=before), np.float64)
 
 
-def read_of_ramps(
+def loop_reading(
     command: Array, shares: Array, begin: float, bandwidth: float, interval: float, as_mean: bool
 ) -> Array:
     """Of a loop's answer what the current's channel reads: its mean over each interval, or its end."""
-    return loop(command, bandwidth, interval, begin, shares)[int(as_mean)]
+    ends, means = loop(command, bandwidth, interval, begin, shares)
+    return means if as_mean else ends
 
 
 def settled(s: Signals, swing: float) -> Mask:

@@ -36,7 +36,7 @@ SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, 
 BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
 SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
 RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
-SHORT_RAMP = 2.0  # rows, up to which the row of a leap tells when in its interval the ramp began
+SHORT_RAMP = 2.0  # rows of the longest ramp whose first row still tells when in it the ramp began
 CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
 
 
@@ -66,6 +66,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     against = against_next([one.foresight for one in shown])
     between = against > MISSED
     if not between and (leaps_missed or sum(int(misses(*one[:3]).sum()) for one in shown) >= FEWEST):
+        # only what no rate explains is between rows; whether rows hold, a longer ramp than a short one cannot show
         limited = at_one_rate(leaping, model)
         between = leaps_missed and any(changes_between(one.missed, one.leaping) for one in limited.shown)
         if limited.ramp <= SHORT_RAMP:
