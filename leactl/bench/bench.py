@@ -209,7 +209,7 @@ def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -
 
 def _port(name: str, bus: Bus, wiring: Wiring) -> CanPort | I2cPort | SerialPort:
     if isinstance(bus, CanBus):
-        return CanPort(wiring.can(name, bus), wiring.clock, name)
+        return CanPort(wiring.can(name, bus), wiring.clock, name, bus.returns_own)
     if isinstance(bus, LineBus):
         return SerialPort(wiring.serial(name, bus), wiring.clock, name)
     return I2cPort(wiring.i2c(name, bus), name)

@@ -36,6 +36,11 @@ class CanBus(Block):
     bitrate: Annotated[int, Field(strict=True, ge=10_000, le=1_000_000)] = 1_000_000
     options: dict[str, Any] = {}
 
+    @property
+    def returns_own(self) -> bool:
+        """Whether a port on it receives what it sends itself."""
+        return self.interface == "udp_multicast" or bool(self.options.get("receive_own_messages", False))
+
 
 class I2cBus(Block):
     """An I2C bus by its number, /dev/i2c-N."""

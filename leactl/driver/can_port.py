@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
 from leactl.driver.far_end import LAST_OF_11_BITS
-from leactl.driver.retries import Retries
+from leactl.driver.tally import Tally
 from leactl.errors import DeviceError, NoBus
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ FD_NEEDS = (
     "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
     " can bitrate 1000000 dbitrate 5000000 fd on"
 )
+LOOK_AT = "look at cable, termination and bit rate"
 BUS_OFF = 0x40  # class of an error frame (linux/can/error.h)
 
 
@@ -31,19 +32,26 @@ class CanPort:
     The port is synchronous: a callback runs only while the caller waits, and an error in it is raised to that caller.
     """
 
-    def __init__(self, connect: "Callable[[], can.BusABC]", clock: Clock, name: str = "can") -> None:
+    def __init__(
+        self, connect: "Callable[[], can.BusABC]", clock: Clock, name: str = "can", returns_own: bool = False
+    ) -> None:
+        """Make a port that is not connected yet.
+
+        returns_own : whether the bus brings back what this port sends, which CAN does not.
+        """
         from can import Message
 
         self._message = Message
         self._connect = connect
         self.clock, self._now = clock, clock.now
-        self.name = name
+        self.name, self.returns_own = name, returns_own
         self.bus: can.BusABC | None = None
         self._listeners: dict[int, Listener] = {}
         self._fd_listeners: dict[int, Listener] = {}
         self._sent: dict[int, can.Message] = {}
         self._users = 0
-        self.full = Retries()
+        self.full = Tally()
+        self.disturbed = Tally()
 
     @property
     def connected(self) -> bool:
@@ -168,12 +176,20 @@ class CanPort:
 
     def notices(self) -> list[str]:
         """One line for each notable event of the bus since the last call."""
-        if not (count := self.full.take_note()):
-            return []
-        return [
-            f"bus '{self.name}': a frame had to wait for room in the interface's queue, {count};"
-            " a longer one helps: ip link set CHANNEL txqueuelen 1000"
-        ]
+        told = []
+        if count := self.full.take_note():
+            told.append(
+                f"bus '{self.name}': a frame had to wait for room in the interface's queue, {count};"
+                " a longer one helps: ip link set CHANNEL txqueuelen 1000"
+            )
+        if count := self.disturbed.take_note():
+            told.append(f"bus '{self.name}': the controller reports an error by an error frame, {count}; {LOOK_AT}")
+        return told
+
+    def why_silent(self) -> str:
+        """What may explain that nobody answers, as the end of a sentence; empty where the bus shows no error."""
+        count = self.disturbed.count
+        return f"; the bus '{self.name}' has shown {count} error frames: {LOOK_AT}" if count else ""
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
         """Dispatch frames until listeners have set all of `came`, or until the deadline; True if all are set.
@@ -204,8 +220,9 @@ class CanPort:
                 if message.arbitration_id & BUS_OFF:
                     raise DeviceError(
                         f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
-                        " look at cable, termination and bit rate, then: leactl doctor"
+                        f" {LOOK_AT}, then: leactl doctor"
                     )
+                self.disturbed.count += 1
             elif message.is_fd:
                 listener = self._fd_listeners.get(message.arbitration_id)
                 if listener is not None:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
-from leactl.driver.retries import Retries
+from leactl.driver.tally import Tally
 from leactl.errors import DeviceError, NoAnswer
 
 ATTEMPTS = 3  # of a transfer of half a millisecond (three bytes and an address at 100 kHz)
@@ -42,7 +42,7 @@ class I2cPort:
         self.name = name
         self._bus: SmBus | None = None
         self._users = 0
-        self.unacknowledged = Retries()
+        self.unacknowledged = Tally()
 
     @property
     def connected(self) -> bool:

@@ -36,7 +36,7 @@ class ElmoBench:
         self.exact, self.clock, self.node = wire.exact, wire.clock, node
         self.far = wire.drive(node)
         self.tape: list[Frame] = []
-        self.port = CanPort(lambda: Tap(wire.connect(), self.tape), self.clock)
+        self.port = CanPort(lambda: Tap(wire.connect(), self.tape), self.clock, returns_own=wire.returns_own)
         checked = ElmoSettings(node=node, counts_per_turn=COUNTS, **(wire.settings | settings))
         self.drive = ElmoCan("drive", "test", checked, self.port, self.clock)
 

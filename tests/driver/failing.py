@@ -6,6 +6,7 @@ import time
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
+from leactl_plugins.elmo_can.dictionary import ABORT_RANGE, Abort
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
 from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, InterpreterError
 from leactl_plugins.korad_ka.emulator import KoradEmulator
@@ -45,7 +46,9 @@ class FailingDrive(ElmoEmulator):
         self._wire = wire
         self._deaf: set[int] = set()
         self._mute: set[int] = set()
+        self._refused: dict[int, int] = {}
         self._held_mode: int | None = None
+        self._torque_off = self._sizeless = self._doubled = False
         self._resets_in: float | None = None
         self._reset_begun = math.nan
         wire.devices.clear()
@@ -116,13 +119,14 @@ class FailingDrive(ElmoEmulator):
         if self._resets_in is not None and self.state == "fault" and word & 0x80 and not previous & 0x80:
             self._reset_begun = self._wire.clock.now()
             return
-        super()._control(previous, word)
+        super()._control(previous, 0 if self._torque_off else word)
 
     def _upload(self, index: int, sub: int) -> bytes:
         if self._resets_in is not None and self._wire.clock.now() - self._reset_begun >= self._resets_in:
             self._resets_in = None
             super()._control(0, 0x80)
-        return super()._upload(index, sub)
+        answer = super()._upload(index, sub)
+        return bytes([0x42]) + answer[1:] if self._sizeless else answer
 
     def ignore_writes(self, index: int) -> None:
         """Confirm writes to this object and forget them."""
@@ -132,9 +136,44 @@ class FailingDrive(ElmoEmulator):
         """Leave what is asked of this object unanswered, as a lost frame does."""
         self._mute.add(index)
 
+    def refuse(self, index: int, code: int) -> None:
+        """Abort every transfer of this object with a code."""
+        self._refused[index] = code
+
+    def tell_no_sizes(self) -> None:
+        """Answer without saying how many of the four bytes count, as CiA 301 lets a server do."""
+        self._sizeless = True
+
+    def have_a_twin(self) -> None:
+        """Share the bus with a drive of the same node, which answers the same."""
+        self._doubled = True
+
+    def switch_torque_off(self, status: int) -> None:
+        """Be held out of operation by the safe torque off, whose object 0x2086 shows this."""
+        self._torque_off = True
+        self._values[0x2086, 0] = status
+
+    def have_no_remote_frames(self) -> None:
+        """Hold and insist on bit 30 in every COB-ID of a TPDO, as a drive that answers no remote frame may."""
+        for number in range(4):
+            self._values[0x1800 + number, 1] |= 1 << 30
+
+    def _check_special(self, index: int, sub: int, value: int) -> None:
+        if 0x1800 <= index <= 0x1803 and sub == 1 and (self._values[index, 1] & ~value) >> 30 & 1:
+            raise Abort(ABORT_RANGE)
+        super()._check_special(index, sub, value)
+
     def _answer(self, frame: Frame, now: float) -> list[Frame]:
-        asked = int.from_bytes(frame.data[1:3], "little") if frame.identifier == 0x600 + self.node else None
-        return [] if asked in self._mute else super()._answer(frame, now)
+        if frame.identifier != 0x600 + self.node:
+            return super()._answer(frame, now)
+        asked = int.from_bytes(frame.data[1:3], "little")
+        if asked in self._mute:
+            return []
+        if asked in self._refused:
+            refusal = b"\x80" + frame.data[1:4] + self._refused[asked].to_bytes(4, "little")
+            return [Frame(0x580 + self.node, refusal)]
+        answers = super()._answer(frame, now)
+        return answers * 2 if self._doubled else answers
 
     def cut_cable(self) -> None:
         """Let nothing through, either way."""

@@ -116,6 +116,17 @@ def test_a_controller_that_has_left_the_bus_is_told(port, monkeypatch, identifie
         assert not port.pump_until([False], 0.0)
 
 
+def test_error_frames_are_counted_and_told(port, monkeypatch):
+    frames = [can.Message(arbitration_id=0x04, is_error_frame=True, is_extended_id=False, data=bytes(8))] * 3
+    monkeypatch.setattr(port.bus, "recv", lambda timeout=None: frames.pop() if frames else None)
+    assert port.why_silent() == ""
+    port.pump_until([False], 0.0)
+    assert port.why_silent() == "; the bus 'can' has shown 3 error frames: look at cable, termination and bit rate"
+    [told] = port.notices()
+    assert told.startswith("bus 'can': the controller reports an error by an error frame, 3 so far; look at cable")
+    assert port.notices() == []
+
+
 def test_a_can_fd_frame_has_its_faster_rate_and_29_bits_where_11_are_too_few(port):
     for identifier in (0x100, 0x7FF, 0x800, 0x8001):
         port.send_fd(identifier, bytes(64))

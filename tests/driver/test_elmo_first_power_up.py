@@ -43,6 +43,70 @@ def test_a_heartbeat_by_the_hosts_own_number_refuses_the_start(make_bench):
         bench.drive.open()
 
 
+@pytest.mark.parametrize("make_bench", ["in_process"], indirect=True)
+def test_no_frame_of_another_master_makes_the_drive_deaf_to_a_foreign_heartbeat(bench):
+    bench.engage(Mode.CURRENT)
+    bench.far.say(0x601, "4041600000000000")
+    cycles(bench, 3)
+    bench.far.say(0x77E, "05")
+    with pytest.raises(DeviceFault, match="another device sends heartbeats as node 126"):
+        cycles(bench, 3)
+
+
+DEMANDS_OF_OTHERS = [
+    (0x201, "0f00c8000a", r"sends demands to node 1 \(0f00c8000a\)"),
+    (0x301, "", r"sends demands to node 1 \(an empty PDO\)"),
+    (0x501, "00", "sends demands to node 1"),
+    (0x601, "2b40600000000000", r"writes to node 1 by SDO \(2b40600000000000\)"),
+    (0x601, "c640600002000000", "writes to node 1 by SDO"),
+]
+
+
+@pytest.mark.parametrize("make_bench", ["in_process"], indirect=True)
+@pytest.mark.parametrize(("identifier", "data", "said"), DEMANDS_OF_OTHERS)
+def test_a_demand_of_another_master_ends_the_run(bench, identifier, data, said):
+    bench.engage(Mode.CURRENT)
+    bench.far.say(identifier, data)
+    with pytest.raises(DeviceFault, match=f"another master on the bus {said}"):
+        cycles(bench, 3)
+    assert bench.drive.safe_state(1.0).safe
+
+
+@pytest.mark.parametrize("make_bench", ["in_process"], indirect=True)
+@pytest.mark.parametrize(("identifier", "data", "said"), DEMANDS_OF_OTHERS)
+def test_a_demand_of_another_master_refuses_the_start(make_bench, identifier, data, said):
+    bench = make_bench()
+    bench.far.say(identifier, data)
+    with pytest.raises(DeviceFault, match=f"another master on the bus {said}"):
+        bench.drive.open()
+
+
+@pytest.mark.parametrize("make_bench", ["in_process"], indirect=True)
+def test_another_master_that_reads_is_told_once(bench):
+    bench.engage(Mode.CURRENT)
+    for _ in range(3):
+        bench.far.say(0x601, "4041600000000000")
+        cycles(bench, 3)
+    [told] = [text for text in bench.drive.notices() if "another master" in text]
+    assert told.startswith("another master on the bus reads from node 1 by SDO (4041600000000000)")
+
+
+def test_what_another_master_has_mapped_is_made_invalid(make_bench):
+    bench = make_bench()
+    for index in (0x1402, 0x1802):
+        bench.far.hold(index, 2, 1)
+    bench.drive.open()
+    valid = [k for k in (*range(0x1400, 0x1404), *range(0x1800, 0x1804)) if not bench.far.holds(k, 1) >> 31]
+    assert valid == [0x1400, 0x1401, 0x1800, 0x1801, 0x1803]  # the last one tells changes of state
+
+
+def test_two_drives_with_one_node_are_told(make_bench):
+    bench = make_bench()
+    bench.far.have_a_twin()
+    with pytest.raises(DeviceError, match=r"two devices answer as node 1: connect one of them alone"):
+        bench.drive.open()
+
+
 def test_offsets_of_another_master_are_added_to_nothing(make_bench):
     bench = make_bench()
     bench.far.hold(0x60B0, 0, 4000)
@@ -68,11 +132,40 @@ def test_an_offset_that_stays_refuses_the_start(make_bench):
 def test_a_firmware_without_any_of_these_objects_is_met_all_the_same(make_bench):
     bench = make_bench()
     absent = [(0x607E, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C2, 1), (0x60C2, 2), (0x6502, 0)]
+    absent += [(0x1006, 0)]
     absent += [(index, sub) for index in (0x607B, 0x608F, 0x6091, 0x6092) for sub in (1, 2)]
     for place in absent:
         bench.far.lack(*place)
     bench.drive.open()
     bench.drive.pace(0.02)
+    bench.engage(Mode.CURRENT)
+
+
+@pytest.mark.parametrize("index", [0x607E, 0x608F, 0x3034, 0x607B, 0x6502, 0x60B2])
+@pytest.mark.parametrize("code", [0x08000022, 0x05040000, 0x06010001])
+def test_a_refusal_is_not_taken_for_an_object_that_the_drive_lacks(make_bench, index, code):
+    bench = make_bench()
+    bench.far.refuse(index, code)
+    with pytest.raises(DeviceError, match=rf"0x{index:04X}:\d+ refused, abort 0x{code:08X}"):
+        bench.drive.open()
+    assert bench.far.follows()[0] == "off"
+
+
+def test_a_drive_that_tells_no_sizes_is_met_all_the_same(make_bench):
+    bench = make_bench()
+    bench.far.tell_no_sizes()
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+    bench.drive.command(0.1)
+    bench.cycle()
+    assert bench.far.follows() == ["current", pytest.approx(q_axis(7))]
+
+
+def test_a_drive_without_remote_frames_keeps_saying_so(make_bench):
+    bench = make_bench()
+    bench.far.have_no_remote_frames()
+    bench.drive.open()
+    assert bench.far.holds(0x1800, 1) == 1 << 30 | 0x181
     bench.engage(Mode.CURRENT)
 
 
@@ -170,6 +263,23 @@ def test_a_drive_is_enabled_in_the_mode_that_was_asked_for_alone(bench):
     assert struct.pack("<ii", 1592, 0) in bench.sent(0x301)  # what was left there is overwritten before
 
 
+@pytest.mark.parametrize("lacks_status", [False, True])
+def test_a_drive_that_its_safe_torque_off_holds_back_is_told(bench, lacks_status):
+    bench.far.switch_torque_off(0x2)
+    if lacks_status:
+        bench.far.lack(0x2086, 0)
+    bench.drive.engage(Mode.CURRENT)
+    refused_by = bench.clock.now() + 2 * ENABLE_TIME_S
+    with pytest.raises(NoAnswer) as told:
+        while bench.clock.now() < refused_by:
+            bench.cycle()
+    status = "" if lacks_status else ", safe torque off 0x2086 is 0x00000002"
+    assert str(told.value) == (
+        f"drive: not in operation after 2 s: switch on disabled, statusword 0x0240{status}; look at its safe torque"
+        " off, its inhibit inputs and its brake"
+    )
+
+
 def test_a_mode_that_the_drive_lacks_is_refused(make_bench):
     bench = make_bench()
     bench.far.hold(0x6502, 0, 0x001)
@@ -189,6 +299,7 @@ def test_a_drive_that_drops_out_between_two_syncs_is_noticed_although_the_held_w
 def test_setpoints_come_as_often_as_the_drive_is_told_and_its_own_time_is_given_back(make_bench):
     bench = make_bench()
     bench.far.hold(0x60C2, 1, 4)
+    bench.far.hold(0x1006, 0, 4000)
     for period, held in (
         (0.02, (20, -3)),
         (0.001, (1, -3)),
@@ -199,9 +310,10 @@ def test_setpoints_come_as_often_as_the_drive_is_told_and_its_own_time_is_given_
         bench.drive.open()
         bench.drive.pace(period)
         assert (bench.far.holds(0x60C2, 1), bench.far.holds(0x60C2, 2)) == held
+        assert bench.far.holds(0x1006, 0) == round(1e6 * period)
         assert bench.drive.safe_state(1.0).safe
         bench.drive.close()
-        assert (bench.far.holds(0x60C2, 1), bench.far.holds(0x60C2, 2)) == (4, -3)
+        assert (bench.far.holds(0x60C2, 1), bench.far.holds(0x60C2, 2), bench.far.holds(0x1006, 0)) == (4, -3, 4000)
 
 
 # -- beginning and end -------------------------------------------------------------------------------------------------

@@ -232,7 +232,7 @@ def test_a_pdo_of_another_length_is_named_with_both(here, frame, said):
         here.cycle()
 
 
-@pytest.mark.parametrize("answer", ["8079600000000206", "4b79600010270000", "4279600010270000"])
+@pytest.mark.parametrize("answer", ["8079600000000206", "4b79600010270000", "4f79600010000000"])
 def test_a_bus_voltage_that_is_refused_is_noticed_once(here, answer):
     receive = here.far.receive
 

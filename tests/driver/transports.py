@@ -32,6 +32,7 @@ class CanInProcess:
     """An emulated wire; every answer is there when `send` returns, and time passes only by waiting."""
 
     exact = True
+    returns_own = False
     settings = {}
 
     def __init__(self):
@@ -52,8 +53,8 @@ class CanElsewhere:
     settings = {"consumer_heartbeat_ms": 1000, "sdo_timeout_s": 1.0}
 
     def __init__(self, process, place, kind="failing"):
-        self.clock = MonotonicClock()
-        self.connect = MachineWiring().can("can0", CanBus(kind="can", **place))
+        self.clock, bus = MonotonicClock(), CanBus(kind="can", **place)
+        self.connect, self.returns_own = MachineWiring().can("can0", bus), bus.returns_own
         self._process, self._kind = process, kind
 
     def drive(self, node):

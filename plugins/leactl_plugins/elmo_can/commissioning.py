@@ -1,6 +1,7 @@
 """Set up a drive by SDO before it may run: identity, faults, scales, monitoring of the host, PDOs."""
 
 import math
+from typing import NamedTuple
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Identity
@@ -8,7 +9,7 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl_plugins.elmo.fault_names import CODES
 from leactl_plugins.elmo_can import cia402
 from leactl_plugins.elmo_can.cia402 import FAULTS
-from leactl_plugins.elmo_can.sdo import Sdo
+from leactl_plugins.elmo_can.sdo import Refused, Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
 TURNED = 0xC0  # bits of 0x607E that turn position and velocity
@@ -18,6 +19,10 @@ RESET_S = 0.5  # that a drive may take to leave its fault
 MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 holds
 ON_CHANGE = 255  # transmission type of a TPDO that is sent when what it holds has changed
 INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
+INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, tables 66 and 71)
+# no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
+ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
+TWICE_S = 0.01  # in which a second device with the same node has answered as well
 CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
 
 
@@ -45,13 +50,36 @@ def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
     Raises
     ------
     NoAnswer : the node does not answer.
+    DeviceError : it refuses for another reason than that it lacks the object.
     """
     try:
         return sdo.read(index, sub, kind)
+    except Refused as refusal:
+        if refusal.code in ABSENT:
+            return None
+        raise
+
+
+def identity_number(sdo: Sdo, index: int, sub: int) -> int | None:
+    """A number of 32 bits that a node tells of itself; None where it refuses.
+
+    Raises
+    ------
+    NoAnswer : the node does not answer.
+    """
+    try:
+        return sdo.read(index, sub, "u32")
     except NoAnswer:
         raise
     except DeviceError:
         return None
+
+
+class SetpointTime(NamedTuple):
+    """What a drive knows of the time between two setpoints; None where it lacks the object."""
+
+    interpolation: tuple[int, int] | None  # units and exponent of 0x60C2
+    sync_us: int | None  # 0x1006, the time between two SYNCs; 0 where it is not told
 
 
 def identity_of(sdo: Sdo) -> Identity:
@@ -63,10 +91,10 @@ def identity_of(sdo: Sdo) -> Identity:
     """
     name, hardware, software = (_text(sdo, index) for index in (0x1008, 0x1009, 0x100A))
     model = f"{name}, hardware {hardware}" if name and hardware else name
-    serial = held(sdo, 0x1018, 4, "u32")
+    serial = identity_number(sdo, 0x1018, 4)
     if not model:
         kind, product, revision = (
-            held(sdo, index, sub, "u32") or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
+            identity_number(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
         )
         model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
     return Identity(model, str(serial or ""), software)
@@ -86,9 +114,16 @@ class Commissioning:
         self._name, self._settings, self._sdo, self._clock = name, settings, sdo, clock
 
     def check_identity(self) -> None:
-        """Raise DeviceError if the vendor is another one than in the settings."""
+        """Raise DeviceError if the vendor is another one than in the settings, or if two devices have the node."""
         expected = self._settings.vendor_id
         vendor = self._sdo.read(0x1018, 1, "u32")
+        if self._sdo.is_answered_twice(TWICE_S):
+            self._sdo.read(0x1018, 1, "u32")  # once more: a bus may bring one frame twice
+            if self._sdo.is_answered_twice(TWICE_S):
+                raise DeviceError(
+                    f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
+                    " give it another number"
+                )
         if expected is not None and vendor != expected:
             node = self._settings.node
             raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
@@ -205,26 +240,39 @@ class Commissioning:
         low, high = (self._number(0x607B, sub, "i32") for sub in (1, 2))
         return (low, high) if low < high else OF_32_BITS
 
-    def expect_setpoints_every(self, period: float) -> tuple[int, int] | None:
-        """Set the time between two setpoints [s], over which the drive interpolates; returns the value before.
+    def expect_setpoints_every(self, period: float) -> SetpointTime:
+        """Set the time between two setpoints [s], over which the drive interpolates; returns what it knew before.
 
-        A time that the object cannot represent is rounded up, because an early setpoint does no harm. Returns None if
-        the drive lacks the object (CiA 402, 0x60C2).
+        It is told twice: as time of interpolation (CiA 402, 0x60C2), rounded up where the object cannot hold it,
+        because an early setpoint does no harm; and as period of the SYNC (CiA 301, 0x1006).
 
         Raises
         ------
-        DeviceError : the time reads back as another value.
+        DeviceError : a time reads back as another value.
         """
         units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
-        if units is None or exponent is None:
-            return None
-        self.set_interpolation(*interpolation_time(period))
-        return units, exponent
+        interpolation = None if units is None or exponent is None else (units, exponent)
+        before = SetpointTime(interpolation, held(self._sdo, 0x1006, 0, "u32"))
+        self.set_setpoint_time(
+            SetpointTime(
+                interpolation and interpolation_time(period), None if before.sync_us is None else round(1e6 * period)
+            )
+        )
+        return before
 
-    def set_interpolation(self, units: int, exponent: int) -> None:
-        """Set the interpolation time to `units` times ten to the `exponent` [s]."""
-        self._sdo.write_verified(0x60C2, 2, "i8", exponent)
-        self._sdo.write_verified(0x60C2, 1, "u8", units)
+    def set_setpoint_time(self, time: SetpointTime) -> None:
+        """Set what the drive knows of the time between two setpoints, as far as it has the objects.
+
+        Raises
+        ------
+        DeviceError : a time reads back as another value.
+        """
+        if time.interpolation is not None:
+            units, exponent = time.interpolation
+            self._sdo.write_verified(0x60C2, 2, "i8", exponent)
+            self._sdo.write_verified(0x60C2, 1, "u8", units)
+        if time.sync_us is not None:
+            self._sdo.write_verified(0x1006, 0, "u32", time.sync_us)
 
     def disarm_dead_man(self) -> None:
         """End the monitoring of the host, which a drive out of operation does not need."""
@@ -260,24 +308,36 @@ class Commissioning:
         self._sdo.write(0x1017, 0, "u16", self._settings.producer_heartbeat_ms)
 
     def map_pdos(self) -> None:
-        """Map the exchange of a cycle to PDOs that act at the SYNC; the node has to be pre-operational."""
+        """Map the exchange of a cycle to PDOs that act at the SYNC; the node has to be pre-operational.
+
+        All others are made invalid: what another master has left there would act on this drive or load the bus.
+        """
         node = self._settings.node
         self._map(0x1400, 0x1600, 0x200 + node, (0x60400010, 0x60710010, 0x60600008))
         self._map(0x1401, 0x1601, 0x300 + node, (0x607A0020, 0x60FF0020))
         self._map(0x1800, 0x1A00, 0x180 + node, (0x60410010, 0x60610008, 0x60770010, 0x60780010))
         self._map(0x1801, 0x1A01, 0x280 + node, (0x60640020, 0x606C0020))
         voltage = self._settings.q_axis_voltage
+        mapped = set()
         if voltage is not None:
+            mapped.add(0x1802)
             bits = 16 if voltage.type == "i16" else 32
             self._map(0x1802, 0x1A02, 0x380 + node, (voltage.index << 16 | voltage.subindex << 8 | bits,))
         clock = self._settings.drive_clock
         if clock is not None:
+            mapped.add(0x1803)
             self._map(0x1803, 0x1A03, 0x480 + node, (clock.index << 16 | clock.subindex << 8 | 32,), CLOCK_EVERY)
         number = event_tpdo(self._settings)
         if number is not None:
+            mapped.add(0x1800 + number)
             self._map(
                 0x1800 + number, 0x1A00 + number, 0x180 + 0x100 * number + node, (0x60410010,), ON_CHANGE, INHIBIT_100US
             )
+        unused = {0x1402, 0x1403, 0x1802, 0x1803} - mapped
+        for communication in sorted(unused):
+            identifier = held(self._sdo, communication, 1, "u32")
+            if identifier is not None and not identifier & INVALID:
+                self._sdo.write(communication, 1, "u32", INVALID | identifier)
         if self._settings.torque_slope_per_mille_s is not None:
             self._sdo.write_verified(0x6087, 0, "u32", self._settings.torque_slope_per_mille_s)
 
@@ -290,8 +350,12 @@ class Commissioning:
         kind: int = 1,
         inhibit: int | None = None,
     ) -> None:
-        """Remap one PDO in the order of CiA 301: invalid, type, inhibit time, empty, entries, count, valid."""
-        self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
+        """Remap one PDO in the order of CiA 301: invalid, type, inhibit time, empty, entries, count, valid.
+
+        Whether it may be asked for by a remote frame stays as it is: a drive that knows none refuses a change.
+        """
+        identifier |= self._sdo.read(communication, 1, "u32") & WITHOUT_REQUEST
+        self._sdo.write(communication, 1, "u32", INVALID | identifier)
         self._sdo.write(communication, 2, "u8", kind)
         if inhibit is not None:
             self._sdo.write(communication, 3, "u16", inhibit)

@@ -40,6 +40,7 @@ def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
         (0x1000, 0): ObjectEntry("u32", default=0x00020192),
         (0x1001, 0): ObjectEntry("u8"),
         (0x1003, 0): ObjectEntry("u8", writable=True, high=0),
+        (0x1006, 0): ObjectEntry("u32", writable=True),
         (0x100B, 0): ObjectEntry("u8", default=node),
         (0x1016, 1): ObjectEntry("u32", writable=True),
         (0x1016, 2): ObjectEntry("u32", writable=True),
@@ -82,6 +83,7 @@ def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
         (0x60C2, 2): ObjectEntry("i8", writable=True, default=-3, low=-6, high=-2),
         (0x60FF, 0): ObjectEntry("i32", writable=True, mappable=True),
         (0x6502, 0): ObjectEntry("u32", default=0x3ED),
+        (0x2086, 0): ObjectEntry("u32"),
         (0x22A2, 0): ObjectEntry("u16", mappable=True, default=35),
     }
     defaults = {0x1400: 0x60400010, 0x1800: 0x60410010}

@@ -21,7 +21,7 @@ from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS, DriveState
-from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
+from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, SetpointTime, event_tpdo
 from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
@@ -48,6 +48,14 @@ ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 BUS_VOLTAGE = bytes.fromhex("796000")  # index and subindex in an SDO frame
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
+STO_STATUS = bytes.fromhex("862000")  # of the safe torque off (Elmo's Gold EDS)
+READ_STO_STATUS = bytes.fromhex("4086200000000000")
+FOUR_BYTES = (
+    0x43,
+    0x42,
+)  # first byte of an answer with four, of the latter without saying how many (CiA 301, 7.2.4.3.5)
+DOWNLOADS = (1, 6)  # first three bits of a client's request to write: at once or in segments, and in blocks
+APART_S = 0.02  # between two questions by SDO, of which a drive takes one at a time
 NAN, NEVER = math.nan, -math.inf
 LATE_S = 0.05  # that an answer may be late, which is as old as the supervisor lets a reading be at 60 Hz and above
 CLOCKS_APART = 2e-4  # s in a second, that the drive's clock may go faster than the host's
@@ -97,9 +105,11 @@ class _Standing:
         self.most_per_mille = 0  # of its rated current that it lets flow
         self.modes = ALL_MODES  # bits of those that it knows
         self.voltage_refused = False  # 0x6079 was answered otherwise than by four bytes
-        self.echoes = False  # the bus brings back what the host sends
+        self.sto_asked = False  # since it was told to enter operation
+        self.sto_status: int | None = None  # 0x2086, if it has told
+        self.is_read_by_others = False
         self.safe = False  # it has confirmed so, and nothing was asked of it since
-        self.interpolation: tuple[int, int] | None = None  # units and exponent of 0x60C2 that it had before
+        self.setpoint_time: SetpointTime | None = None  # that it knew before
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = self.quiet_of_answers_until = -math.inf
@@ -238,7 +248,7 @@ class ElmoCan(Driver):
         return self._standing.identity
 
     def close(self) -> None:
-        """Stop listening and close the bus; a safe drive gets its interpolation time back and its monitoring ends."""
+        """Stop listening and close the bus; a safe drive gets its setpoint time back and its monitoring ends."""
         if self._opened:
             if self._standing.safe and self._standing.started:
                 with suppress(DeviceError):  # it is safe, which is what counts
@@ -251,8 +261,8 @@ class ElmoCan(Driver):
     def _leave_as_met(self) -> None:
         setup = self._setup()
         setup.disarm_dead_man()
-        if self._standing.interpolation is not None:
-            setup.set_interpolation(*self._standing.interpolation)
+        if self._standing.setpoint_time is not None:
+            setup.set_setpoint_time(self._standing.setpoint_time)
 
     def _setup(self) -> Commissioning:
         return Commissioning(self.name, self.settings, self._sdo, self._clock)
@@ -297,13 +307,14 @@ class ElmoCan(Driver):
                 f" 0x{self._standing.modes:08X})"
             )
         self._turn_to(mode)
-        self._position.located = self._standing.safe = False
+        self._position.located = self._standing.safe = self._standing.sto_asked = False
+        self._standing.sto_status = None
         self._enable_by = self._clock.now() + ENABLE_TIME_S
 
     def pace(self, period: float) -> None:
         """Set the time between setpoints [s]; the drive's own value is restored at `close`."""
         before = self._setup().expect_setpoints_every(period)
-        self._standing.interpolation = self._standing.interpolation or before
+        self._standing.setpoint_time = self._standing.setpoint_time or before
 
     def release(self) -> None:
         """Begin to leave operation; no current flows once the drive has left it."""
@@ -465,6 +476,13 @@ class ElmoCan(Driver):
     def _identifiers(self) -> dict[int, Any]:
         number = event_tpdo(self.settings)
         on_change = {} if number is None else {0x180 + 0x100 * number + self._node: self._on_change}
+        of_masters: dict[int, Any] = {}
+        if not self._port.returns_own:  # else these may be the host's own
+            of_masters = dict.fromkeys(
+                (base + self._node for base in range(0x200, 0x600, 0x100)), self._on_other_demand
+            )
+            of_masters[0x600 + self._node] = self._on_other_request
+            of_masters[0x700 + self.settings.host_node] = self._on_other_host
         return {
             0x080 + self._node: self._on_emergency,
             0x180 + self._node: self._on_status,
@@ -473,9 +491,8 @@ class ElmoCan(Driver):
             0x480 + self._node: self._on_clock,
             0x580 + self._node: self._on_sdo,
             0x700 + self._node: self._on_heartbeat,
-            0x600 + self._node: self._on_echo,
-            0x700 + self.settings.host_node: self._on_other_host,
             **on_change,
+            **of_masters,
         }
 
     def _nmt(self, command: int) -> None:
@@ -588,23 +605,39 @@ class ElmoCan(Driver):
             self._emergency = f"left operation by itself, {state}, statusword 0x{int.from_bytes(data, 'little'):04X}"
 
     def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:
-        """Report a heartbeat with the host's node from another device; a CAN bus does not return own frames."""
-        if self._standing.echoes:
-            return
+        """Report a heartbeat with the host's node from another device."""
         node = self.settings.host_node
         self._emergency = self._emergency or (
             f"another device sends heartbeats as node {node} (0x{0x700 + node:03X}), so that the drive would not notice"
             " the host's end; give host_node a number that no device on the bus has"
         )
 
-    def _on_echo(self, _data: bytearray, _timestamp: float) -> None:
-        """Notice an own request, which udp_multicast returns; own heartbeats will then come back too."""
-        self._standing.echoes = True
+    def _on_other_demand(self, data: bytearray, _timestamp: float) -> None:
+        """Report a demand of another master, which the drive may have followed."""
+        self._emergency = self._emergency or (
+            f"another master on the bus sends demands to node {self._node} ({bytes(data).hex() or 'an empty PDO'})"
+        )
+
+    def _on_other_request(self, data: bytearray, _timestamp: float) -> None:
+        """Report another master's SDO: one that writes ends the run, one that reads is told once."""
+        standing = self._standing
+        shown = f"by SDO ({bytes(data).hex() or 'empty'})"
+        if data and data[0] >> 5 in DOWNLOADS:
+            self._emergency = self._emergency or f"another master on the bus writes to node {self._node} {shown}"
+        elif not standing.is_read_by_others:
+            standing.is_read_by_others = True
+            standing.notices.append(
+                f"another master on the bus reads from node {self._node} {shown}; answers to both may be mixed up"
+            )
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
-        if data[1:4] != BUS_VOLTAGE:
+        has_four = len(data) == 8 and data[0] in FOUR_BYTES
+        if data[1:4] == STO_STATUS:
+            if has_four:
+                self._standing.sto_status = int.from_bytes(data[4:8], "little")
+        elif data[1:4] != BUS_VOLTAGE:
             self._sdo.on_frame(data, timestamp)
-        elif data[0] == 0x43 and len(data) == 8:  # four bytes
+        elif has_four:
             self._standing.rows.append(
                 Row(f"{self.name}_supply", self._clock.now(), (int.from_bytes(data[4:8], "little") * 1e-3,))
             )
@@ -657,8 +690,17 @@ class ElmoCan(Driver):
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
+        standing = self._standing
+        if now > self._enable_by - ENABLE_TIME_S / 2 and not standing.sto_asked and now > self._life.asked + APART_S:
+            standing.sto_asked, self._life.asked = True, now
+            self._port.send(0x600 + self._node, READ_STO_STATUS)
         if now > self._enable_by:
+            reasons = [f"{self.state}, statusword 0x{self.statusword:04X}"]
+            if self._shown_mode != self._mode_number:
+                reasons.append(f"mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for")
+            if standing.sto_status is not None:
+                reasons.append(f"safe torque off 0x2086 is 0x{standing.sto_status:08X}")
             raise NoAnswer(
-                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X},"
-                f" mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for"
+                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {', '.join(reasons)}; look at its safe"
+                " torque off, its inhibit inputs and its brake"
             )

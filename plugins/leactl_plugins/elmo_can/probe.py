@@ -8,7 +8,7 @@ from leactl.driver.can_port import NMT_ID, SYNC_ID, CanPort
 from leactl.driver.far_end import Frame
 from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl.errors import NoAnswer
-from leactl_plugins.elmo_can.commissioning import held, identity_of
+from leactl_plugins.elmo_can.commissioning import identity_number, identity_of
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings, identifiers_of
 
@@ -112,14 +112,14 @@ def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Si
     sdo = Sdo(port, node, ANSWER_S)
     port.listen(ANSWER + node, sdo.on_frame)
     try:
-        vendor, product, revision = (held(sdo, 0x1018, sub, "u32") for sub in (1, 2, 3))
+        vendor, product, revision = (identity_number(sdo, 0x1018, sub) for sub in (1, 2, 3))
         identity = identity_of(sdo)
     except NoAnswer as error:
         return f"{error}, although it answered before"
     finally:
         port.listen(ANSWER + node, None)
-    told = (("vendor", vendor), ("product", product), ("revision", revision))
-    detail = ", ".join(f"{word} 0x{value:08X}" for word, value in told if value is not None)
+    numbers = (("vendor", vendor), ("product", product), ("revision", revision))
+    detail = ", ".join(f"{word} 0x{value:08X}" for word, value in numbers if value is not None)
     if vendor != of_elmo:
         return Sighting(node, identity, None, f"CANopen, {detail or 'no identity object'}; not Elmo's")
     return Sighting(node, identity, {"node": node, **further}, detail)

@@ -13,6 +13,7 @@ from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
 FRAME_BYTES = 8  # of every SDO frame (CiA 301, 7.2.4.3); `canopen` breaks over a shorter one
+UPLOAD_FLAGS, EXPEDITED_WITHOUT_SIZE = 0xE3, 0x42  # of the first byte (CiA 301, 7.2.4.3.5)
 SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
 LONGEST_TEXT = 256  # bytes; names have some 30
 TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
@@ -20,6 +21,14 @@ FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32":
 
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it would say on stderr is raised here as an error
+
+
+class Refused(DeviceError):
+    """A node's abort of a transfer, with its code (CiA 301, table 22)."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class _PumpedQueue(queue.Queue[bytes]):
@@ -70,6 +79,8 @@ class Sdo:
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
+        self._answered = 0  # how often what was asked last has been answered
+        self._has_size = True  # whether the last answer tells how many of its four bytes count
         self._segments = False  # of a text, whose frames carry no index
 
     def wait_no_longer_than(self, until: float) -> None:
@@ -80,6 +91,9 @@ class Sdo:
         """Receive an answer of the node; others, by length or object, are dropped."""
         if len(data) != FRAME_BYTES:
             return
+        if data[1:4] == self._asked:
+            self._answered += 1
+            self._has_size = data[0] & UPLOAD_FLAGS != EXPEDITED_WITHOUT_SIZE
         if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
@@ -89,16 +103,25 @@ class Sdo:
         Raises
         ------
         NoAnswer : nothing came in time.
-        DeviceError : the node aborted the transfer, or answered another length.
+        Refused : the node aborted the transfer.
+        DeviceError : it answered another length.
         """
         raw = self._guard(index, sub, self._client.upload)
+        layout = struct.Struct(FORMATS[kind])
+        if not self._has_size:
+            raw = raw[: layout.size]
         try:
-            (value,) = struct.unpack(FORMATS[kind], raw)
+            (value,) = layout.unpack(raw)
         except struct.error:
             raise DeviceError(
                 f"node {self._node}: 0x{index:04X}:{sub} has {len(raw)} bytes, {kind} was expected"
             ) from None
         return int(value)
+
+    def is_answered_twice(self, wait_s: float) -> bool:
+        """Whether what was asked last is answered more than once within a time [s] from now, as by two nodes."""
+        self._port.pump_until((False,), self._port.clock.now() + wait_s)
+        return self._answered > 1
 
     def read_text(self, index: int, sub: int) -> str:
         """Read a text object, in segments where it is longer than four bytes, within `TEXT_S`.
@@ -131,7 +154,7 @@ class Sdo:
         Raises
         ------
         NoAnswer : nothing came in time.
-        DeviceError : the node aborted the transfer.
+        Refused : the node aborted the transfer.
         """
         self._guard(index, sub, self._client.download, struct.pack(FORMATS[kind], value))
 
@@ -150,12 +173,12 @@ class Sdo:
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
         self._answers.clear()
         self._client.responses = self._answers  # `canopen` drops what came twice by a queue that pumps nothing
-        self._asked = struct.pack("<HB", index, sub)
+        self._asked, self._answered = struct.pack("<HB", index, sub), 0
         try:
             return call(index, sub, *arguments)
         except SdoAbortedError as error:
-            raise DeviceError(
-                f"node {self._node}: 0x{index:04X}:{sub} refused, abort 0x{error.code:08X} ({error})"
-            ) from None
+            text = f"node {self._node}: 0x{index:04X}:{sub} refused, abort 0x{error.code:08X} ({error})"
+            raise Refused(text, error.code) from None
         except (SdoCommunicationError, queue.Empty) as error:
-            raise NoAnswer(f"node {self._node}: no SDO answer for 0x{index:04X}:{sub} ({error})") from None
+            text = f"node {self._node}: no SDO answer for 0x{index:04X}:{sub} ({error}){self._port.why_silent()}"
+            raise NoAnswer(text) from None

@@ -1,8 +1,8 @@
-"""Count transfers that succeeded only when repeated, and report the count at 1, 10, 100 and so on."""
+"""Count what happens on a bus now and then, and report the count at 1, 10, 100 and so on."""
 
 
-class Retries:
-    """A count of transfers that had to be repeated."""
+class Tally:
+    """A count of events, such as transfers that had to be repeated."""
 
     def __init__(self) -> None:
         self.count = 0
