@@ -1,11 +1,13 @@
 """The ADS1115 driver against the converter's far end: registers, waits, saturation, zero, on every transport."""
 
 import errno
+import itertools
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from leactl_plugins.ads1115.driver import LONGEST_START_S
 from leactl_plugins.ads1115.settings import Ads1115Settings
 from pydantic import ValidationError
 
@@ -13,6 +15,7 @@ from leactl.errors import DeviceError, NoAnswer
 
 from .adc_bench import TORQUE, AdcBench
 from .failing import FailingConverter
+from .transports import I2cInProcess
 
 MARK = 0x04  # what the far end changes in the low byte of the config register of a store, to know the next start
 
@@ -55,6 +58,64 @@ def test_the_stamp_is_the_middle_of_the_conversion_not_the_time_of_reading(bench
     (row,) = bench.rows(1, period=0.050)
     started = row.time - (1 / 860 + 25e-6) / 2
     assert before - 1e-9 <= started <= after + 1e-9
+
+
+class Stalling(I2cInProcess):
+    """A bus at which the host is held up before and after transfers, in turn by these times [s]."""
+
+    def __init__(self, times):
+        super().__init__()
+        self._times = itertools.cycle(times)
+
+    def connect(self):
+        return self
+
+    def _between(self, transfer):
+        self.clock.sleep_until(self.clock.now() + next(self._times))
+        answer = transfer()
+        self.clock.sleep_until(self.clock.now() + next(self._times))
+        return answer
+
+    def read_word_data(self, *arguments):
+        return self._between(lambda: self.bus.read_word_data(*arguments))
+
+    def write_word_data(self, *arguments):
+        self._between(lambda: self.bus.write_word_data(*arguments))
+
+    def close(self):
+        self.bus.close()
+
+
+PER_SECOND = 0.1  # V/s, of a pin whose voltage tells when it was sampled
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.one_of(st.just(0.0), st.just(0.0), st.floats(0.0, 0.001), st.floats(0.0005, 0.05)), min_size=7, max_size=40
+    ),
+    st.sampled_from([0.001, 0.002, 0.01, 0.02]),
+)
+def test_no_course_of_stalls_puts_a_reading_at_another_time(times, period):
+    bench = AdcBench(wire=Stalling(times))
+    far = bench.far
+    far._pins = lambda number: PER_SECOND * far.due if number == 0 else 0.0
+    bench.adc.open()
+    conversion, count, rows = 1 / 860 + 25e-6, 4.096 / 32768, 0
+    apart = conversion + count / PER_SECOND + LONGEST_START_S
+    while bench.clock.now() < 3.0:
+        for row in bench.adc.take():
+            sampled = row.values[0] / 3.0 / PER_SECOND
+            assert abs(row.time - sampled) <= apart
+            rows += 1
+        bench.clock.sleep_until(bench.clock.now() + period)
+    assert rows > 10 or sum(times) > 0.1
+
+
+def test_an_adapter_that_is_slower_than_a_conversion_is_read_all_the_same():
+    bench = AdcBench(wire=Stalling([0.0015]))  # 3 ms a transfer, as over USB
+    bench.adc.open()
+    assert len(bench.rows(20)) >= 20
 
 
 def test_a_slow_converter_is_waited_for_and_nothing_is_read_twice(make_adc):

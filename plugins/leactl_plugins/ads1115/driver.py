@@ -33,6 +33,7 @@ POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
 RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
 WAKE_UP_S = 25e-6
 GIVE_UP_FACTOR = 4.0
+LONGEST_START_S = 0.005  # of the four bytes that start a conversion, over a slow USB adapter
 
 
 class _Converter:
@@ -87,6 +88,7 @@ class Ads1115(Driver):
         self._converters = [_Converter(name, item, single) for item in settings.inputs]
         self._turn = 0
         self._started: float | None = None
+        self._quickest_s = LONGEST_START_S  # transfer of a start, over some adapters longer than a conversion
         self._opened = False
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -192,8 +194,13 @@ class Ads1115(Driver):
         return {converter.settings.name: converter.offset for converter in tared}
 
     def _start(self) -> None:
-        self._port.write(self._address, CONFIG, self._converters[self._turn].config)
-        self._started = self._clock.now()
+        converter, before = self._converters[self._turn], self._clock.now()
+        self._port.write(self._address, CONFIG, converter.config)
+        after = self._clock.now()
+        self._quickest_s = min(self._quickest_s, after - before)
+        # a host that was held up does not know when the conversion began; the next call starts another
+        is_known = after - before <= self._quickest_s + converter.conversion_s
+        self._started = after if is_known else None
 
     def _row(self, converter: _Converter, held: int, raw: int, started: float) -> Row:
         count = raw - 0x10000 if raw & 0x8000 else raw
