@@ -6,7 +6,7 @@ import time
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
-from leactl_plugins.elmo_can.dictionary import ABORT_RANGE, Abort
+from leactl_plugins.elmo_can.dictionary import ABORT_RANGE, Abort, ObjectEntry
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
 from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, InterpreterError
 from leactl_plugins.korad_ka.emulator import KoradEmulator
@@ -93,6 +93,11 @@ class FailingDrive(ElmoEmulator):
 
     def hold(self, index: int, sub: int, value: int) -> None:
         """Hold this value, as another master or the maker's program has left it."""
+        self._values[index, sub] = value
+
+    def have(self, kind: str, index: int, sub: int, value: int) -> None:
+        """Be a firmware with an object that the emulator lacks."""
+        self._entries[index, sub] = ObjectEntry(kind)
         self._values[index, sub] = value
 
     def holds(self, index: int, sub: int) -> int:

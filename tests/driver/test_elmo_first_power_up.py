@@ -243,6 +243,23 @@ def test_scales_that_contradict_the_bench_file_are_refused_with_both_values(make
         bench.drive.open()
 
 
+@pytest.mark.parametrize("counts", [COUNTS // 4, 4 * COUNTS])
+def test_counts_of_a_turn_that_the_drive_tells_are_held_against_the_bench_file(make_bench, counts):
+    bench = make_bench()
+    bench.far.have("u32", 0x3034, 18, counts)
+    said = rf"counts {counts} in a turn \(CA\[18\], 0x3034:18\), the bench file says counts_per_turn: {COUNTS}"
+    with pytest.raises(DeviceError, match=said):
+        bench.drive.open()
+    assert bench.far.follows()[0] == "off"
+
+
+def test_a_drive_that_no_motor_was_tuned_to_is_refused(make_bench):
+    bench = make_bench()
+    bench.far.hold(0x6075, 0, 0)
+    with pytest.raises(DeviceError, match="rated current 0x6075 is 0 mA; the drive has not been tuned to a motor"):
+        bench.drive.open()
+
+
 def test_units_that_come_to_counts_are_taken(make_bench):
     bench = make_bench()
     for place in ((0x608F, 1), (0x6092, 1)):
