@@ -1,19 +1,25 @@
 """Check this machine for a bench: interpreter, packages, plug-ins, buses with permissions, free disk space."""
 
+import json
 import os
 import platform
 import shutil
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+from typing import Any
 
 from leactl.driver import registry
 
 LEAST_PYTHON = (3, 11)
 LEAST_FREE_BYTES = 2 << 30  # some 100 h at 50 Hz, or 3 h at 1 kHz
 CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
+IP_S = 5.0  # that iproute2 may take to answer
+FEWEST_QUEUED = 100  # frames; a cycle of two drives at 1 kHz queues seven, and Linux gives an interface room for ten
+RESTART_MS = 100  # after which a controller that has left the bus comes back, so that drives can be told to stop
 
 
 @dataclass(frozen=True)
@@ -27,9 +33,20 @@ class HostFinding:
     mend: str = ""
 
 
-def run_checks(root: Path = Path("/")) -> list[HostFinding]:
-    """Run all checks; buses and devices are searched under `root`."""
-    checks = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
+def ip_link(interface: str) -> Mapping[str, Any]:
+    """What iproute2 tells of a network interface, as its JSON has it; empty where it tells nothing."""
+    command = ["ip", "-json", "-details", "link", "show", interface]
+    try:
+        answer = subprocess.run(command, capture_output=True, timeout=IP_S, check=True)
+        [link] = json.loads(answer.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return {}
+    return link if isinstance(link, dict) else {}
+
+
+def run_checks(root: Path = Path("/"), link_of: Callable[[str], Mapping[str, Any]] = ip_link) -> list[HostFinding]:
+    """Run all checks; buses and devices are searched under `root`, links of CAN interfaces are asked of `link_of`."""
+    checks = [_python(), _packages(), _plugins(), _can(root, link_of), _i2c(root), _serial(root), ni_daqmx(), _disk()]
     return [finding for findings in checks for finding in findings]
 
 
@@ -71,19 +88,52 @@ def is_up(state: str) -> bool:
     return state in ("up", "unknown")
 
 
-def bring_up(interface: str) -> str:
-    """Command that brings a CAN interface up."""
-    return f"sudo ip link set {interface} up type can bitrate 1000000"
+def bring_up(interface: str, bitrate: int | None = None) -> str:
+    """Command that brings a CAN interface up, at 1 Mbit/s where it has no bit rate yet."""
+    return f"sudo ip link set {interface} up type can bitrate {bitrate or 1_000_000}"
 
 
-def _can(root: Path) -> Iterator[HostFinding]:
+def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[HostFinding]:
     interfaces = can_interfaces(root)
     if not interfaces:
         yield HostFinding(
             "CAN", False, False, "no SocketCAN interface", f"connect an adapter, then: {bring_up('can0')}"
         )
     for name, state in interfaces.items():
-        yield HostFinding(f"CAN {name}", is_up(state), False, state, "" if is_up(state) else bring_up(name))
+        yield _can_link(name, state, link_of(name))
+
+
+def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
+    """A CAN interface: its state, and what the kernel tells of controller, bit rate, restart and queue."""
+    data = link.get("linkinfo", {}).get("info_data", {})
+    controller, bitrate = data.get("state", ""), data.get("bittiming", {}).get("bitrate")
+    counters, restart_ms, queue = data.get("berr_counter", {}), data.get("restart_ms"), link.get("txqlen")
+    left = link.get("linkinfo", {}).get("info_xstats", {}).get("bus_off", 0)
+    told = [
+        state,
+        f"{bitrate} bit/s" if bitrate else "",
+        f"controller {controller}" if controller else "",
+        f"error counters {counters['tx']} sent, {counters['rx']} received" if {"tx", "rx"} <= counters.keys() else "",
+        f"has left the bus {left} times" if left else "",
+        f"restart-ms {restart_ms}" if restart_ms is not None else "",
+        f"txqueuelen {queue}" if queue is not None else "",
+    ]
+    has_left = controller == "BUS-OFF"
+    fine = is_up(state) and controller not in ("BUS-OFF", "ERROR-PASSIVE")
+    if has_left:
+        mend = (
+            f"look at cable, termination and bit rate; then: sudo ip link set {name} down && {bring_up(name, bitrate)}"
+            f" restart-ms {RESTART_MS}"
+        )
+    elif not is_up(state):
+        mend = bring_up(name)
+    elif not fine:
+        mend = "look at cable, termination and bit rate"
+    elif queue is not None and queue < FEWEST_QUEUED:
+        mend = f"room for more frames: sudo ip link set {name} txqueuelen 1000"
+    else:
+        mend = ""
+    return HostFinding(f"CAN {name}", fine, False, ", ".join(filter(None, told)), mend)
 
 
 def i2c_buses(root: Path = Path("/")) -> list[Path]:
