@@ -15,8 +15,8 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.replay.replay_run_file import Simulated as Simulated
-from leactl.runfile.read.reader import Channel as Channel
-from leactl.runfile.read.reader import Run as Run
+from leactl.quantities import ChannelSpec
+from leactl.runfile.read import reader
 
 Place = str | Path
 
@@ -63,6 +63,33 @@ class Diagnosis(DiagnosisResult):
         outputs.write(self)
 
 
+class Channel(reader.Channel):
+    """One measured quantity over time; numpy takes it as the array of its values."""
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import channel_page, framed
+
+        return framed(channel_page(self))
+
+
+class Run(reader.Run):
+    """A run file, open for reading: `with leactl.open_run(path) as run: ...`."""
+
+    def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
+        """Rows `start` to `stop` (excluded) of a channel.
+
+        Raises
+        ------
+        InputError : the channel is in `condemned`.
+        """
+        return Channel(**vars(super().section(stream, spec, start, stop)))
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import framed, run_page
+
+        return framed(run_page(self))
+
+
 @dataclass(frozen=True)
 class Performed:
     """How a run ended: what `leactl run --json` prints."""
@@ -83,6 +110,12 @@ class Performed:
     def open(self) -> Run:
         """The run's file, open for reading."""
         return Run.open(self.run)
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import ending_page, framed
+
+        ending = ", ".join(filter(None, (self.status, self.reason, f"{self.duration_s:.1f} s of bench time")))
+        return framed(ending_page(self.run, ending, self.acceptance, self.safe, self.notes))
 
 
 def open_run(path: Place) -> Run:
