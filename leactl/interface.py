@@ -16,7 +16,8 @@ from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.replay.replay_run_file import Simulated as Simulated
 from leactl.quantities import ChannelSpec
-from leactl.runfile.read import reader
+from leactl.runfile.read.reader import Channel as Channel
+from leactl.runfile.read.reader import Run as Run
 
 Place = str | Path
 
@@ -63,8 +64,8 @@ class Diagnosis(DiagnosisResult):
         outputs.write(self)
 
 
-class Channel(reader.Channel):
-    """One measured quantity over time; numpy takes it as the array of its values."""
+class NotebookChannel(Channel):
+    """A channel that shows its curve in a notebook."""
 
     def _repr_html_(self) -> str:
         from leactl.report.notebook import channel_page, framed
@@ -72,17 +73,17 @@ class Channel(reader.Channel):
         return framed(channel_page(self))
 
 
-class Run(reader.Run):
-    """A run file, open for reading: `with leactl.open_run(path) as run: ...`."""
+class NotebookRun(Run):
+    """A run file, open for reading, that shows its channels in a notebook."""
 
-    def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
+    def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> NotebookChannel:
         """Rows `start` to `stop` (excluded) of a channel.
 
         Raises
         ------
         InputError : the channel is in `condemned`.
         """
-        return Channel(**vars(super().section(stream, spec, start, stop)))
+        return NotebookChannel(**vars(super().section(stream, spec, start, stop)))
 
     def _repr_html_(self) -> str:
         from leactl.report.notebook import framed, run_page
@@ -109,7 +110,7 @@ class Performed:
 
     def open(self) -> Run:
         """The run's file, open for reading."""
-        return Run.open(self.run)
+        return NotebookRun.open(self.run)
 
     def _repr_html_(self) -> str:
         from leactl.report.notebook import ending_page, framed
@@ -125,7 +126,7 @@ def open_run(path: Place) -> Run:
     ------
     InputError : no run file, cut short, or breaking the format; one line for each fault.
     """
-    return Run.open(path)
+    return NotebookRun.open(path)
 
 
 def analyze(runs: Place | Iterable[Place], experiment: str = "", **options: float) -> Analysis:

@@ -9,6 +9,7 @@ import pytest
 
 import leactl
 from leactl.driver.contract import Confirmation
+from leactl.interface import NotebookChannel
 from leactl.runfile.read.reader import Run
 
 
@@ -43,9 +44,10 @@ def test_a_run_shows_its_channels_also_when_it_is_closed(complete):
 
 def test_a_run_from_python_is_that_of_the_reader_with_the_same_channels(complete):
     with leactl.open_run(complete) as run, Run.open(complete) as plain:
-        assert isinstance(run, Run)
+        assert isinstance(run, leactl.Run)
         channel = run["q_axis_current"]
         assert isinstance(channel, leactl.Channel)
+        assert "<h1>q axis current of test</h1>" in shown(channel)
         np.testing.assert_array_equal(channel.values, plain["q_axis_current"].values)
         assert repr(run) == repr(plain)
         assert repr(channel) == repr(plain["q_axis_current"])
@@ -53,7 +55,7 @@ def test_a_run_from_python_is_that_of_the_reader_with_the_same_channels(complete
 
 def channel(values, quantity="torque"):
     time = 0.001 * np.arange(len(values))
-    return leactl.Channel(time, np.asarray(values, float), quantity, "test", "N*m", "sensor", "", "", "", "loop")
+    return NotebookChannel(time, np.asarray(values, float), quantity, "test", "N*m", "sensor", "", "", "", "loop")
 
 
 def test_a_channel_shows_its_curve_and_how_many_samples_stand_at_a_point():
