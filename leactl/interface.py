@@ -15,6 +15,7 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.replay.replay_run_file import Simulated as Simulated
+from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Channel as Channel
 from leactl.runfile.read.reader import Run as Run
 
@@ -63,6 +64,33 @@ class Diagnosis(DiagnosisResult):
         outputs.write(self)
 
 
+class NotebookChannel(Channel):
+    """A channel that shows its curve in a notebook."""
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import channel_page, framed
+
+        return framed(channel_page(self))
+
+
+class NotebookRun(Run):
+    """A run file, open for reading, that shows its channels in a notebook."""
+
+    def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> NotebookChannel:
+        """Rows `start` to `stop` (excluded) of a channel.
+
+        Raises
+        ------
+        InputError : the channel is in `condemned`.
+        """
+        return NotebookChannel(**vars(super().section(stream, spec, start, stop)))
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import framed, run_page
+
+        return framed(run_page(self))
+
+
 @dataclass(frozen=True)
 class Performed:
     """How a run ended: what `leactl run --json` prints."""
@@ -82,7 +110,13 @@ class Performed:
 
     def open(self) -> Run:
         """The run's file, open for reading."""
-        return Run.open(self.run)
+        return NotebookRun.open(self.run)
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import ending_page, framed
+
+        ending = ", ".join(filter(None, (self.status, self.reason, f"{self.duration_s:.1f} s of bench time")))
+        return framed(ending_page(self.run, ending, self.acceptance, self.safe, self.notes))
 
 
 def open_run(path: Place) -> Run:
@@ -92,7 +126,7 @@ def open_run(path: Place) -> Run:
     ------
     InputError : no run file, cut short, or breaking the format; one line for each fault.
     """
-    return Run.open(path)
+    return NotebookRun.open(path)
 
 
 def analyze(runs: Place | Iterable[Place], experiment: str = "", **options: float) -> Analysis:

@@ -1,14 +1,21 @@
 """Answers in a notebook: each page is in a frame, so that its style and scripts do not affect the notebook."""
 
+from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
+from typing import Any
 
 from leactl.analysis.estimate import Result
-from leactl.report.chart import CaptionedChart, chart
+from leactl.driver.contract import Confirmation
+from leactl.report.chart import CaptionedChart, LineMarks, chart
 from leactl.report.datasheet.figures import plain, plot_layers, pretty, subject
 from leactl.report.html import render
 from leactl.report.terminal import interval_text, value_text
+from leactl.runfile.read.reader import Channel, Run
+from leactl.runfile.read.traces import trace_of
 
 HEIGHT_PX = 560  # of the frame; what is longer scrolls inside
+BINS = 1000  # of a channel's curve: more than the pixels of a cell
 
 
 def framed(page: str) -> str:
@@ -18,19 +25,15 @@ def framed(page: str) -> str:
 
 def analysis_page(result: Result) -> str:
     """Return a page with results, plots and notes of one experiment."""
-    groups = []
+    tables = []
     for actuator, condition in result.groups:
         rows = [
-            [
-                plain(estimate.name),
-                value_text(estimate),
-                interval_text(estimate),
-                "" if estimate.units == "1" else pretty(estimate.units),
-            ]
+            [plain(estimate.name), value_text(estimate), interval_text(estimate), _printed(estimate.units)]
             for estimate in result.results
             if (estimate.actuator, estimate.condition) == (actuator, condition)
         ]
-        groups.append((", ".join(filter(None, (actuator, condition))), rows))
+        heading = ", ".join(filter(None, (actuator, condition)))
+        tables.append((heading, ["result", "value ± std", "95 % interval", "units"], rows))
     figures = [
         CaptionedChart(
             ", ".join(filter(None, (subject(plot), plot.actuator, plot.condition))),
@@ -38,11 +41,92 @@ def analysis_page(result: Result) -> str:
         )
         for plot in result.plots
     ]
-    return render(
-        "notebook.html",
-        title=result.experiment,
-        runs=f"{len(result.runs)} run{'s' if len(result.runs) != 1 else ''}",
-        groups=groups,
-        figures=figures,
-        notes=result.notes,
-    )
+    runs = f"{len(result.runs)} run{'s' if len(result.runs) != 1 else ''}"
+    return _page(f"{result.experiment}, {runs}", tables=tables, figures=figures, notes=result.notes)
+
+
+def run_page(run: Run) -> str:
+    """Return a page with the channels of a run, also of one whose file is closed by now."""
+    named = ("protocol", "actuator", "condition", "bench", "status", "status_reason")
+    rows = [
+        [
+            f"{stream}/{spec.name}",
+            plain(spec.quantity),
+            spec.role,
+            spec.location,
+            _printed(spec.units),
+            run.rows[stream],
+        ]
+        for stream, specs in run.streams.items()
+        for spec in specs
+    ]
+    headings = ["channel", "quantity", "role", "location", "units", "samples"]
+    about = ", ".join(filter(None, (str(run.attributes.get(name, "")) for name in named)))
+    return _page(f"Run {run.path.name}", about, [("", headings, rows)])
+
+
+def channel_page(channel: Channel) -> str:
+    """Return a page with the curve of a channel; of a long one, the range of its samples at each point."""
+    title = " ".join(filter(None, (plain(channel.quantity) or "channel", "of", channel.role, channel.location)))
+    facts = (channel.long_name, channel.device, f"{len(channel)} samples")
+    about = ", ".join(filter(None, facts))
+    if not len(channel):
+        return _page(title, about)
+    trace = trace_of("", channel, float(channel.time[0]), float(channel.time[-1]), BINS)
+    style = "setpoint" if channel.quantity.endswith("_reference") else "reading"
+    y_label = f"{plain(channel.quantity)} [{channel.units}]"
+    drawn = chart([LineMarks("", style, trace.time, trace.values)], "time [s]", pretty(y_label))
+    thinned = f"the range of about {trace.samples_per_bin:.0f} samples at each point"
+    return _page(title, about, figures=[CaptionedChart(thinned if trace.samples_per_bin > 1 else "", drawn)])
+
+
+def ending_page(
+    run: Path,
+    ending: str,
+    acceptance: Sequence[Mapping[str, Any]],
+    safe: Mapping[str, Confirmation],
+    notes: Sequence[str],
+) -> str:
+    """Return a page that says how a run ended.
+
+    Parameters
+    ----------
+    ending : status, reason and duration, as a text.
+    acceptance : the limits of the protocol, as `leactl run --json` prints them.
+    """
+    tables = []
+    if acceptance:
+        rows = [[_judged(row), _number(row["value"]), _printed(row["units"]), _yes(row["met"])] for row in acceptance]
+        tables.append(("Limits", ["limit on", "value", "units", "met"], rows))
+    if safe:
+        rows = [[name, _yes(said.safe), said.detail] for name, said in safe.items()]
+        tables.append(("Safe state", ["device", "confirmed", "what it answered"], rows))
+    return _page(f"Run {run.name}", ending, tables, notes=notes)
+
+
+def _page(
+    title: str,
+    about: str = "",
+    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[object]]]] = (),
+    figures: Sequence[CaptionedChart] = (),
+    notes: Sequence[str] = (),
+) -> str:
+    return render("notebook.html", title=title, about=about, tables=tables, figures=figures, notes=notes)
+
+
+def _judged(limit: Mapping[str, Any]) -> str:
+    """Return what a limit is on: a result, a bisection, or a statistic of a channel in a step."""
+    words = (limit.get(key, "") for key in ("result", "bisect", "statistic", "channel", "role", "step"))
+    return " ".join(plain(str(word)) for word in words if word)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def _printed(units: str) -> str:
+    return "" if units == "1" else pretty(units)
+
+
+def _yes(holds: bool) -> str:
+    return "yes" if holds else "no"

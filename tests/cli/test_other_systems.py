@@ -5,10 +5,12 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from leactl.bench import benchfile
 from leactl.errors import InputError
+from leactl.runfile.read.reader import Run
 from leactl.runner import locks
 
 # what Windows' own Python has not, of what Linux has (Python 3.11, "Availability" in the pages of each module)
@@ -36,6 +38,25 @@ for module, names in MISSING.items():
         delattr(module, name)
 """
 
+MAP = """
+mechanical: free
+streams:
+  loop:
+    time: {column: "time [s]"}
+    channels:
+      q: {column: "test_theta [rad]", quantity: angle}
+"""
+USE = """
+import sys
+import leactl
+
+done = leactl.run_protocol("position-step", settings={"trials": 1}, condition="design", out="by-python")
+with leactl.open_run(done.run) as run:
+    values = len(run["angle", "test"])
+replayed = leactl.simulate(sys.argv[1], done.run)
+print(done.status, leactl.analyze(done.run).experiment, values > 0 and replayed.path.is_file())
+"""
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -44,11 +65,15 @@ def folder(tmp_path_factory):
     return folder
 
 
-def leactl(folder, *arguments):
+def python(folder, *words):
     path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": path, "LEACTL_STATE": str(folder / "state")}
-    command = [sys.executable, "-m", "leactl", *map(str, arguments)]
+    command = [sys.executable, *map(str, words)]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def leactl(folder, *arguments):
+    return python(folder, "-m", "leactl", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +98,58 @@ def test_what_is_offline_works(folder, run, command):
     said = leactl(folder, *command.split())
     assert "internal error" not in said.stderr
     assert said.returncode == 0 or command.startswith("doctor"), said.stderr
+
+
+def test_a_run_is_reported_and_indexed(folder, run):
+    said = leactl(folder, "report", run, "--html", "sheet.html")
+    assert said.returncode == 0, said.stderr
+    assert "position step" in (folder / "sheet.html").read_text(encoding="utf-8").lower()
+    said = leactl(folder, "runs", "index", "runs")
+    assert said.returncode == 0, said.stderr
+    listed = leactl(folder, "runs", "list", "runs", "--where", "protocol == 'position-step'", "--json")
+    assert (len(json.loads(listed.stdout)["runs"]), listed.stderr) == (1, "")
+
+
+def test_what_is_exported_is_imported_again(folder, run):
+    said = leactl(folder, "runs", "export", run, "--format", "csv", "--out", "csv")
+    assert said.returncode == 0, said.stderr
+    (folder / "map.yaml").write_text(MAP, encoding="utf-8")
+    said = leactl(folder, "runs", "import", "csv/*.loop.csv", "--map", "map.yaml", "--out", "imported")
+    assert said.returncode == 0, said.stderr
+    [imported] = (folder / "imported").glob("*.h5")
+    with Run.open(folder / run) as before, Run.open(imported) as after:
+        np.testing.assert_array_equal(after["angle"].values, before["angle"].values)
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    (folder / "nominal.yaml").write_text(leactl(folder, "bench", "model", "emulated").stdout, encoding="utf-8")
+    return "nominal.yaml"
+
+
+def test_a_gap_is_diagnosed(folder, model):
+    few = ("--set", "trials=1", "--set", "levels_A=[4.9, 9.8]", "--set", "rest_s=3")
+    for name in ("fit", "held"):
+        said = leactl(folder, "run", "torque-constant", *few, "--out", name)
+        assert said.returncode == 0, said.stderr
+    fit, held = (next((folder / name).glob("*.h5")) for name in ("fit", "held"))
+    said = leactl(folder, "gap", "diagnose", fit, "--held-out", held, "--model", model, "--html", "gap.html", "--json")
+    assert said.returncode == 0, said.stderr
+    assert json.loads(said.stdout)["verdict"] == "none"
+    assert (folder / "gap.html").is_file()
+
+
+def test_python_makes_opens_analyses_and_replays_a_run(folder, model):
+    (folder / "use.py").write_text(USE, encoding="utf-8")
+    said = python(folder, "use.py", model)
+    assert (said.returncode, said.stdout) == (0, "complete position-step True\n"), said.stderr
+
+
+def test_the_page_of_a_run_is_refused_at_the_door(folder):
+    said = leactl(folder, "run", "position-step", "--web", "--out", "shown")
+    assert (said.returncode, said.stdout) == (2, "")
+    assert said.stderr == "leactl: --web: the page of a run is served on POSIX systems alone\n"
+    assert not (folder / "shown").exists()
 
 
 def test_text_of_other_systems_is_read(folder):

@@ -136,8 +136,20 @@ def wpilog_start(entry, name, kind, stamp_us=0, metadata=""):
 WPILOG_HEAD = b"WPILOG\x00\x01" + wpilog_text("made by a test")
 
 
-def write_bag(path, rows=range(N), version=9, storage="sqlite3", compress=None, kinds=("joints", "drive")):
-    """A ROS 2 bag of `/joint_states` and `/drive`; before version 9 it carries no definitions."""
+def write_bag(
+    path,
+    rows=range(N),
+    version=9,
+    storage="sqlite3",
+    compress=None,
+    kinds=("joints", "drive"),
+    stamp=stamp_ns,
+    log=None,
+):
+    """A ROS 2 bag of `/joint_states` and `/drive`; before version 9 it carries no definitions.
+
+    `stamp` gives the stamp of a row in its header, `log` the recorder's, which is 2 ms later by default.
+    """
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     store = types()
@@ -151,6 +163,7 @@ def write_bag(path, rows=range(N), version=9, storage="sqlite3", compress=None, 
             topic, msgtype, make = made[kind]
             connection = writer.add_connection(topic, msgtype, typestore=store)
             for row in rows:
-                ns = stamp_ns(row)
-                writer.write(connection, ns + 2_000_000, store.serialize_cdr(make(store, ns, row), msgtype))
+                ns = stamp(row)
+                logged_ns = log(row) if log else stamp_ns(row) + 2_000_000
+                writer.write(connection, logged_ns, store.serialize_cdr(make(store, ns, row), msgtype))
     return path

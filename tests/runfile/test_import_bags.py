@@ -58,6 +58,41 @@ def test_joints_of_a_bag(folder, options, source):
     assert run.attributes["created"] == "2023-11-14T22:13:20Z"
 
 
+STORAGES = pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+OF_RECORDER = BY_JOINT.replace("header.stamp", "log_time")
+
+
+@STORAGES
+@pytest.mark.parametrize("text", [BY_JOINT, OF_RECORDER], ids=["header", "recorder"])
+def test_a_gap_is_a_note(folder, storage, text):
+    kept = [*range(100), *range(300, 500)]
+    logs.write_bag(folder / "bag", kept, storage=storage)
+    (file,) = imported(folder, text=text)
+    run = Run.open(file)
+    np.testing.assert_allclose(run.channel("angle").values, logs.HIP[kept], atol=1e-12)
+    np.testing.assert_allclose(run.channel("angle").time, logs.T[kept], atol=1e-9)
+    assert any("2.01 s without a sample from 0.99 s; samples come every 0.01 s" in str(event) for event in run.events)
+
+
+@STORAGES
+def test_a_clock_that_is_reset_is_told(folder, storage):
+    logs.write_bag(folder / "bag", storage=storage, stamp=lambda row: logs.stamp_ns(row % 300))
+    assert "'header.stamp' message 300: stamp -0.002 s goes back from 2.988 s" in fault(folder)
+
+
+@STORAGES
+@pytest.mark.parametrize("back", [300, 299.5])  # rows: onto earlier stamps, and between them
+def test_a_recorder_s_clock_that_is_reset_mixes_no_messages(folder, storage, back):
+    def log(row):
+        return logs.stamp_ns(row) + 5_000_000 - (row >= 300) * round(back * 1e7)
+
+    logs.write_bag(folder / "bag", storage=storage, log=log)
+    assert "'log_time' message 300: stamp " in (told := fault(folder, text=OF_RECORDER))
+    assert "goes back from " in told
+    (file,) = imported(folder)  # by the stamps of the messages, which go on
+    np.testing.assert_allclose(Run.open(file).channel("angle").values, logs.HIP, atol=1e-12)
+
+
 def test_custom_messages_of_a_bag_that_carries_their_definitions(folder):
     logs.write_bag(folder / "bag")
     (file,) = imported(folder, text=BY_PATH, joints=())

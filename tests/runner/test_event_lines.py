@@ -1,6 +1,7 @@
 """A run told line by line: whole, in order, and of no consequence for the run whoever reads it."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -9,7 +10,9 @@ import time
 import pytest
 
 from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
 from leactl.runner.event_lines import MOST_QUEUED, EventLines
+from leactl.runner.progress import Progress
 from tests.cli.terminal import leactl
 
 SHORT = ("run", "current-step", "--bench", "emulated", "--set", "trials=1")
@@ -29,6 +32,60 @@ def test_every_step_event_and_the_end_is_a_line_and_the_end_is_the_last(tmp_path
     assert [line["stop_s"] for line in steps] == sorted(line["stop_s"] for line in steps)
     assert len(steps) >= 3
     assert any("safe state" in line["message"] for line in lines if line["event"] == "event")
+
+
+def test_a_warning_is_a_line_when_it_comes(tmp_path, monkeypatch):
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
+    bench = leactl("bench", "show", "emulated").stdout.replace("name: emulated", "name: mine", 1)
+    assert "warn_Nm: 15" in bench
+    (tmp_path / "mine.yaml").write_text(bench.replace("warn_Nm: 15", "warn_Nm: 1"))
+    words = (*SHORT[:2], "--bench", tmp_path / "mine.yaml", *SHORT[4:], "--out", tmp_path)
+    done = leactl(*words, "--events", tmp_path / "lines")
+    assert done.returncode == 0, done.stderr
+    lines = read(tmp_path / "lines")
+    [warning] = [line for line in lines if line.get("level") == "warning" and "torque" in line["message"]]
+    assert warning.keys() == {"event", "time_s", "level", "source", "message"}
+    assert warning["event"] == "event"
+    step = next(line for line in lines if line["event"] == "step" and line["stop_s"] > warning["time_s"])
+    assert lines.index(warning) < lines.index(step)  # and not at the end
+
+
+def test_the_means_of_all_channels_are_a_line_each_second(tmp_path):
+    loop = [ChannelSpec("iq", "q_axis_current", "test", "drive"), ChannelSpec("omega", "velocity", "test", "drive")]
+    supply = [ChannelSpec("vbus", "bus_voltage", "test", "drive")]
+    progress = Progress("spin", 9.0, {"loop": loop, "supply": supply}, [1.25, math.nan])
+    progress.own = {"supply": (29.6,)}
+    with EventLines(tmp_path / "lines") as lines:
+        lines.begin(progress, run="run.h5")
+        deadline = time.monotonic() + 30.0
+        while len(read(tmp_path / "lines")) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)  # a look at the file costs as much as a line
+        lines.end(status="complete")
+    begin, *means, end = read(tmp_path / "lines")
+    assert begin == {"event": "begin", "run": "run.h5"}
+    for line in means:
+        assert (line["event"], line["means"]) == ("values", {"iq": 1.25, "supply/vbus": 29.6})
+    assert 0.9 <= means[0]["wall_s"] < 30.0
+    assert end == {"event": "end", "status": "complete"}
+
+
+def test_a_mean_is_of_a_second_s_values_and_none_comes_after_the_end(tmp_path):
+    lines = EventLines(tmp_path / "lines")
+    progress = Progress("spin", 9.0, {"loop": [ChannelSpec("iq", "q_axis_current", "test", "drive")]}, [1.0])
+    lines.begin(progress)
+    samples = {}
+    for value in (1.0, 2.0, math.nan, 6.0):
+        progress.values = [value]
+        lines._sample(samples)
+    lines._queue_means(samples)
+    lines.end(status="complete")
+    lines._queue_means(samples)
+    with lines:
+        pass
+    told = read(tmp_path / "lines")
+    assert [line["event"] for line in told] == ["begin", "values", "end"]
+    assert told[1]["means"] == {"iq": 3.0}
 
 
 def test_a_trip_is_a_line_with_its_cause(tmp_path):

@@ -208,7 +208,7 @@ def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, 
     ------
     InputError : it is neither, or this system has no such page.
     """
-    if os.name != "posix":
+    if os.name != "posix" or not hasattr(os, "set_blocking"):  # Windows lets no process inherit a listening socket
         raise InputError("--web: the page of a run is served on POSIX systems alone")
     parts = ADDRESS.fullmatch(text)
     if parts is None or int(parts["port"]) > 65535:

@@ -108,8 +108,12 @@ def part_of_run(run: Run, step: str, start: float | None, stop: float | None) ->
 
 
 def channel_trace(run: Run, name: str, start: float, stop: float, bins: int) -> ChannelTrace:
+    """Return a channel of a run between two times [s], as `trace_of` does."""
+    return trace_of(name, run.channel_at(name), start, stop, bins)
+
+
+def trace_of(name: str, channel: Channel, start: float, stop: float, bins: int) -> ChannelTrace:
     """Return a channel between two times [s]: its samples, or the range in each bin if there are over two per bin."""
-    channel = run.channel_at(name)
     inside = (channel.time >= start) & (channel.time <= stop)
     time, values = channel.time[inside], channel.values[inside]
     if len(time) <= 2 * bins:

@@ -3,8 +3,9 @@
 Types come from the definitions in the bag (since ROS 2 Iron), else from those that ROS 2 ships.
 """
 
+import sqlite3
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -22,6 +23,7 @@ METADATA: Final = "metadata.yaml"
 NEWEST: Final = 9  # version of the metadata
 SQLITE: Final = b"SQLite format 3\0"
 MOST_FILES: Final = 1000
+IN_ORDER: Final = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) ORDER BY id"
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -112,12 +114,16 @@ class BagFile:
             self.topics = {each.topic: self._announced(each) for each in self._reader.connections}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics, in the order of the recorder's stamps."""
-        connections = [each for each in self._reader.connections if each.topic in wanted]
-        if not connections:
-            return
-        with self._readable():
-            for connection, stamp_ns, data in self._reader.messages(connections=connections):
+        """Messages of these topics, in the order of writing.
+
+        The library's reader sorts them by the recorder's stamps, which hides that its clock was set back.
+        """
+        connections = {each.id: each for each in self._reader.connections if each.topic in wanted}
+        place = f"{self._path.absolute().as_uri()}?immutable=1"
+        with self._readable(), closing(sqlite3.connect(place, uri=True)) as bag:
+            marks = ", ".join("?" * len(connections))
+            for topic_id, stamp_ns, data in bag.execute(IN_ORDER.format(marks), tuple(connections)):
+                connection = connections[topic_id]
                 decode = partial(self._decode, connection.msgtype, bytes(data))
                 yield Message(connection.topic, stamp_ns, stamp_ns, decode)
 
@@ -152,5 +158,5 @@ class BagFile:
             yield
         except InputError:
             raise
-        except (ReaderError, apsw.Error, ValueError, LookupError, TypeError, OSError) as error:
+        except (ReaderError, apsw.Error, sqlite3.Error, ValueError, LookupError, TypeError, OSError) as error:
             raise InputError(f"{self._path}: damaged, or no bag: {reason_text(error)}") from None
