@@ -22,7 +22,7 @@ def offered(names: Callable[[], Iterable[str]]) -> Completion:
 
 
 def _protocols() -> Iterable[str]:
-    from leactl.protocol.protocolfile import names
+    from leactl.protocol.shipped import names
 
     return names()
 

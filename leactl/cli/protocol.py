@@ -29,18 +29,17 @@ BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench
 @app.command("list", epilog=examples("protocol list"))
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
-    from leactl.protocol.protocolfile import load, names
+    from leactl.protocol.shipped import listed
     from leactl.report.terminal import duration, list_line
 
-    plans = [load(name) for name in names()]
+    protocols = listed()
     if as_json:
-        rows = [{"name": p.name, "title": p.title, "setup": p.setup, "duration_s": p.duration_s} for p in plans]
-        typer.echo(json.dumps({"protocols": rows}))
+        typer.echo(json.dumps({"protocols": [protocol._asdict() for protocol in protocols]}))
         return
-    width = max(len(plan.name) for plan in plans)
-    for plan in plans:
-        time = duration(plan.duration_s, always_hours=True)
-        typer.echo(list_line(f"{plan.name:<{width}}  {plan.setup:<8} {time:>10}  ", plan.title))
+    width = max(len(protocol.name) for protocol in protocols)
+    for protocol in protocols:
+        time = duration(protocol.duration_s, always_hours=True)
+        typer.echo(list_line(f"{protocol.name:<{width}}  {protocol.setup:<8} {time:>10}  ", protocol.title))
 
 
 @app.command(epilog=examples("protocol show friction > mine.yaml"))

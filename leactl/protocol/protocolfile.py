@@ -21,7 +21,6 @@ attended: true                  # somebody stays by the bench: a supply that cou
 import math
 import re
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 
@@ -29,7 +28,7 @@ from pydantic import ValidationError
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.protocol import schema, steps
+from leactl.protocol import schema, shipped, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
 from leactl.protocol.plan import Acceptance, ChannelBounds, Plan, SearchLimit, Segment
@@ -39,11 +38,6 @@ from leactl.protocol.timeline import Timeline
 NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
 
-def names() -> list[str]:
-    """Names of the protocols that ship with leactl."""
-    return sorted(path.stem for path in _shipped().glob("*.yaml"))
-
-
 def locate(name_or_path: str) -> Path:
     """Path of a shipped protocol by its name, or the given path.
 
@@ -51,11 +45,13 @@ def locate(name_or_path: str) -> Path:
     ------
     InputError : neither the name of a shipped protocol nor a path to a .yaml.
     """
-    if name_or_path in names():
-        return _shipped() / f"{name_or_path}.yaml"
+    if name_or_path in shipped.names():
+        return shipped.folder() / f"{name_or_path}.yaml"
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"protocol '{name_or_path}' is not known; known: {', '.join(names())}, or a path to a .yaml")
+        raise InputError(
+            f"protocol '{name_or_path}' is not known; known: {', '.join(shipped.names())}, or a path to a .yaml"
+        )
     return path
 
 
@@ -143,10 +139,6 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         wants=head.wants,
         attended=head.attended,
     )
-
-
-def _shipped() -> Path:
-    return Path(str(resources.files("leactl_protocols")))
 
 
 def _head(document: Substituted, faults: list[str]) -> Head | None:

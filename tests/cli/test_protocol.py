@@ -10,7 +10,7 @@ from importlib import resources
 import pytest
 
 from leactl.bench.benchfile import SHIPPED
-from leactl.protocol import protocolfile
+from leactl.protocol import shipped
 from tests.cli.terminal import COMMAND, leactl
 
 MINE = """\
@@ -37,7 +37,7 @@ def mine(tmp_path):
 def test_list():
     done = leactl("protocol", "list")
     assert (done.returncode, done.stderr) == (0, "")
-    assert [line.split()[0] for line in done.stdout.splitlines()] == protocolfile.names()
+    assert [line.split()[0] for line in done.stdout.splitlines()] == shipped.names()
     rows = json.loads(leactl("protocol", "list", "--json").stdout)["protocols"]
     setups = {row["name"]: row["setup"] for row in rows}
     assert (setups["friction"], setups["torque-constant"]) == ("free", "coupled")
@@ -228,7 +228,7 @@ def test_a_protocol_that_is_not_known(command):
     done = leactl("protocol", command, "torque")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
-        f"leactl: protocol 'torque' is not known; known: {', '.join(protocolfile.names())}, or a path to a .yaml\n"
+        f"leactl: protocol 'torque' is not known; known: {', '.join(shipped.names())}, or a path to a .yaml\n"
     )
 
 

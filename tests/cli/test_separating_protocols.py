@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
 
@@ -19,7 +19,7 @@ SHORTER = {
 
 
 def test_every_separating_protocol_is_tried():
-    assert {name for name in protocolfile.names() if protocolfile.load(name).separates} == set(SHORTER)
+    assert {name for name in shipped.names() if protocolfile.load(name).separates} == set(SHORTER)
 
 
 SLOW = "separate-slow-friction"  # ten seconds

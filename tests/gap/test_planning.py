@@ -14,11 +14,11 @@ from leactl.gap.planning.records import planned_record, usual_noise
 from leactl.gap.planning.reveal import evidence_of, sights
 from leactl.gap.planning.separating import separating_experiment
 from leactl.model.nominal import as_mapping
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.gap.synthetic import model
 
-SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).separates]
+SEPARATING = [name for name in shipped.names() if protocolfile.load(name).separates]
 SLOW = "separate-heat"  # eleven seconds; the others take one to two
 
 
@@ -136,7 +136,7 @@ def test_the_timing_of_drives_is_told_to_show_a_delay_worth_knowing(advised):
 
 def test_the_command_s_text_says_what_to_run(model_file, monkeypatch):
     monkeypatch.setattr(
-        protocolfile, "names", lambda: ["friction", "separate-drive-timing"]
+        shipped, "names", lambda: ["friction", "separate-drive-timing"]
     )  # the others take half a minute
     text = CliRunner().invoke(app, ["gap", "plan", "--model", str(model_file), "--protocol", "friction"])
     assert text.exit_code == 0, text.output

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from leactl.driver.contract import Mode
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.protocol.plan import Engage, Ramp, SetSupply, Tare
 from tests.protocol.writing import levels, segments
 
@@ -13,7 +13,7 @@ KT = 0.49  # N*m/A
 PRELOADS = {"unloaded": (0.0182, 0.2419), "design": (0.0238, 0.208), "loaded": (0.0255, 0.3037)}  # b, f
 
 
-@pytest.mark.parametrize("name", protocolfile.names())
+@pytest.mark.parametrize("name", shipped.names())
 def test_every_shipped_protocol_is_in_order(name):
     found = protocolfile.load(name)
     assert found.name == name

@@ -11,7 +11,7 @@ import leactl.analysis.experiments
 from leactl.analysis import analyze, registry
 from leactl.analysis.estimate import NAN, Estimate, Result
 from leactl.errors import InputError
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.protocol.plan import Acceptance
 from leactl.runner.acceptance import check_analysis, judge
 from leactl.runner.request import prepare
@@ -130,7 +130,7 @@ def test_the_known_analyses_are_those_that_can_be_imported():
     assert not analyze.is_known("intervals")
 
 
-@pytest.mark.parametrize("name", protocolfile.names())
+@pytest.mark.parametrize("name", shipped.names())
 def test_every_protocol_that_ships_names_an_analysis_that_is_there(name):
     check_analysis(protocolfile.load(name), name)
 

@@ -11,7 +11,7 @@ from leactl.gap.planning.reveal import Sight, evidence_of, sights
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import read_model
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.protocol.plan import Plan
 
 
@@ -75,7 +75,7 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     given = [record for several in read_records(runs, model.bench).values() for record in several]
     plans = [protocolfile.load(name) for name in protocols]
     known = {plan.name for plan in plans}
-    further = [plan for name in protocolfile.names() if (plan := protocolfile.load(name)).name not in known]
+    further = [plan for name in shipped.names() if (plan := protocolfile.load(name)).name not in known]
     given += [planned_record(plan, model, spread) for plan in plans]
     notes: list[str] = []
     extra: list[tuple[Plan, Record]] = []

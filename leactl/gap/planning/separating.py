@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 
 
 def separating_experiment(effect: str, peers: Sequence[str]) -> str | None:
@@ -14,6 +14,6 @@ def separating_experiment(effect: str, peers: Sequence[str]) -> str | None:
     if not peers:
         return None
     members = {effect, *peers}
-    plans = [protocolfile.load(name) for name in protocolfile.names()]
+    plans = [protocolfile.load(name) for name in shipped.names()]
     best = max(plans, key=lambda plan: (len(members.intersection(plan.separates)), -plan.duration_s))
     return best.name if len(members.intersection(best.separates)) > 1 else None

@@ -24,7 +24,7 @@ from leactl.gap.verdict.judge import HALF, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
 from leactl.gap.verdict.residual_frequency import ResidualCourse, gains, strongest_frequency
 from leactl.gap.verdict.state_regression import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
-from leactl.protocol import protocolfile
+from leactl.protocol import protocolfile, shipped
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
@@ -195,7 +195,7 @@ def deciding(depends_on: Sequence[str], nearest: Sequence[Near], touching: Colle
     """
     near = {one.effect for one in nearest}
     acting = {name for name in touching if set(effect_definition(name).acts_over) & set(depends_on)}
-    plans = [protocolfile.load(name) for name in protocolfile.names()]
+    plans = [protocolfile.load(name) for name in shipped.names()]
     best = max(
         plans,
         key=lambda plan: (
