@@ -3,19 +3,20 @@
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from leactl.protocol.plan import Plan
 from leactl.quantities import UNITS
 from leactl.report.terminal import duration
-from leactl.runfile.write.description import new_run_id
-from leactl.runner.dry_run import DryRun
-from leactl.runner.request import Request
-from leactl.safety.limits import Limits
-from leactl.safety.thermal.foresight import Forecast
+
+if TYPE_CHECKING:
+    from leactl.protocol.plan import Plan
+    from leactl.runner.dry_run import DryRun
+    from leactl.runner.request import Request
+    from leactl.safety.limits import Limits
+    from leactl.safety.thermal.foresight import Forecast
 
 
-def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
+def plan_lines(plan: "Plan", limits: "Limits | None" = None) -> list[str]:
     """Return the expanded timeline with duration and peak setpoints, beside the limits of a bench if one is given."""
     lines = [f"{plan.name}: {plan.title}".rstrip(": ")]
     lines += [f"  {name} = {value}" for name, value in plan.parameters.items()]
@@ -32,19 +33,19 @@ def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
     return [*lines, *searches(plan)]
 
 
-def head(plan: Plan) -> dict[str, Any]:
+def head(plan: "Plan") -> dict[str, Any]:
     """Return name, set-up, rates, condition, duration and parameters of a protocol as JSON takes them."""
     keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
     return {**{key: getattr(plan, key) for key in keys}, "parameters": dict(plan.parameters)}
 
 
-def searches(plan: Plan) -> list[str]:
+def searches(plan: "Plan") -> list[str]:
     """Return a line for each search: its trials, its bounds, and how long it takes at most."""
     lines = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
     return [f"{text}{f', {lines.count(text)} times' * (lines.count(text) > 1)}" for text in dict.fromkeys(lines)]
 
 
-def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
+def peaks(plan: "Plan", limits: "Limits | None" = None) -> list[dict[str, Any]]:
     """Return the largest setpoint of each role and quantity with its unit, and the bench's limits where it has any."""
     return [
         {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
@@ -53,13 +54,15 @@ def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
     ]
 
 
-def hottest(forecast: Forecast) -> dict[str, float]:
+def hottest(forecast: "Forecast") -> dict[str, float]:
     """Return by role the hottest that a winding may become [degC]."""
     return {role: round(value, 2) for role, value in forecast.peaks.items()}
 
 
-def dry_run_body(request: Request, planned: DryRun) -> dict[str, Any]:
+def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
+    from leactl.runfile.write.description import new_run_id
+
     plan, windings = planned.plan, planned.windings
     return {
         **head(plan),
@@ -88,7 +91,7 @@ def dry_run_body(request: Request, planned: DryRun) -> dict[str, Any]:
     }
 
 
-def dry_run_text(request: Request, planned: DryRun, body: Mapping[str, Any]) -> str:
+def dry_run_text(request: "Request", planned: "DryRun", body: Mapping[str, Any]) -> str:
     """Return what a run would do now as text.
 
     Parameters
