@@ -204,6 +204,11 @@ def names() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 
 
+def shipped_file(name: str) -> yamlfile.Document:
+    """A bench file that ships with leactl, as it is written."""
+    return yamlfile.load(SHIPPED / f"{name}.yaml")
+
+
 def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Document]:
     """Read and check a bench, by its shipped name or from a file.
 

@@ -27,10 +27,16 @@ def list_benches(as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("bench show testbed > mine.yaml"))
 def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
-    from leactl.runner.checked_bench import load_checked
+    from leactl.bench.benchfile import names, shipped_file
 
-    file, _devices, document = load_checked(bench)
-    answer = {"name": file.name, "title": file.title, "file": document.name, "text": document.text}
+    if bench in names():  # and so without a fault: no driver need be loaded to check its settings
+        document = shipped_file(bench)
+    else:
+        from leactl.runner.checked_bench import load_checked
+
+        document = load_checked(bench)[2]
+    title = document.data.get("title", "")
+    answer = {"name": document.data["name"], "title": title, "file": document.name, "text": document.text}
     typer.echo(json.dumps(answer) if as_json else document.text, nl=as_json)
 
 
