@@ -7,11 +7,13 @@ second: several processes pay off where the jobs take longer than that together.
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from types import TracebackType
@@ -23,6 +25,8 @@ Job = tuple[Any, ...]
 Progress = Callable[[str], None]
 Value = TypeVar("Value")
 FEWEST_JOBS = 2  # for which a worker is started
+# for each worker, how many jobs are handed out or done and not asked for yet: memory stays flat however many there are
+AHEAD = 16
 
 
 @dataclass(frozen=True)
@@ -71,8 +75,8 @@ class Workers:
             yield from (tried(work, job) for job in jobs)
             return
         with _named_where_a_worker_ends():
-            for future in self._submitted(work, jobs):
-                yield future.result()
+            pool = self._started()
+            yield from in_order(lambda job: pool.submit(tried, work, job), jobs, AHEAD * self._processes)
 
     def as_done(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
         """What comes of each job, as soon as it is there."""
@@ -80,17 +84,22 @@ class Workers:
             yield from (tried(work, job) for job in jobs)
             return
         with _named_where_a_worker_ends():
-            for future in as_completed(self._submitted(work, jobs)):
-                yield future.result()
+            pool, waiting = self._started(), iter(jobs)
+            running = {pool.submit(tried, work, job) for job in islice(waiting, AHEAD * self._processes)}
+            while running:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                while done:
+                    yield done.pop().result()
+                    running |= {pool.submit(tried, work, job) for job in islice(waiting, 1)}
 
     def _are_done_here(self, jobs: Sequence[Job]) -> bool:
         return self._processes == 1 or (self._pool is None and len(jobs) < FEWEST_JOBS)
 
-    def _submitted(self, work: Callable[..., Value], jobs: Sequence[Job]) -> list[Future[Done[Value]]]:
+    def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # fresh interpreters: a fork would carry the threads of libraries along
             self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare)
-        return [self._pool.submit(tried, work, job) for job in jobs]
+        return self._pool
 
 
 HERE = Workers()
@@ -112,6 +121,15 @@ def each(work: Callable[..., None], jobs: Sequence[Job], workers: Workers, verb:
         progress(f"{count} of {len(jobs)} {verb}, about {left / 60:.1f} min left")
     if faults:
         raise InputError(faults)
+
+
+def in_order(submit: Callable[[Job], Any], jobs: Iterable[Job], window: int) -> Iterator[Any]:
+    """The result of each job's future, in the order of the jobs; at most `window` futures are there at a time."""
+    waiting = iter(jobs)
+    running = deque(map(submit, islice(waiting, window)))
+    while running:
+        yield running.popleft().result()
+        running.extend(map(submit, islice(waiting, 1)))
 
 
 def tried(work: Callable[..., Value], job: Job) -> Done[Value]:

@@ -11,13 +11,14 @@ import platform
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from leactl import __version__
 from leactl.errors import InputError, LeactlError
-from leactl.processes import Done, Job, Value, Workers, tried
+from leactl.processes import AHEAD, Done, Job, Value, Workers, in_order, tried
 
 MISSING: Final = "--scheduler needs Dask: pip install 'leactl[dask]'"
 REACHED_WITHIN_S: Final = 5
@@ -64,21 +65,27 @@ class ScheduledWorkers(Workers):
     def in_order(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
         """What comes of each job, in the order of the jobs."""
         with _named_where_workers_end():
-            for future in self._sent(work, jobs):
-                yield future.result()
+            yield from in_order(self._sender(work), jobs, self._window())
 
     def as_done(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
         """What comes of each job, as soon as it is there."""
         from distributed import as_completed
 
         with _named_where_workers_end():
-            for future in as_completed(self._sent(work, jobs), loop=self._client.loop):
+            send, waiting = self._sender(work), iter(jobs)
+            running = as_completed([send(job) for job in islice(waiting, self._window())], loop=self._client.loop)
+            for future in running:
                 yield future.result()
+                for job in islice(waiting, 1):
+                    running.add(send(job))
 
-    def _sent(self, work: Callable[..., Value], jobs: Sequence[Job]) -> list[Any]:
+    def _window(self) -> int:
+        return AHEAD * max(1, len(self._client.nthreads()))
+
+    def _sender(self, work: Callable[..., Value]) -> Callable[[Job], Any]:
         here = Path.cwd()
         # not pure: of two jobs alike each is done, since files may have changed
-        return [self._client.submit(_tried_in, here, work, job, pure=False) for job in jobs]
+        return lambda job: self._client.submit(_tried_in, here, work, job, pure=False)
 
     def _refuse_unfit_workers(self) -> None:
         """Look at every worker once: later ones are taken as they are."""

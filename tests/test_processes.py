@@ -4,13 +4,15 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
+from threading import RLock
 
 import pytest
 
 from leactl.errors import InputError, LeactlError
-from leactl.processes import Workers, each
+from leactl.processes import AHEAD, Workers, each
 
 FIRST_ENDS = """
 import sys, time
@@ -31,6 +33,26 @@ def told_apart(name):
     return name, os.getpid()
 
 
+class Counted:
+    """A result that counts how many of its kind are there."""
+
+    alive = most = 0
+    lock = RLock()
+
+    def __init__(self, number):
+        self.number = number
+        with Counted.lock:
+            Counted.alive += 1
+            Counted.most = max(Counted.most, Counted.alive)
+
+    def __del__(self):
+        with Counted.lock:
+            Counted.alive -= 1
+
+    def __reduce__(self):
+        return Counted, (self.number,)
+
+
 def killed(signum):
     os.kill(os.getpid(), signum)
 
@@ -47,6 +69,19 @@ def test_results_keep_the_order_of_their_jobs_and_faults_their_lines(processes):
     ]
     here = {done.value()[1] == os.getpid() for done in found if not done.faults}
     assert here == {processes == 1}
+
+
+@pytest.mark.parametrize("order", ["in_order", "as_done"])
+def test_as_many_results_are_kept_for_many_jobs_as_for_few(order):
+    Counted.most = 0
+    numbers = []
+    with Workers(2) as workers:
+        for done in getattr(workers, order)(Counted, [(number,) for number in range(20 * AHEAD)]):
+            numbers.append(done.value().number)
+            if len(numbers) == 1:
+                time.sleep(1)  # in which the workers do what they have been handed
+    assert numbers == list(range(20 * AHEAD)) if order == "in_order" else set(numbers) == set(range(20 * AHEAD))
+    assert AHEAD < Counted.most <= 2 * AHEAD + 2  # the last one asked for, and one on its way
 
 
 def test_faults_of_all_jobs_come_at_the_end_in_whole_lines():

@@ -12,7 +12,7 @@ import pytest
 
 from leactl import run_protocol
 from leactl.errors import InputError, LeactlError
-from leactl.processes import Workers
+from leactl.processes import AHEAD, Workers
 from leactl.scheduler import ScheduledWorkers
 from tests.cli.terminal import COMMAND, leactl
 from tests.test_processes import NAMES, told_apart
@@ -90,6 +90,18 @@ def test_results_keep_their_order_and_a_lost_worker_costs_none(cluster, tmp_path
     assert [one.value() for one in lost] == NAMES
     assert sorted(one.value() for one in done) == sorted(NAMES)
     assert sorted(process.poll() is None for process in processes) == [False, True]
+
+
+def test_as_many_jobs_are_with_the_scheduler_for_many_as_for_few(cluster):
+    address, _ = cluster(2)
+    names = [f"job-{number}" for number in range(10 * AHEAD)]
+    with ScheduledWorkers(address) as workers:
+        for order in (workers.in_order, workers.as_done):
+            there = []
+            for done in order(told_apart, [(name,) for name in names]):
+                there.append((len(workers._client.futures), done.value()[0]))
+            assert max(count for count, _ in there) <= 2 * AHEAD + 1
+            assert sorted(name for _, name in there) == sorted(names)
 
 
 def test_commands_answer_alike_while_a_worker_is_lost(cluster, runs, monkeypatch):

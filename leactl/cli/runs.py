@@ -238,20 +238,21 @@ def verify(
     from leactl.scheduler import workers_of
 
     paths = run_files(runs)
-    examined = []
+    bodies, findings, unsound = [], [], 0
     with workers_of(processes, scheduler) as workers:
         for done in workers.in_order(examine, [(path,) for path in paths]):
             answer = done.value()
-            examined.append(answer)
-            if not as_json and not answer.findings:
+            findings += answer.findings
+            unsound += bool(answer.findings)
+            if as_json:
+                bodies.append(answer.as_json())
+            elif not answer.findings:
                 typer.echo(f"{answer.path}: {answer.summary}")
     if as_json:
         several = len(runs) > 1 or runs[0].is_dir()
-        bodies = [answer.as_json() for answer in examined]
         typer.echo(json.dumps({"runs": bodies} if several else bodies[0]))
-    findings = [finding for answer in examined for finding in answer.findings]
     if findings and len(paths) > 1:
-        findings.append(f"{sum(bool(answer.findings) for answer in examined)} of {len(paths)} runs are not sound")
+        findings.append(f"{unsound} of {len(paths)} runs are not sound")
     if findings:
         raise InputError(findings)
 
