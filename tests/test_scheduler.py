@@ -1,12 +1,9 @@
 """Jobs by a Dask scheduler and two workers, all of them processes: the same answers, also where a worker is lost."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
@@ -15,41 +12,15 @@ from leactl.errors import InputError, LeactlError
 from leactl.processes import AHEAD, Workers
 from leactl.scheduler import ScheduledWorkers
 from tests.cli.terminal import COMMAND, leactl
+from tests.dask_cluster import dask_clusters
 from tests.test_processes import NAMES, told_apart
 
 pytestmark = pytest.mark.long  # half a minute
-DASK = [sys.executable, "-m", "dask"]
-
-
-def started(words, told):
-    """A process of Dask, once it has told what is waited for, and what that is."""
-    environment = os.environ | {"PYTHONPATH": str(Path.cwd()), "OPENBLAS_NUM_THREADS": "1"}
-    process = subprocess.Popen([*DASK, *words], stderr=subprocess.PIPE, text=True, env=environment)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if found := re.search(told, line):
-            return process, found[1]
-    raise AssertionError(f"{words}: ended with {process.wait()}")
 
 
 @pytest.fixture
 def cluster():
-    """The address of a scheduler with as many workers as are asked for, and their processes."""
-    with ExitStack() as stack:
-
-        def begin(*words, told):
-            process, found = started(words, told)
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            return process, found
-
-        def make(workers, *options):
-            here = "--host", "127.0.0.1", "--no-dashboard"
-            _, address = begin("scheduler", *here, "--port", "0", told=r"Scheduler at:\s+(tcp://\S+)")
-            given = options or ("--nthreads", "1")
-            words = "worker", address, "--no-nanny", "--no-dashboard", *given
-            return address, [begin(*words, told=r"Registered to:\s+(tcp://\S+)")[0] for _ in range(workers)]
-
+    with dask_clusters() as make:
         yield make
 
 

@@ -110,6 +110,7 @@ def test_ten_thousand_runs_are_indexed_and_asked(tmp_path, figure):
 @pytest.mark.long
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core")
 def test_two_processes_analyse_a_thousand_runs_sooner(tmp_path, figure, monkeypatch):
+    busy = os.getloadavg()[0]
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     quick = {"trials": 2, "hold_s": 3, "settle_s": 1}
     first = run_protocol("friction", settings=quick, condition="design", out=tmp_path / "first").run
@@ -121,7 +122,7 @@ def test_two_processes_analyse_a_thousand_runs_sooner(tmp_path, figure, monkeypa
             del file["seal"], file.attrs["seal"]  # which holds the attributes
             file.attrs["run_id"] = f"friction-{number:04}"
             file.attrs["created"] = f"2026-11-{1 + number // 60:02}T10:{number % 60:02}:00Z"
-    seconds, answers, busy = [], [], os.getloadavg()[0]
+    seconds, answers = [], []
     for processes in ("1", "2"):
         began = time.monotonic()
         words = ["runs", "trend", "coulomb_friction", str(folder), "--json", "--processes", processes]
@@ -132,4 +133,6 @@ def test_two_processes_analyse_a_thousand_runs_sooner(tmp_path, figure, monkeypa
     figure(f"{ANALYSED} friction runs by one process: {one:.0f} s, by two: {two:.0f} s, {one / two:.2f} times as fast")
     figure(f"beside a load of {busy:.1f} on {os.cpu_count()} cores; at least {LEAST_GAIN} where they are free")
     assert answers[0] == answers[1]
-    assert one / two >= LEAST_GAIN or busy > MOST_LOAD
+    if busy > MOST_LOAD:
+        pytest.skip(f"a load of {busy:.1f}; two processes are judged below {MOST_LOAD}")
+    assert one / two >= LEAST_GAIN
