@@ -97,12 +97,13 @@ class ScheduledWorkers(Workers):
             for name, count in threads.items()
             if count != 1
         ]
-        versions = {} if faults else self._client.run(_version, on_error="return")
-        faults += [
-            f"worker {name}: cannot do the work: {version}"
-            for name, version in versions.items()
-            if version != __version__
-        ]
+        here = _versions()
+        for name, there in ({} if faults else self._client.run(_versions, on_error="return")).items():
+            if isinstance(there, Exception):
+                faults.append(f"worker {name}: cannot do the work: {' '.join(str(there).split())}")
+                continue
+            others = [f"{what} {there[what]}; {here[what]}, as here," for what in here if there[what] != here[what]]
+            faults += [f"worker {name}: has {other} was expected" for other in others]
         if faults:
             raise InputError([f"--scheduler {self._address}: {fault}" for fault in faults])
 
@@ -123,8 +124,12 @@ def workers_of(processes: int, scheduler: str) -> Workers:
     return ScheduledWorkers(scheduler)
 
 
-def _version() -> str:
-    return __version__
+def _versions() -> dict[str, str]:
+    """What jobs and results, which are pickles, have to find alike on both sides."""
+    import distributed
+
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"leactl": __version__, "Python": python, "distributed": distributed.__version__}
 
 
 def _tried_in(directory: Path, work: Callable[..., Value], job: Job) -> Done[Value]:

@@ -17,7 +17,8 @@ Processes = list["subprocess.Popen[str]"]
 def dask_clusters() -> Iterator[Callable[..., tuple[str, Processes]]]:
     """A function that gives the address of a new scheduler with as many workers as asked for, and their processes.
 
-    Options of the workers stand for `--nthreads 1`; their environment is added to that of this process.
+    Options of the workers stand for `--nthreads 1`; their environment is added to that of this
+    process, where an empty value takes a variable away.
     """
     with ExitStack() as stack:
 
@@ -41,7 +42,8 @@ def _started(words: list[str], told: str, environment: Mapping[str, str]) -> tup
     """A process of Dask, once it has told what is waited for, and what that is."""
     here = {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])}
     everything = os.environ | here | {"OPENBLAS_NUM_THREADS": "1"} | environment
-    process = subprocess.Popen([*DASK, *words], stderr=subprocess.PIPE, text=True, env=everything)
+    env = {name: value for name, value in everything.items() if value}
+    process = subprocess.Popen([*DASK, *words], stderr=subprocess.PIPE, text=True, env=env)
     assert process.stderr is not None
     for line in process.stderr:
         if found := re.search(told, line):

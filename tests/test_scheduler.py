@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from leactl import run_protocol
+from leactl import __version__, run_protocol
 from leactl.errors import InputError, LeactlError
 from leactl.processes import AHEAD, Workers
 from leactl.scheduler import ScheduledWorkers
@@ -106,6 +106,30 @@ def test_what_cannot_do_the_work_is_told_in_one_line(cluster, runs):
     done = leactl(*verify, "--scheduler", address)
     assert (done.returncode, done.stdout) == (2, "")
     assert "2 threads; --nthreads 1 was expected" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("preload", "told"),
+    [
+        ("import leactl; leactl.__version__ = '9.9'", f"has leactl 9.9; {__version__}, as here, was expected"),
+        ("import platform; platform.python_version_tuple = lambda: ('3', '9', '1')", "has Python 3.9; "),
+        ("import sys; sys.modules['leactl.scheduler'] = None", "cannot do the work: "),
+    ],
+)
+def test_a_worker_of_another_version_is_told_in_one_line(cluster, runs, tmp_path, preload, told):
+    script = tmp_path / "preload.py"
+    script.write_text(preload)
+    address, _ = cluster(1, "--nthreads", "1", "--preload", str(script))
+    done = leactl("runs", "verify", runs, "--scheduler", address)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert told in done.stderr
+
+
+def test_a_worker_has_one_thread_of_matrix_products(cluster):
+    address, _ = cluster(1, environment={"OPENBLAS_NUM_THREADS": ""})
+    with ScheduledWorkers(address) as workers:
+        (done,) = workers.in_order(os.environ.get, [("OPENBLAS_NUM_THREADS",)])
+    assert done.value() == "1"
 
 
 def test_a_job_that_ends_every_worker_is_told(cluster):
