@@ -3,16 +3,9 @@
 From Python: `open_run`, `analyze`, `diagnose`, `simulate` and `run_protocol` (docs/how-to/python.md).
 """
 
-import os
-import sys
 from typing import Any
 
 __version__ = "0.1.0"
-
-# Matrix products here are small: threads of theirs that wait for a core which another process has cost as much time as
-# the work. Read when NumPy is first imported, and too late where it is there; whoever sets it otherwise is heeded.
-if "numpy" not in sys.modules:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 INTERFACE = (
     "Analysis",

@@ -4,9 +4,14 @@ A command imports what it needs when it runs.
 """
 
 import math
+import os
 import sys
 
 import typer
+
+# Matrix products here are small: threads of theirs that wait for a core which another process has cost as much time as
+# the work. Read when NumPy is first imported; whoever sets it otherwise is heeded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def finite(value: float | list[float] | None) -> float | list[float] | None:

@@ -68,7 +68,7 @@ def _expanded(path: Path) -> Listed:
 
 def _known_durations() -> dict[str, dict[str, str | float]]:
     path = folder() / DURATIONS
-    return json.loads(path.read_text("utf-8")) if path.is_file() else {}  # type: ignore[no-any-return]
+    return json.loads(path.read_text("utf-8")) if path.is_file() else {}
 
 
 def _digest(path: Path) -> str:

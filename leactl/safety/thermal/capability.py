@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import ThermalBound
@@ -160,6 +159,8 @@ def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBo
 
 def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
     """The current that takes the hottest phase to its limit [A]."""
+    from scipy.optimize import brentq
+
     bound = ThermalBound([box], ambient)
 
     def over(current: float) -> float:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 
 from leactl.driver.contract import TripAccuracy
 from leactl.safety.limits import LEADS
@@ -66,6 +65,8 @@ def endured(box: Box, limit: float, ambient: float) -> Endured:
 @lru_cache(maxsize=64)
 def reached(box: Box, ambient: float, voltage: float, current: float) -> float:
     """What the hottest phase comes to at the most [degC] with these levels [V, A]; ambient in degC."""
+    from scipy.optimize import brentq
+
     power = _heat(voltage, box.current_gain * current, _coldest(box, ambient))
 
     def over(amperes: float) -> float:

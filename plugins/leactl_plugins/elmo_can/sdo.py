@@ -6,6 +6,9 @@ import queue
 import struct
 from typing import Any
 
+from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
+from canopen.sdo import SdoClient
+
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
@@ -70,9 +73,6 @@ class Sdo:
     """Typed reads and writes of one node's objects, one transfer at a time."""
 
     def __init__(self, port: CanPort, node: int, timeout_s: float) -> None:
-        from canopen import ObjectDictionary  # imported here since a bench is read far oftener than it is used
-        from canopen.sdo import SdoClient
-
         self._node, self._port = node, port
         self._client = SdoClient(0x600 + node, 0x580 + node, ObjectDictionary())
         self._client.network = _Sender(port)
@@ -140,8 +140,6 @@ class Sdo:
         return raw.decode("utf-8", "replace").strip("\0 ")
 
     def _upload_text(self, index: int, sub: int) -> bytes:
-        from canopen import SdoCommunicationError
-
         raw = b""
         with self._client.open(index, sub, buffering=0) as stream:
             while part := stream.read(7):
@@ -173,8 +171,6 @@ class Sdo:
             raise DeviceError(f"node {self._node}: 0x{index:04X}:{sub} holds {held} after {value} was written")
 
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
-        from canopen import SdoAbortedError, SdoCommunicationError
-
         self._answers.clear()
         self._client.responses = self._answers  # `canopen` drops what came twice by a queue that pumps nothing
         self._asked, self._answered = struct.pack("<HB", index, sub), 0
