@@ -109,6 +109,49 @@ def test_uneven_stamps_and_missing_samples_are_told(tmp_path):
     assert np.isnan(record.values[3, 0])
 
 
+POSITION = {"angle": {"column": "Position", "quantity": "angle"}}
+
+
+def positions(tmp_path, *counts, **given):
+    rows = "".join(f"{number},{count}\n" for number, count in enumerate(counts))
+    record = read(tmp_path, f"Time [ms],Position [cnt]\n{rows}", signals=POSITION, **given)
+    return record.values[:, 0] * 40000 / (2 * math.pi), "\n".join(record.remarks)
+
+
+def test_a_position_that_crosses_the_end_of_its_range_goes_on(tmp_path):
+    crossing = 999_999_990, 999_999_998, -999_999_994, -999_999_986, -999_999_994, 999_999_998, 999_999_990
+    counts, told = positions(tmp_path, *crossing)
+    np.testing.assert_allclose(counts - 1e9, [-10, -2, 6, 14, 6, -2, -10], atol=1e-5)
+    assert "Position [cnt] wraps 2 times at the end of -1000000000 to 1000000000 counts, first at " in told
+    assert "line 4" in told
+    mirrored, _ = positions(tmp_path, *(-count for count in crossing))
+    np.testing.assert_allclose(mirrored + 1e9, [10, 2, -6, -14, -6, 2, 10], atol=1e-5)
+    turned, _ = positions(tmp_path, *crossing, sign=-1)
+    np.testing.assert_allclose(turned, -counts)
+
+
+def test_a_number_missed_at_the_crossing_does_not_hide_it(tmp_path):
+    counts, told = positions(tmp_path, 999_999_990, "NaN", -999_999_990, "NaN", -999_999_980)
+    np.testing.assert_allclose(counts - 1e9, [-10, np.nan, 10, np.nan, 20], atol=1e-5)
+    assert "wraps 1 times" in told
+
+
+def test_the_range_of_the_drive_is_a_setting(tmp_path):
+    counts, told = positions(tmp_path, 19_990, -19_990, position_range=[-20_000, 20_000])
+    np.testing.assert_allclose(counts, [19_990, 20_010])
+    assert "at the end of -20000 to 20000 counts" in told
+    counts, told = positions(tmp_path, 999_999_990, -999_999_990, position_range=None)
+    np.testing.assert_allclose(counts, [999_999_990, -999_999_990])
+    assert "wraps" not in told
+    counts, told = positions(tmp_path, 5, 900_000_000)
+    np.testing.assert_allclose(counts, [5, 900_000_000])
+    assert "wraps" not in told
+    with pytest.raises(
+        InputError, match=r"line 3.*: 1000000001 counts; the drive's position_range ends at -1000000000"
+    ):
+        positions(tmp_path, 999_999_990, 1_000_000_001)
+
+
 def test_several_files_are_no_recording(tmp_path):
     with pytest.raises(InputError, match="2 files; a recording is one file"):
         recorder().read_files([tmp_path / "a.csv", tmp_path / "b.csv"])
@@ -121,6 +164,7 @@ def test_several_files_are_no_recording(tmp_path):
         ({"interval_s": 0.001}, "give either time_column or interval_s"),
         ({"signals": {"a": {"column": "x", "quantity": "velocity", "units": "A"}}}, "'A' do not measure velocity"),
         ({"signals": {}}, "signals"),
+        ({"position_range": [5, 5]}, r"position_range \[5, 5\] counts: the lowest first"),
     ],
 )
 def test_wrong_keys_of_the_map_are_refused(given, words):

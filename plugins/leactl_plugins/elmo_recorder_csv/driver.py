@@ -21,6 +21,7 @@ from leactl.tables.number_format import Numbers, read_numbers
 from leactl.tables.row_order import order_rows
 from leactl.tables.text_table import Table, common_unit, read_table, unit_of
 from leactl.units import CONVERSIONS, SECONDS, converter
+from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
@@ -106,9 +107,10 @@ class ElmoRecorderCsv(Driver):
         }
         numbers, convention = read_numbers(columns, settings, table.place, {})
         time, told_time = self._time(table, numbers.get(time_heading), time_heading)
+        told_wraps: list[str] = []
         values = np.stack(
             [
-                self._converted(table, headings_by_signal[name], signal, numbers)
+                self._converted(table, headings_by_signal[name], signal, numbers, told_wraps)
                 for name, signal in settings.signals.items()
             ],
             axis=1,
@@ -126,7 +128,7 @@ class ElmoRecorderCsv(Driver):
             f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
             for name, signal in settings.signals.items()
         ]
-        remarks = (*table.remarks, str(convention), *read_as, told_time, *rows.remarks)
+        remarks = (*table.remarks, str(convention), *read_as, *told_wraps, told_time, *rows.remarks)
         return FileRecord(
             self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, remarks, tuple(paths)
         )
@@ -166,7 +168,12 @@ class ElmoRecorderCsv(Driver):
         return named
 
     def _converted(
-        self, table: Table, heading: str, signal: RecordedSignal, numbers_by_heading: dict[str, Numbers]
+        self,
+        table: Table,
+        heading: str,
+        signal: RecordedSignal,
+        numbers_by_heading: dict[str, Numbers],
+        told_wraps: list[str],
     ) -> Array:
         numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
         if numbers.outside:
@@ -178,6 +185,8 @@ class ElmoRecorderCsv(Driver):
         if units in signal.counted:
             if settings.counts_per_turn is None:
                 raise InputError(f"{table.path}: {heading!r} is in {units}; counts_per_turn is needed")
+            if signal.quantity.removesuffix("_reference") == "angle":
+                values = self._unwrapped(table, heading, values, told_wraps)
             return settings.sign * values * (2.0 * math.pi / settings.counts_per_turn)
         conversion = converter(units, signal.quantity)
         assert conversion is not None
@@ -186,3 +195,37 @@ class ElmoRecorderCsv(Driver):
             values = values * settings.current_convention.to_q_axis
         signed: Array = values if signal.quantity == "bus_voltage" else settings.sign * values
         return signed
+
+    def _unwrapped(self, table: Table, heading: str, counts: Array, told_wraps: list[str]) -> Array:
+        """Counts that go on where the drive's own wrap at the end of its range.
+
+        Raises
+        ------
+        InputError : counts beyond the range.
+        """
+        if self.settings.position_range is None:
+            return counts
+        low, high = self.settings.position_range
+        beyond = np.flatnonzero((counts < low) | (counts > high))
+        if len(beyond):
+            raise InputError(
+                f"{table.place(heading, int(beyond[0]))}: {counts[beyond[0]]:.0f} counts; the drive's position_range"
+                f" ends at {low} and {high}: give that of its object 0x607B, or null where it does not wrap"
+            )
+        position = CountedPosition(low, high)
+        shifts = np.zeros(len(counts))
+        shift, wraps = 0, []
+        for row in np.flatnonzero(np.isfinite(counts)):
+            shown = round(counts[row])
+            position.counts = position.nearest(shown)
+            if position.counts - shown != shift:
+                shift = position.counts - shown
+                wraps.append(int(row))
+            shifts[row] = shift
+        if wraps:
+            told_wraps.append(
+                f"{heading} wraps {len(wraps)} times at the end of {low} to {high} counts, first at"
+                f" {table.place(heading, wraps[0])}: unwrapped"
+            )
+        unwrapped: Array = counts + shifts
+        return unwrapped

@@ -15,6 +15,7 @@ COUNTS = {
     "angle": ("counts", "count", "cnt"),
     "velocity": ("counts/s", "counts/sec", "count/s", "cnt/s", "cnt/sec"),
 }
+SHIPPED_RANGE = (-1_000_000_000, 1_000_000_000)  # counts, 0x607B as Elmo ships it (CANedsGoldV005_0)
 CURRENTS = ("q_axis_current", "q_axis_current_reference", "d_axis_current")
 
 
@@ -61,10 +62,18 @@ class ElmoRecorderCsvSettings(DetectedFormat, RecordSettings):
     interval_s: Annotated[float, Field(strict=True, gt=0, le=10, allow_inf_nan=False)] | None = None
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     counts_per_turn: PositiveInt | None = None
+    position_range: tuple[int, int] | None = SHIPPED_RANGE  # counts, where the drive's position wraps
     sign: Literal[-1, 1] = 1
 
     @model_validator(mode="after")
     def _has_time(self) -> Self:
         if (self.time_column is None) == (self.interval_s is None):
             raise ValueError("give either time_column or interval_s (the recorder's resolution times TS)")
+        return self
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Self:
+        if self.position_range is not None and self.position_range[0] >= self.position_range[1]:
+            low, high = self.position_range
+            raise ValueError(f"position_range [{low}, {high}] counts: the lowest first, then the highest (0x607B)")
         return self
