@@ -56,6 +56,12 @@ def opened_as(identity, stray="", **expected):
     return bench
 
 
+UNPROTECTED = (
+    "no protection with a level of its own (OVP, OCP): voltage_limit_V and current_limit_A bound nothing but what is"
+    " commanded"
+)
+
+
 # -- opening ---------------------------------------------------------------------------------------------------------
 
 
@@ -63,7 +69,7 @@ def test_opening_makes_off_asks_for_the_name_and_sets_nothing(bench):
     bench.supply.open()
     assert bench.commands() == [sent for sent, _ in OPENING]
     assert bytes(bench.heard) == b"".join(answer for _, answer in OPENING)
-    assert bench.supply.notices() == []
+    assert bench.supply.notices() == [UNPROTECTED]
     assert bench.supply.identity() == Identity("KORADKA3010P", "", "2.0")
 
 
@@ -131,7 +137,7 @@ def test_a_refusal_names_all_sellers_names():
 def test_a_supply_that_does_not_tell_its_name_is_taken_as_it_is_told_and_says_so(here):
     here.far.ignore("*IDN?")
     here.supply.open()
-    assert here.supply.notices() == ["does not tell its model (*IDN?); it is taken for a KA3010P"]
+    assert here.supply.notices() == [UNPROTECTED, "does not tell its model (*IDN?); it is taken for a KA3010P"]
     assert here.supply.identity() == Identity()
 
 

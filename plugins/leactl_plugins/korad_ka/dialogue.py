@@ -24,6 +24,11 @@ LONGEST_CHATTER_S = 0.5  # of a line; a late answer has passed by then
 LEAST_MARK, MARKS = 100, 100  # settings from 1.00 V to 1.99 V
 TRIES, LOOKS = 3, 10  # at settings that are not taken; at the state until a switched output has risen or fallen
 SETTINGS_S = 1.0  # between two looks at what is set
+# sigrok's wiki: OVP1 and OCP1 switch off what passes the set voltage or current; no command sets or tells a level
+UNPROTECTED = (
+    "no protection with a level of its own (OVP, OCP): voltage_limit_V and current_limit_A bound nothing but what is"
+    " commanded"
+)
 BEYOND = 1.2  # times its rating: what a supply does not show
 
 
@@ -117,7 +122,7 @@ class KoradDialogue:
             that cannot be switched off.
         """
         self.met = None
-        model, notices = self._settings.model, []
+        model, notices = self._settings.model, [UNPROTECTED]
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
@@ -141,7 +146,7 @@ class KoradDialogue:
         return identity_of(self.met) if self.met else Identity()
 
     def leave(self) -> Script[Sequence[str]]:
-        """Do nothing: no protection was touched."""
+        """Do nothing: no protection was touched, for OCP would end every output that regulates its current."""
         yield from ()
         return ()
 
