@@ -12,6 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.elmo.fault_names import bits_of, motor_fault, refusal
+from leactl_plugins.elmo_can.emergency import describe
 from leactl_plugins.elmo_recorder_csv.driver import ElmoRecorderCsv
 from leactl_plugins.elmo_recorder_csv.settings import ElmoRecorderCsvSettings
 from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter
@@ -499,6 +500,14 @@ def test_bits_and_codes_name_the_same_faults(code):
     from leactl_plugins.elmo.fault_names import CODES
 
     assert CODES[code] in motor_fault(bits_of(code))
+
+
+@pytest.mark.parametrize(
+    ("code", "name"), [(0x7306, "commutation failed"), (0xFF30, "modulo overflow"), (0xFF34, "numeric overflow")]
+)
+def test_codes_of_the_gold_line_have_names(code, name):
+    frame = code.to_bytes(2, "little") + bytes.fromhex("20 00 00 00 00 00")
+    assert describe(frame) == f"emergency 0x{code:04X} ({name}), register 0x20, drive code 0"
 
 
 def test_an_unknown_number_is_told_as_it_is():

@@ -1,7 +1,8 @@
 """Names of an Elmo drive's faults (by code and by bit of MF) and of its interpreter's refusals.
 
-After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Bits of MF
-and codes of emergency messages mean the same faults, so that each fault has one name here.
+After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Codes of the
+Gold line that these lack are named as in nasa-jpl/jsd, a public driver of it. Bits of MF and codes of emergency messages
+mean the same faults, so that each fault has one name here.
 """
 
 # error codes of emergency messages (CiA 301, CiA 402 and the maker's own)
@@ -25,9 +26,10 @@ CODES = {
     0x6320: "inconsistent data base",
     0x7121: "motor stuck",
     0x7300: "feedback error",
+    0x7306: "commutation failed",  # jsd
     0x7380: "feedback loss",
     0x7381: "two Hall sensors changed at once",
-    0x7382: "commutation failed",
+    0x7382: "commutation at motor on failed",
     0x8110: "CAN message lost",
     0x8130: "heartbeat lost",
     0x8140: "recovered from bus-off",
@@ -44,6 +46,8 @@ CODES = {
     0xFF02: "interpolation without new setpoints",
     0xFF10: "failed to start motor",
     0xFF20: "safe torque off in use",
+    0xFF30: "modulo overflow",  # jsd
+    0xFF34: "numeric overflow",  # jsd
     0xFF40: "gantry partner in fault",
 }
 
