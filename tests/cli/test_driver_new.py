@@ -55,11 +55,18 @@ def package(request, tmp_path):
     return request.param, installed(folder)
 
 
+QUESTION = re.search(r"```python\n(QUESTION = .*?)```", LINES, re.DOTALL)[1]
+ASKED = re.compile(r"^QUESTION = .*\nLINE_END = .*\n", re.MULTILINE)
+
+
 def fill_in(bus, package):
     for name, function in FUNCTIONS[bus].items():
         path = package / "leactl_room_meter" / name
         text, count = EMPTY.subn(lambda _: function + "\n\n", path.read_text())  # noqa: B023 (called at once)
         assert count == 1
+        if bus == "serial" and name == "driver.py":
+            text, count = ASKED.subn(lambda _: QUESTION, text)
+            assert count == 1
         path.write_text(text)
 
 
@@ -105,6 +112,33 @@ def test_it_passes_its_check_and_its_tests_once_two_functions_are_filled_in(pack
     assert done.stdout.startswith("room_meter: keeps the driver contract, in 7 trials"), done.stderr
     done = said(folder, folder, "pytest", "-q", "-p", "no:cacheprovider")
     assert done.returncode == 0, done.stdout
+
+
+MANUAL = """
+from leactl_room_meter import driver
+from leactl_room_meter.emulator import RoomMeterEmulator, answer_of
+
+assert driver.value_of(b"+23.412") == 23.412
+assert answer_of(-5.2) == b"-05.200"
+assert answer_of(110.0) == b"+110.00"
+for noise in (b"", b"+23.41", b"23.4120", b"+23.41x", b"\\xb5"):
+    try:
+        raise AssertionError(driver.value_of(noise))
+    except ValueError:
+        pass
+far = RoomMeterEmulator(lambda: 23.412, driver.QUESTION, driver.LINE_END)
+far.receive(b"CRDG? 1\\r\\n", 0.0)
+assert far.tick(0.0) == b"+23.412\\r\\n"
+"""
+
+
+def test_the_instrument_of_the_guide_says_what_its_manual_says(tmp_path):
+    """Lake Shore Model 218 Temperature Monitor User's Manual, pages 6-9 and 6-22."""
+    folder = installed(scaffold.write_package("room_meter", "serial", "ambient_temperature", tmp_path))
+    fill_in("serial", folder)
+    (tmp_path / "manual.py").write_text(MANUAL)
+    done = said(folder, tmp_path, "manual")
+    assert done.returncode == 0, done.stderr
 
 
 SOUND = {
@@ -206,7 +240,7 @@ class Instrument:
         return min([self.unasked_at, *(moment for moment, _ in self.answers)])
 
     def receive(self, data, now):
-        self.answers += [(now + 0.02, f"{10 * now:.2f}".encode() + driver.LINE_END)] * data.count(driver.LINE_END)
+        self.answers += [(now + 0.02, f"{10 * now:.2f}".encode() + driver.LINE_END)] * data.count(driver.LINE_END[-1:])
 
     def tick(self, now):
         sent = b"".join(answer for moment, answer in self.answers if moment <= now)

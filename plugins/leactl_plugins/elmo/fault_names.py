@@ -1,8 +1,8 @@
 """Names of an Elmo drive's faults (by code and by bit of MF) and of its interpreter's refusals.
 
-After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Codes of the
-Gold line that these lack are named as in nasa-jpl/jsd, a public driver of it. Bits of MF and codes of emergency messages
-mean the same faults, so that each fault has one name here.
+After Elmo's published lists: the CAN implementation guides, and the SimplIQ Command Reference for MF and EC. Codes of
+the Gold line that these lack are named as in nasa-jpl/jsd, a public driver of it. Bits of MF and codes of emergency
+messages mean the same faults, so that each fault has one name here.
 """
 
 # error codes of emergency messages (CiA 301, CiA 402 and the maker's own)
