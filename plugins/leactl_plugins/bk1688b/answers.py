@@ -49,19 +49,6 @@ def levels(answer: bytes) -> LevelCounts:
     return LevelCounts(int(match[1]), int(match[2]))
 
 
-def level(answer: bytes) -> int:
-    """Parse one level, in steps.
-
-    Raises
-    ------
-    Unreadable : not three digits and `OK`.
-    """
-    match = re.fullmatch(rb"([0-9]{3})\nOK", answer)
-    if match is None:
-        raise Unreadable(f"{_shown(answer)} where three digits and OK were expected")
-    return int(match[1])
-
-
 def display(answer: bytes) -> Display:
     """Parse the display.
 

@@ -4,20 +4,11 @@ Each command is answered by `OK`, and every setting is read back. The output cou
 terminals. Replies to earlier commands are recognised because each query expects a reply that only it can produce.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from leactl.driver.contract import Confirmation
 from leactl.driver.conversation import Query, Reply, Script, Unreadable, ask
-from leactl.driver.serial_supply import (
-    REGULATION_A,
-    REGULATION_SHARE,
-    REGULATION_V,
-    Regulation,
-    SupplyReading,
-    SwitchOffTrouble,
-)
+from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
 from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts, at_the_end
@@ -30,36 +21,6 @@ LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 BEYOND = 1.2  # times its limits: what a supply does not show
-
-
-class Protection(NamedTuple):
-    """A limit that instruments of this family may hold themselves, and its limit in the bench file."""
-
-    name: str
-    letter: str  # of its commands: SOVP and GOVP, SOCP and GOCP
-    key: str
-    limit: float
-    beside: float  # by which an output that regulates may be above its level, beside `REGULATION_SHARE`
-    step: float
-    unit: str
-
-    @property
-    def query(self) -> Query:
-        """Query for the level."""
-        return Query(f"GO{self.letter}P", answers.level, last=OK)
-
-    def command(self, count: int) -> Query:
-        """Command that sets the level, in steps."""
-        return _command(f"SO{self.letter}P{count:03d}")
-
-    @property
-    def margin(self) -> int:
-        """Level, in steps, that no output reaches which regulates at the limit."""
-        return math.ceil(((1 + REGULATION_SHARE) * self.limit + self.beside) / self.step)
-
-    def spelt(self, count: int) -> str:
-        """A level for a person."""
-        return f"{count * self.step:.2f} {self.unit}"
 
 
 class Bk1688bDialogue:
@@ -75,21 +36,6 @@ class Bk1688bDialogue:
         self._looked = 0.0
         self._regulation = Regulation()
         self._panel = ""  # what was set there
-        self._protections = (
-            Protection(
-                "over-voltage protection", "V", "voltage_limit_V", settings.voltage_limit_V, REGULATION_V, STEP_V, "V"
-            ),
-            Protection(
-                "over-current protection",
-                "C",
-                "current_limit_A",
-                settings.current_limit_A,
-                REGULATION_A,
-                self._step,
-                "A",
-            ),
-        )
-        self._found: list[tuple[Protection, int]] = []  # levels of whoever had the supply before, to be put back
 
     def in_step(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
@@ -115,14 +61,13 @@ class Bk1688bDialogue:
             off_trouble.text = f"the output is still on, {_display_text(shown)}"
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Switch off, check the model by its limits, set the lowest levels, and arm what protections it has.
+        """Switch off, check the model by its limits, and set the lowest levels.
 
         Raises
         ------
         DeviceError : another model, a setting that reads back differently, or an output that cannot be switched off.
         """
         rating, notices = self._settings.rating, []
-        self._found = []
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
@@ -139,73 +84,12 @@ class Bk1688bDialogue:
                 )
             self._most = volts, amperes
         yield from self._put(LevelCounts(round(LEAST_V / STEP_V), 0))
-        notices += yield from self._arm()
         return notices
-
-    def _arm(self) -> Script[list[str]]:
-        """Lower the protections to a margin above the limits of the bench file; returns notices of what bounds nothing.
-
-        Raises
-        ------
-        DeviceError : a level reads back as one that was neither found nor set.
-        """
-        notices = []
-        for protection in self._protections:
-            try:
-                found: int = yield from ask(protection.query)
-            except NoAnswer:
-                yield from self.in_step()
-                notices += [
-                    f"no {other.name} that can be set ({other.query}): {other.key} bounds nothing but what is commanded"
-                    for other in self._protections[self._protections.index(protection) :]
-                ]
-                break
-            if found * protection.step < protection.limit:
-                notices.append(
-                    f"{protection.name} is at {protection.spelt(found)}, below {protection.key} of"
-                    f" {protection.limit:g} {protection.unit}, and is not loosened"
-                )
-            elif protection.margin < found:
-                notices += yield from self._lowered(protection, found)
-        return notices
-
-    def _lowered(self, protection: Protection, found: int) -> Script[list[str]]:
-        """Lower one protection; returns a notice if the supply does not take it."""
-        self._found.append((protection, found))
-        try:
-            yield from ask(protection.command(protection.margin))
-        except NoAnswer:
-            yield from self.in_step()
-        held: int = yield from ask(protection.query)
-        if held == found:
-            lowering = protection.command(protection.margin)
-            return [f"{protection.name} stays at {protection.spelt(found)} after {lowering}"]
-        if held != protection.margin:
-            raise DeviceError(
-                f"{protection.name} holds {protection.spelt(held)} after {protection.spelt(protection.margin)} was set"
-            )
-        return []
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore the protections that were lowered; returns their names.
-
-        Raises
-        ------
-        DeviceError : a level reads back differently.
-        """
-        names = [protection.name for protection, _ in self._found]
-        if self._found:
-            yield from self.in_step()
-        while self._found:
-            protection, found = self._found[0]
-            yield from ask(protection.command(found))
-            held: int = yield from ask(protection.query)
-            if held != found:
-                raise DeviceError(
-                    f"{protection.name} holds {protection.spelt(held)} after {protection.spelt(found)} was set"
-                )
-            del self._found[0]
-        return names
+        """Do nothing: the supply has no protections to restore."""
+        yield from ()
+        return ()
 
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A] and read them back.

@@ -1,7 +1,6 @@
 """Emulator of the supply: commands end in a carriage return, and each valid one is answered by `OK`.
 
-Unknown commands and values out of range get no answer. Instruments of this family with SOVP and SOCP and such without
-are both at hand; what they do beyond their level is assumed: the output goes off.
+Unknown commands and values out of range get no answer.
 """
 
 import re
@@ -17,11 +16,8 @@ PRESETS = 3
 class Bk1688bEmulator(SupplyEnd):
     """One supply that feeds a load."""
 
-    def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005, has_protections: bool = True) -> None:
-        """`has_protections`: whether it knows SOVP, GOVP, SOCP and GOCP."""
+    def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
         self.rating = RATINGS[model]
-        self.has_protections = has_protections
-        self.over_volts, self.over_amperes = self.rating.voltage, self.rating.current
         self.presets = [(LEAST_V, 0.0)] * PRESETS
         super().__init__(load, answer_s, LEAST_V)
 
@@ -39,22 +35,11 @@ class Bk1688bEmulator(SupplyEnd):
 
     def _obey(self, command: str) -> str | None:
         """The answer to a command, with its line ends; None if there is none."""
-        match = re.fullmatch(
-            r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS|[GS]O[VC]P)([0-9]*)", command, re.ASCII
-        )
+        match = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
         if match is None:
             return None
         word, digits = match[1], match[2]
-        if word.endswith("P") and not self.has_protections:
-            return None
-        queries = {
-            "GETS": self._settings,
-            "GETD": self._display,
-            "GMAX": self._limits,
-            "GETM": self._memory,
-            "GOVP": self._over_voltage,
-            "GOCP": self._over_current,
-        }
+        queries = {"GETS": self._settings, "GETD": self._display, "GMAX": self._limits, "GETM": self._memory}
         if word in queries and not digits:
             return f"{queries[word]()}\rOK\r"
         if word in ("SESS", "ENDS") and not digits:
@@ -69,10 +54,6 @@ class Bk1688bEmulator(SupplyEnd):
             self.set_volts = volts
         elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
             self.set_amperes = amperes
-        elif word == "SOVP" and len(digits) == 3 and (volts := int(digits) * STEP_V) <= self.rating.voltage:
-            self.over_volts = volts
-        elif word == "SOCP" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
-            self.over_amperes = amperes
         elif word == "PROM" and len(digits) == 6 * PRESETS:
             presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
             self.presets = [
@@ -83,14 +64,6 @@ class Bk1688bEmulator(SupplyEnd):
         else:
             return False
         return True
-
-    def _regulate(self) -> None:
-        super()._regulate()
-        if self.has_protections and self.on:
-            room_v, room_a = STEP_V / 2, self.rating.step_A / 2
-            if self.volts > self.over_volts + room_v or self.amperes > self.over_amperes + room_a:
-                self._switch(False)
-                super()._regulate()
 
     def _amperes(self, digits: str) -> float:
         return int(digits) * self.rating.step_A
@@ -103,12 +76,6 @@ class Bk1688bEmulator(SupplyEnd):
 
     def _limits(self) -> str:
         return self._pair(self.rating.voltage, self.rating.current)
-
-    def _over_voltage(self) -> str:
-        return f"{round(self.over_volts / STEP_V):03d}"
-
-    def _over_current(self) -> str:
-        return f"{round(self.over_amperes / self.rating.step_A):03d}"
 
     def _memory(self) -> str:
         return "\r".join(self._pair(*preset) for preset in self.presets)
