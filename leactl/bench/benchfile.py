@@ -27,6 +27,9 @@ Fraction = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
+RETURNS_OWN = ("udp_multicast", "gs_usb", "cantact")  # interfaces of python-can
+
+
 class CanBus(Block):
     """A CAN bus, with python-can's names of settings; an emulated bench replaces it."""
 
@@ -38,8 +41,8 @@ class CanBus(Block):
 
     @property
     def returns_own(self) -> bool:
-        """Whether a port on it receives what it sends itself."""
-        return self.interface == "udp_multicast" or bool(self.options.get("receive_own_messages", False))
+        """Whether a port on it may receive what it sends itself: by its nature, or as an adapter's echo."""
+        return self.interface in RETURNS_OWN or bool(self.options.get("receive_own_messages", False))
 
 
 class I2cBus(Block):

@@ -35,7 +35,7 @@ class HostFinding:
 
 def ip_link(interface: str) -> Mapping[str, Any]:
     """What iproute2 tells of a network interface, as its JSON has it; empty where it tells nothing."""
-    command = ["ip", "-json", "-details", "link", "show", interface]
+    command = ["ip", "-json", "-details", "-statistics", "link", "show", interface]
     try:
         answer = subprocess.run(command, capture_output=True, timeout=IP_S, check=True)
         [link] = json.loads(answer.stdout)
@@ -105,10 +105,10 @@ def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[Ho
 
 def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
     """A CAN interface: its state, and what the kernel tells of controller, bit rate, restart and queue."""
-    data = link.get("linkinfo", {}).get("info_data", {})
-    controller, bitrate = data.get("state", ""), data.get("bittiming", {}).get("bitrate")
-    counters, restart_ms, queue = data.get("berr_counter", {}), data.get("restart_ms"), link.get("txqlen")
-    left = link.get("linkinfo", {}).get("info_xstats", {}).get("bus_off", 0)
+    data = _part(link, "linkinfo", "info_data")
+    controller, bitrate = data.get("state", ""), _part(data, "bittiming").get("bitrate")
+    counters, restart_ms, queue = _part(data, "berr_counter"), data.get("restart_ms"), link.get("txqlen")
+    left = _part(link, "linkinfo", "info_xstats").get("bus_off", 0)
     told = [
         state,
         f"{bitrate} bit/s" if bitrate else "",
@@ -126,7 +126,7 @@ def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
             f" restart-ms {RESTART_MS}"
         )
     elif not is_up(state):
-        mend = bring_up(name)
+        mend = bring_up(name, bitrate)
     elif not fine:
         mend = "look at cable, termination and bit rate"
     elif queue is not None and queue < FEWEST_QUEUED:
@@ -134,6 +134,14 @@ def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
     else:
         mend = ""
     return HostFinding(f"CAN {name}", fine, False, ", ".join(filter(None, told)), mend)
+
+
+def _part(told: Mapping[str, Any], *keys: str) -> Mapping[str, Any]:
+    """A part of what was told, by the keys that lead there; empty where it is missing or of another form."""
+    for key in keys:
+        value = told.get(key)
+        told = value if isinstance(value, dict) else {}
+    return told
 
 
 def i2c_buses(root: Path = Path("/")) -> list[Path]:

@@ -23,7 +23,9 @@ FD_NEEDS = (
     " can bitrate 1000000 dbitrate 5000000 fd on"
 )
 LOOK_AT = "look at cable, termination and bit rate"
-BUS_OFF = 0x40  # class of an error frame (linux/can/error.h)
+# classes of an error frame (linux/can/error.h)
+BUS_OFF = 0x40
+NO_TROUBLE = 0x102  # a lost arbitration, and a controller that came back
 
 
 class CanPort:
@@ -37,7 +39,7 @@ class CanPort:
     ) -> None:
         """Make a port that is not connected yet.
 
-        returns_own : whether the bus brings back what this port sends, which CAN does not.
+        returns_own : whether the bus may bring back what this port sends, which CAN by itself does not.
         """
         from can import Message
 
@@ -70,6 +72,7 @@ class CanPort:
         self._users += 1
 
     def _open_bus(self) -> None:
+        self.disturbed = Tally()
         try:
             self.bus = self._connect()
         except (OSError, ValueError, ImportError, _can_error()) as error:
@@ -222,7 +225,8 @@ class CanPort:
                         f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
                         f" {LOOK_AT}, then: leactl doctor"
                     )
-                self.disturbed.count += 1
+                if not message.arbitration_id & NO_TROUBLE:
+                    self.disturbed.count += 1
             elif message.is_fd:
                 listener = self._fd_listeners.get(message.arbitration_id)
                 if listener is not None:

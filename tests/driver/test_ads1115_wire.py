@@ -112,6 +112,13 @@ def test_no_course_of_stalls_puts_a_reading_at_another_time(times, period):
     assert rows > 10 or sum(times) > 0.1
 
 
+def test_a_bus_on_which_no_start_is_known_in_time_is_told():
+    bench = AdcBench(wire=Stalling([0.004]))
+    bench.adc.open()
+    with pytest.raises(NoAnswer, match=r"20 starts of a conversion .* took more than 5 ms, the last 8 ms"):
+        bench.rows(1)
+
+
 def test_an_adapter_that_is_slower_than_a_conversion_is_read_all_the_same():
     bench = AdcBench(wire=Stalling([0.0015]))  # 3 ms a transfer, as over USB
     bench.adc.open()

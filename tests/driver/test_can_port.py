@@ -119,6 +119,7 @@ def test_a_controller_that_has_left_the_bus_is_told(port, monkeypatch, identifie
 def test_error_frames_are_counted_and_told(port, monkeypatch):
     frames = [can.Message(arbitration_id=0x04, is_error_frame=True, is_extended_id=False, data=bytes(8))] * 3
     monkeypatch.setattr(port.bus, "recv", lambda timeout=None: frames.pop() if frames else None)
+    frames += [can.Message(arbitration_id=kind, is_error_frame=True, is_extended_id=False) for kind in (0x02, 0x100)]
     assert port.why_silent() == ""
     port.pump_until([False], 0.0)
     assert port.why_silent() == "; the bus 'can' has shown 3 error frames: look at cable, termination and bit rate"

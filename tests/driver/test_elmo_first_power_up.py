@@ -141,7 +141,7 @@ def test_a_firmware_without_any_of_these_objects_is_met_all_the_same(make_bench)
     bench.engage(Mode.CURRENT)
 
 
-@pytest.mark.parametrize("index", [0x607E, 0x608F, 0x3034, 0x607B, 0x6502, 0x60B2])
+@pytest.mark.parametrize("index", [0x607E, 0x608F, 0x607B, 0x60B2])
 @pytest.mark.parametrize("code", [0x08000022, 0x05040000, 0x06010001])
 def test_a_refusal_is_not_taken_for_an_object_that_the_drive_lacks(make_bench, index, code):
     bench = make_bench()
@@ -149,6 +149,34 @@ def test_a_refusal_is_not_taken_for_an_object_that_the_drive_lacks(make_bench, i
     with pytest.raises(DeviceError, match=rf"0x{index:04X}:\d+ refused, abort 0x{code:08X}"):
         bench.drive.open()
     assert bench.far.follows()[0] == "off"
+
+
+@pytest.mark.parametrize("index", [0x3034, 0x6502, 0x1005, 0x1006])
+def test_what_a_drive_need_not_tell_it_may_refuse_for_any_reason(make_bench, index):
+    bench = make_bench()
+    bench.far.refuse(index, 0x08000000)
+    bench.drive.open()
+    bench.drive.pace(0.02)
+    bench.engage(Mode.CURRENT)
+
+
+def test_a_drive_that_makes_the_sync_is_told_no_period(make_bench):
+    bench = make_bench()
+    bench.far.hold(0x1005, 0, 1 << 30 | 0x80)
+    bench.drive.open()
+    bench.drive.pace(0.02)
+    assert bench.far.holds(0x1006, 0) == 0
+
+
+def test_a_period_that_the_drive_confirms_and_forgets_leaves_it_what_it_had(make_bench):
+    bench = make_bench()
+    bench.far.ignore_writes(0x1006)
+    bench.drive.open()
+    with pytest.raises(DeviceError, match="0x1006:0 holds 0 after 20000 was written"):
+        bench.drive.pace(0.02)
+    assert bench.drive.safe_state(1.0).safe
+    bench.drive.close()
+    assert (bench.far.holds(0x60C2, 1), bench.far.holds(0x60C2, 2)) == (1, -3)
 
 
 def test_a_drive_that_tells_no_sizes_is_met_all_the_same(make_bench):
@@ -292,7 +320,7 @@ def test_a_drive_that_its_safe_torque_off_holds_back_is_told(bench, lacks_status
             bench.cycle()
     status = "" if lacks_status else ", safe torque off 0x2086 is 0x00000002"
     assert str(told.value) == (
-        f"drive: not in operation after 2 s: switch on disabled, statusword 0x0240{status}; look at its safe torque"
+        f"drive: not in operation after 2 s: switch on disabled, 0x0240{status}; look at its safe torque"
         " off, its inhibit inputs and its brake"
     )
 

@@ -34,6 +34,7 @@ RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
 WAKE_UP_S = 25e-6
 GIVE_UP_FACTOR = 4.0
 LONGEST_START_S = 0.005  # of the four bytes that start a conversion, over a slow USB adapter
+MOST_HELD_UP = 20
 
 
 class _Converter:
@@ -88,7 +89,7 @@ class Ads1115(Driver):
         self._converters = [_Converter(name, item, single) for item in settings.inputs]
         self._turn = 0
         self._started: float | None = None
-        self._quickest_s = LONGEST_START_S  # transfer of a start, over some adapters longer than a conversion
+        self._held_up = 0  # starts one after the other that took too long
         self._opened = False
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -148,7 +149,7 @@ class Ads1115(Driver):
 
         Raises
         ------
-        NoAnswer : not acknowledged, or a conversion that does not end.
+        NoAnswer : not acknowledged, a conversion that does not end, or starts that take too long one after the other.
         """
         started = self._started
         if started is None:
@@ -197,10 +198,18 @@ class Ads1115(Driver):
         converter, before = self._converters[self._turn], self._clock.now()
         self._port.write(self._address, CONFIG, converter.config)
         after = self._clock.now()
-        self._quickest_s = min(self._quickest_s, after - before)
-        # a host that was held up does not know when the conversion began; the next call starts another
-        is_known = after - before <= self._quickest_s + converter.conversion_s
-        self._started = after if is_known else None
+        took = after - before
+        if took <= LONGEST_START_S + converter.conversion_s:
+            self._started, self._held_up = after, 0
+            return
+        # nobody knows when the conversion began; the next call starts one anew
+        self._started, self._held_up = None, self._held_up + 1
+        if self._held_up == MOST_HELD_UP:
+            raise NoAnswer(
+                f"{self.name}: {MOST_HELD_UP} starts of a conversion one after the other took more than"
+                f" {1e3 * LONGEST_START_S:g} ms, the last {1e3 * took:.3g} ms: its readings have no known time; is the"
+                " bus slow, or the host busy?"
+            )
 
     def _row(self, converter: _Converter, held: int, raw: int, started: float) -> Row:
         count = raw - 0x10000 if raw & 0x8000 else raw

@@ -1,6 +1,7 @@
 """Set up a drive by SDO before it may run: identity, faults, scales, monitoring of the host, PDOs."""
 
 import math
+from contextlib import suppress
 from typing import NamedTuple
 
 from leactl.driver.clock import Clock
@@ -20,6 +21,7 @@ MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 hold
 ON_CHANGE = 255  # transmission type of a TPDO that is sent when what it holds has changed
 INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
 INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, tables 66 and 71)
+MAKES_SYNC = 1 << 30  # bit of 0x1005
 # no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
 ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
 TWICE_S = 0.01  # in which a second device with the same node has answered as well
@@ -60,15 +62,15 @@ def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
         raise
 
 
-def identity_number(sdo: Sdo, index: int, sub: int) -> int | None:
-    """A number of 32 bits that a node tells of itself; None where it refuses.
+def number_if_told(sdo: Sdo, index: int, sub: int, kind: str = "u32") -> int | None:
+    """A number that a node need not tell; None where it refuses, for whatever reason, or where it has another length.
 
     Raises
     ------
     NoAnswer : the node does not answer.
     """
     try:
-        return sdo.read(index, sub, "u32")
+        return sdo.read(index, sub, kind)
     except NoAnswer:
         raise
     except DeviceError:
@@ -79,7 +81,7 @@ class SetpointTime(NamedTuple):
     """What a drive knows of the time between two setpoints; None where it lacks the object."""
 
     interpolation: tuple[int, int] | None  # units and exponent of 0x60C2
-    sync_us: int | None  # 0x1006, the time between two SYNCs; 0 where it is not told
+    sync_us: int | None  # 0x1006, the time between two SYNCs, 0 where it is not told; None too where it makes the SYNC
 
 
 def identity_of(sdo: Sdo) -> Identity:
@@ -91,10 +93,10 @@ def identity_of(sdo: Sdo) -> Identity:
     """
     name, hardware, software = (_text(sdo, index) for index in (0x1008, 0x1009, 0x100A))
     model = f"{name}, hardware {hardware}" if name and hardware else name
-    serial = identity_number(sdo, 0x1018, 4)
+    serial = number_if_told(sdo, 0x1018, 4)
     if not model:
         kind, product, revision = (
-            identity_number(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
+            number_if_told(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
         )
         model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
     return Identity(model, str(serial or ""), software)
@@ -217,7 +219,10 @@ class Commissioning:
                 f"{self._name}: its positions are user units, {units:.6g} of them a count (0x608F, 0x6091, 0x6092);"
                 " counts were expected: set all of these to 1"
             )
-        for what, counts in (("0x608F", ratios[0x608F]), ("CA[18], 0x3034:18", self._number(0x3034, 18))):
+        for what, counts in (
+            ("0x608F", ratios[0x608F]),
+            ("CA[18], 0x3034:18", number_if_told(self._sdo, 0x3034, 18) or 0),
+        ):
             if counts > 1 and counts != settings.counts_per_turn:
                 raise DeviceError(
                     f"{self._name}: it counts {counts:g} in a turn ({what}), the bench file says counts_per_turn:"
@@ -240,28 +245,33 @@ class Commissioning:
         low, high = (self._number(0x607B, sub, "i32") for sub in (1, 2))
         return (low, high) if low < high else OF_32_BITS
 
-    def expect_setpoints_every(self, period: float) -> SetpointTime:
-        """Set the time between two setpoints [s], over which the drive interpolates; returns what it knew before.
+    def setpoint_time(self) -> SetpointTime:
+        """What the drive knows of the time between two setpoints (CiA 402, 0x60C2; CiA 301, 0x1006)."""
+        units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
+        makes_sync = (number_if_told(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # by this time, where it is not 0
+        return SetpointTime(
+            None if units is None or exponent is None else (units, exponent),
+            None if makes_sync else number_if_told(self._sdo, 0x1006, 0),
+        )
 
-        It is told twice: as time of interpolation (CiA 402, 0x60C2), rounded up where the object cannot hold it,
-        because an early setpoint does no harm; and as period of the SYNC (CiA 301, 0x1006).
+    def expect_setpoints_every(self, period: float, before: SetpointTime) -> None:
+        """Tell the drive the time between two setpoints [s], over which it interpolates, as far as it has the objects.
+
+        A time that 0x60C2 cannot hold is rounded up, because an early setpoint does no harm.
 
         Raises
         ------
         DeviceError : a time reads back as another value.
         """
-        units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
-        interpolation = None if units is None or exponent is None else (units, exponent)
-        before = SetpointTime(interpolation, held(self._sdo, 0x1006, 0, "u32"))
         self.set_setpoint_time(
             SetpointTime(
-                interpolation and interpolation_time(period), None if before.sync_us is None else round(1e6 * period)
+                before.interpolation and interpolation_time(period),
+                None if before.sync_us is None else round(1e6 * period),
             )
         )
-        return before
 
     def set_setpoint_time(self, time: SetpointTime) -> None:
-        """Set what the drive knows of the time between two setpoints, as far as it has the objects.
+        """Set what the drive knows of the time between two setpoints; one that refuses the SYNC's period keeps its own.
 
         Raises
         ------
@@ -272,7 +282,8 @@ class Commissioning:
             self._sdo.write_verified(0x60C2, 2, "i8", exponent)
             self._sdo.write_verified(0x60C2, 1, "u8", units)
         if time.sync_us is not None:
-            self._sdo.write_verified(0x1006, 0, "u32", time.sync_us)
+            with suppress(Refused):
+                self._sdo.write_verified(0x1006, 0, "u32", time.sync_us)
 
     def disarm_dead_man(self) -> None:
         """End the monitoring of the host, which a drive out of operation does not need."""
@@ -280,7 +291,7 @@ class Commissioning:
 
     def supported_modes(self) -> int:
         """Bits of the supported modes (0x6502, bit 0 is mode 1); all bits if the drive lacks the object."""
-        return self._number(0x6502, 0) or ALL_MODES
+        return number_if_told(self._sdo, 0x6502, 0) or ALL_MODES
 
     def arm_dead_man(self) -> None:
         """Make the drive stop by itself when the host's heartbeat stays away (301IG, chapter 14).

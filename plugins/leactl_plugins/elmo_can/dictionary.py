@@ -40,6 +40,7 @@ def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
         (0x1000, 0): ObjectEntry("u32", default=0x00020192),
         (0x1001, 0): ObjectEntry("u8"),
         (0x1003, 0): ObjectEntry("u8", writable=True, high=0),
+        (0x1005, 0): ObjectEntry("u32", writable=True, default=0x80),
         (0x1006, 0): ObjectEntry("u32", writable=True),
         (0x100B, 0): ObjectEntry("u8", default=node),
         (0x1016, 1): ObjectEntry("u32", writable=True),

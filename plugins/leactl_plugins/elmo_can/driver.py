@@ -50,10 +50,7 @@ BUS_VOLTAGE = bytes.fromhex("796000")  # index and subindex in an SDO frame
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 STO_STATUS = bytes.fromhex("862000")  # of the safe torque off (Elmo's Gold EDS)
 READ_STO_STATUS = bytes.fromhex("4086200000000000")
-FOUR_BYTES = (
-    0x43,
-    0x42,
-)  # first byte of an answer with four, of the latter without saying how many (CiA 301, 7.2.4.3.5)
+FOUR_BYTES = (0x43, 0x42)  # first byte of an answer with four bytes, which 0x42 leaves unsaid (CiA 301, 7.2.4.3.5)
 DOWNLOADS = (1, 6)  # first three bits of a client's request to write: at once or in segments, and in blocks
 APART_S = 0.02  # between two questions by SDO, of which a drive takes one at a time
 NAN, NEVER = math.nan, -math.inf
@@ -107,6 +104,7 @@ class _Standing:
         self.voltage_refused = False  # 0x6079 was answered otherwise than by four bytes
         self.sto_asked = False  # since it was told to enter operation
         self.sto_status: int | None = None  # 0x2086, if it has told
+        self.of_other_master = ""  # what one was heard to do
         self.is_read_by_others = False
         self.safe = False  # it has confirmed so, and nothing was asked of it since
         self.setpoint_time: SetpointTime | None = None  # that it knew before
@@ -221,7 +219,7 @@ class ElmoCan(Driver):
             setup.check_identity()
         setup.disable_voltage()
         if setup.leave_fault():
-            self._emergency = ""
+            self._emergency = self._standing.of_other_master
         self._standing.identity = setup.identity()
         setup.check_scales()
         setup.clear_offsets()
@@ -313,8 +311,10 @@ class ElmoCan(Driver):
 
     def pace(self, period: float) -> None:
         """Set the time between setpoints [s]; the drive's own value is restored at `close`."""
-        before = self._setup().expect_setpoints_every(period)
-        self._standing.setpoint_time = self._standing.setpoint_time or before
+        setup, standing = self._setup(), self._standing
+        if standing.setpoint_time is None:
+            standing.setpoint_time = setup.setpoint_time()
+        setup.expect_setpoints_every(period, standing.setpoint_time)
 
     def release(self) -> None:
         """Begin to leave operation; no current flows once the drive has left it."""
@@ -607,14 +607,19 @@ class ElmoCan(Driver):
     def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:
         """Report a heartbeat with the host's node from another device."""
         node = self.settings.host_node
-        self._emergency = self._emergency or (
+        self._accuse(
             f"another device sends heartbeats as node {node} (0x{0x700 + node:03X}), so that the drive would not notice"
             " the host's end; give host_node a number that no device on the bus has"
         )
 
+    def _accuse(self, text: str) -> None:
+        """End the run, or refuse the start, for what another master does; no reset of a fault excuses it."""
+        self._standing.of_other_master = self._standing.of_other_master or text
+        self._emergency = self._emergency or text
+
     def _on_other_demand(self, data: bytearray, _timestamp: float) -> None:
         """Report a demand of another master, which the drive may have followed."""
-        self._emergency = self._emergency or (
+        self._accuse(
             f"another master on the bus sends demands to node {self._node} ({bytes(data).hex() or 'an empty PDO'})"
         )
 
@@ -623,7 +628,7 @@ class ElmoCan(Driver):
         standing = self._standing
         shown = f"by SDO ({bytes(data).hex() or 'empty'})"
         if data and data[0] >> 5 in DOWNLOADS:
-            self._emergency = self._emergency or f"another master on the bus writes to node {self._node} {shown}"
+            self._accuse(f"another master on the bus writes to node {self._node} {shown}")
         elif not standing.is_read_by_others:
             standing.is_read_by_others = True
             standing.notices.append(
@@ -695,12 +700,9 @@ class ElmoCan(Driver):
             standing.sto_asked, self._life.asked = True, now
             self._port.send(0x600 + self._node, READ_STO_STATUS)
         if now > self._enable_by:
-            reasons = [f"{self.state}, statusword 0x{self.statusword:04X}"]
+            text = f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
             if self._shown_mode != self._mode_number:
-                reasons.append(f"mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for")
-            if standing.sto_status is not None:
-                reasons.append(f"safe torque off 0x2086 is 0x{standing.sto_status:08X}")
-            raise NoAnswer(
-                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {', '.join(reasons)}; look at its safe"
-                " torque off, its inhibit inputs and its brake"
-            )
+                raise NoAnswer(f"{text}, mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for")
+            status = standing.sto_status
+            shown = "" if status is None else f", safe torque off 0x2086 is 0x{status:08X}"
+            raise NoAnswer(f"{text}{shown}; look at its safe torque off, its inhibit inputs and its brake")

@@ -8,7 +8,7 @@ from leactl.driver.can_port import NMT_ID, SYNC_ID, CanPort
 from leactl.driver.far_end import Frame
 from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl.errors import NoAnswer
-from leactl_plugins.elmo_can.commissioning import identity_number, identity_of
+from leactl_plugins.elmo_can.commissioning import identity_of, number_if_told
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings, identifiers_of
 
@@ -112,7 +112,7 @@ def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Si
     sdo = Sdo(port, node, ANSWER_S)
     port.listen(ANSWER + node, sdo.on_frame)
     try:
-        vendor, product, revision = (identity_number(sdo, 0x1018, sub) for sub in (1, 2, 3))
+        vendor, product, revision = (number_if_told(sdo, 0x1018, sub) for sub in (1, 2, 3))
         identity = identity_of(sdo)
     except NoAnswer as error:
         return f"{error}, although it answered before"

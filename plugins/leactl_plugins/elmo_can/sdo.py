@@ -24,11 +24,9 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it would 
 
 
 class Refused(DeviceError):
-    """A node's abort of a transfer, with its code (CiA 301, table 22)."""
+    """A node's abort of a transfer."""
 
-    def __init__(self, text: str, code: int) -> None:
-        super().__init__(text)
-        self.code = code
+    code = 0  # CiA 301, table 22
 
 
 class _PumpedQueue(queue.Queue[bytes]):
@@ -178,7 +176,9 @@ class Sdo:
             return call(index, sub, *arguments)
         except SdoAbortedError as error:
             text = f"node {self._node}: 0x{index:04X}:{sub} refused, abort 0x{error.code:08X} ({error})"
-            raise Refused(text, error.code) from None
+            refusal = Refused(text)
+            refusal.code = error.code
+            raise refusal from None
         except (SdoCommunicationError, queue.Empty) as error:
             text = f"node {self._node}: no SDO answer for 0x{index:04X}:{sub} ({error}){self._port.why_silent()}"
             raise NoAnswer(text) from None
