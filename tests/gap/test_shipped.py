@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from leactl.protocol.protocolfile import load, names
+from leactl.protocol.protocolfile import load
+from leactl.protocol.shipped import names
 from tests.cli.terminal import leactl
 
 OFTEN = ("back-emf",)  # what an ordinary run tries

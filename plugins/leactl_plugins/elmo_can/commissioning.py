@@ -24,7 +24,7 @@ INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, 
 MAKES_SYNC = 1 << 30  # bit of 0x1005
 # no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
 ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
-TWICE_S = 0.01  # in which a second device with the same node has answered as well
+ASKED = 3  # times for one object, of which a bus may bring one answer twice, and two devices at least five
 CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
 
 
@@ -116,19 +116,22 @@ class Commissioning:
         self._name, self._settings, self._sdo, self._clock = name, settings, sdo, clock
 
     def check_identity(self) -> None:
-        """Raise DeviceError if the vendor is another one than in the settings, or if two devices have the node."""
+        """Raise DeviceError if the vendor is another one than in the settings."""
         expected = self._settings.vendor_id
         vendor = self._sdo.read(0x1018, 1, "u32")
-        if self._sdo.is_answered_twice(TWICE_S):
-            self._sdo.read(0x1018, 1, "u32")  # once more: a bus may bring one frame twice
-            if self._sdo.is_answered_twice(TWICE_S):
-                raise DeviceError(
-                    f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
-                    " give it another number"
-                )
         if expected is not None and vendor != expected:
             node = self._settings.node
             raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
+
+    def check_alone(self) -> None:
+        """Raise DeviceError if two devices have the node: both answer when it is asked for 0x1400:1."""
+        for _ in range(ASKED):
+            self._sdo.read(0x1400, 1, "u32")
+        if self._sdo.times_answered_by_now() > ASKED + 1:
+            raise DeviceError(
+                f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
+                " give it another number"
+            )
 
     def identity(self) -> Identity:
         """Return name, serial number and software version; a field that the drive lacks is empty."""

@@ -218,6 +218,7 @@ class ElmoCan(Driver):
             self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
             setup.check_identity()
         setup.disable_voltage()
+        setup.check_alone()
         if setup.leave_fault():
             self._emergency = self._standing.of_other_master
         self._standing.identity = setup.identity()

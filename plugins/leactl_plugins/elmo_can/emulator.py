@@ -29,7 +29,9 @@ _FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
 _WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
 _INTERNAL_LIMIT = 0x0800
 _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # bits of 0x607E (CiA 402, polarity)
-_SETTINGS = {0x607B, 0x607E, 0x608F, 0x6091, 0x6092, 0x60B0, 0x60B1, 0x60B2, 0x60C2, 0x6502}  # nothing is measured for
+# nothing is measured for these
+_COMMUNICATION = {0x1005, 0x1006, *range(0x1400, 0x1404), *range(0x1800, 0x1804)}
+_SETTINGS = _COMMUNICATION | {0x607B, 0x607E, 0x608F, 0x6091, 0x6092, 0x60B0, 0x60B1, 0x60B2, 0x60C2, 0x6502}
 _ON_CHANGE = 254  # from this transmission type on
 _ABORT_BAD_COMMAND = 0x05040001
 _FOREIGN_COB_MASK = 0x7FF

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from leactl.analysis.heating.resistance import LEAST_ON_S
 from leactl.errors import InputError
 from leactl.protocol.protocolfile import locate as protocol
-from leactl.protocol.protocolfile import names as protocols
+from leactl.protocol.shipped import names as protocols
 from leactl.runner.campaign.campaignfile import OWN_COMMANDS, load, names
 from leactl.runner.campaign.entries import Conditions, entries_of, previews
 from leactl.runner.campaign.order import USUAL, Cell, arranged
