@@ -20,7 +20,7 @@ bench 4 0.495
 # Two experiments for each actuator. They are short: without `set` every run is as long as its protocol has it.
 {
     echo "name: four-actuators"
-    echo "bench: lea-1.yaml" # of a step that names none
+    echo "bench: lea-1.yaml" # required; every step names its own
     echo "conditions: [unloaded, design, loaded]"
     echo "steps:"
     for n in 1 2 3 4; do

@@ -1,4 +1,4 @@
-"""Count what happens on a bus now and then, and report the count at 1, 10, 100 and so on."""
+"""Count occasional events of a bus, and report when the count has reached or passed a power of ten."""
 
 
 class Tally:

@@ -1,6 +1,6 @@
 """The protocols that ship with leactl: their names, their files, and what a list shows of each.
 
-How long a protocol lasts follows from its expansion alone, which takes longer than to show the list. `durations.json`
+How long a protocol lasts is known only after expanding it, which takes longer than to show the list. `durations.json`
 beside the files has it, by the digest of the file that was expanded: a file that was changed since is expanded again.
 `python -m leactl.protocol.shipped` prints it anew.
 """

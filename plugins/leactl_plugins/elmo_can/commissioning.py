@@ -24,7 +24,7 @@ INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, 
 MAKES_SYNC = 1 << 30  # bit of 0x1005
 # no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
 ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
-ASKED = 3  # times for one object, of which a bus may bring one answer twice, and two devices at least five
+QUESTIONS = 3  # one device gives three answers, four where one is doubled; two devices give five at least
 CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
 
 
@@ -125,9 +125,9 @@ class Commissioning:
 
     def check_alone(self) -> None:
         """Raise DeviceError if two devices have the node: both answer when it is asked for 0x1400:1."""
-        for _ in range(ASKED):
+        for _ in range(QUESTIONS):
             self._sdo.read(0x1400, 1, "u32")
-        if self._sdo.times_answered_by_now() > ASKED + 1:
+        if self._sdo.times_answered_by_now() > QUESTIONS + 1:
             raise DeviceError(
                 f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
                 " give it another number"

@@ -614,7 +614,10 @@ class ElmoCan(Driver):
         )
 
     def _accuse(self, text: str) -> None:
-        """End the run, or refuse the start, for what another master does; no reset of a fault excuses it."""
+        """End the run, or refuse the start, for what another master does.
+
+        Resetting a fault at the start does not excuse it.
+        """
         self._standing.of_other_master = self._standing.of_other_master or text
         self._emergency = self._emergency or text
 
