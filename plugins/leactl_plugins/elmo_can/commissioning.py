@@ -24,7 +24,7 @@ INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, 
 MAKES_SYNC = 1 << 30  # bit of 0x1005
 # no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
 ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
-QUESTIONS = 3  # one device gives three answers, four where one is doubled; two devices give five at least
+MOST_DOUBLED = 2  # answers that a bus may bring twice while some twenty are awaited
 CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
 
 
@@ -124,10 +124,8 @@ class Commissioning:
             raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
 
     def check_alone(self) -> None:
-        """Raise DeviceError if two devices have the node: both answer when it is asked for 0x1400:1."""
-        for _ in range(QUESTIONS):
-            self._sdo.read(0x1400, 1, "u32")
-        if self._sdo.times_answered_by_now() > QUESTIONS + 1:
+        """Raise DeviceError if two devices have the node, so that all that was asked so far was answered twice."""
+        if self._sdo.surplus > MOST_DOUBLED:
             raise DeviceError(
                 f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
                 " give it another number"

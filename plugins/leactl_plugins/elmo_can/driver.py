@@ -218,7 +218,6 @@ class ElmoCan(Driver):
             self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
             setup.check_identity()
         setup.disable_voltage()
-        setup.check_alone()
         if setup.leave_fault():
             self._emergency = self._standing.of_other_master
         self._standing.identity = setup.identity()
@@ -228,6 +227,7 @@ class ElmoCan(Driver):
         self._position = CountedPosition(*setup.position_range())
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         self._turn_to(Mode.OFF)
+        setup.check_alone()
         setup.arm_dead_man()
         # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._life.fed = self._life.due = NEVER

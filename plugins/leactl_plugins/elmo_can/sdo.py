@@ -77,7 +77,7 @@ class Sdo:
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
-        self._times_answered = 0  # of the object that was asked for last
+        self.surplus = 0  # answers beyond one to each transfer
         self._has_size = True  # whether the last answer tells how many of its four bytes count
         self._segments = False  # of a text, whose frames carry no index
 
@@ -89,8 +89,9 @@ class Sdo:
         """Receive an answer of the node; others, by length or object, are dropped."""
         if len(data) != FRAME_BYTES:
             return
+        if data[0] >= SEGMENT_ANSWERS_BELOW:
+            self.surplus += 1
         if data[1:4] == self._asked:
-            self._times_answered += 1
             self._has_size = data[0] & UPLOAD_FLAGS != EXPEDITED_WITHOUT_SIZE
         if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
@@ -115,11 +116,6 @@ class Sdo:
                 f"node {self._node}: 0x{index:04X}:{sub} has {len(raw)} bytes, {kind} was expected"
             ) from None
         return int(value)
-
-    def times_answered_by_now(self) -> int:
-        """How often the object that was asked for last has been answered, by one node or several."""
-        self._port.take_waiting()
-        return self._times_answered
 
     def read_text(self, index: int, sub: int) -> str:
         """Read a text object, in segments where it is longer than four bytes, within `TEXT_S`.
@@ -171,9 +167,8 @@ class Sdo:
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
         self._answers.clear()
         self._client.responses = self._answers  # `canopen` drops what came twice by a queue that pumps nothing
-        asked = struct.pack("<HB", index, sub)
-        if asked != self._asked:
-            self._asked, self._times_answered = asked, 0
+        self._asked = struct.pack("<HB", index, sub)
+        self.surplus -= 1
         try:
             return call(index, sub, *arguments)
         except SdoAbortedError as error:
