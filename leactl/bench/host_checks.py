@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.driver import registry
+from leactl.driver.can_port import LOOK_AT
 
 LEAST_PYTHON = (3, 11)
 LEAST_FREE_BYTES = 2 << 30  # some 100 h at 50 Hz, or 3 h at 1 kHz
@@ -118,17 +119,13 @@ def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
         f"restart-ms {restart_ms}" if restart_ms is not None else "",
         f"txqueuelen {queue}" if queue is not None else "",
     ]
-    has_left = controller == "BUS-OFF"
     fine = is_up(state) and controller not in ("BUS-OFF", "ERROR-PASSIVE")
-    if has_left:
-        mend = (
-            f"look at cable, termination and bit rate; then: sudo ip link set {name} down && {bring_up(name, bitrate)}"
-            f" restart-ms {RESTART_MS}"
-        )
+    if controller == "BUS-OFF":
+        mend = f"{LOOK_AT}; then: sudo ip link set {name} down && {bring_up(name, bitrate)} restart-ms {RESTART_MS}"
     elif not is_up(state):
         mend = bring_up(name, bitrate)
     elif not fine:
-        mend = "look at cable, termination and bit rate"
+        mend = LOOK_AT
     elif queue is not None and queue < FEWEST_QUEUED:
         mend = f"room for more frames: sudo ip link set {name} txqueuelen 1000"
     else:

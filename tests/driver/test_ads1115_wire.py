@@ -115,7 +115,7 @@ def test_no_course_of_stalls_puts_a_reading_at_another_time(times, period):
 def test_a_bus_on_which_no_start_is_known_in_time_is_told():
     bench = AdcBench(wire=Stalling([0.004]))
     bench.adc.open()
-    with pytest.raises(NoAnswer, match=r"20 starts of a conversion .* took more than 5 ms, the last 8 ms"):
+    with pytest.raises(NoAnswer, match=r"20 starts of a conversion .* took more than 6.19 ms, the last 8 ms"):
         bench.rows(1)
 
 

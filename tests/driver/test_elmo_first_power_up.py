@@ -107,6 +107,17 @@ def test_two_drives_with_one_node_are_told(make_bench):
         bench.drive.open()
 
 
+def test_stops_that_await_no_answer_make_no_twin_of_a_drive_that_is_opened_again(make_bench):
+    bench = make_bench()
+    for _ in range(5):
+        bench.drive.open()
+        bench.drive.stop_now()
+        assert bench.drive.safe_state(1.0).safe
+        bench.drive.close()
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+
+
 def test_offsets_of_another_master_are_added_to_nothing(make_bench):
     bench = make_bench()
     bench.far.hold(0x60B0, 0, 4000)

@@ -198,8 +198,8 @@ class Ads1115(Driver):
         converter, before = self._converters[self._turn], self._clock.now()
         self._port.write(self._address, CONFIG, converter.config)
         after = self._clock.now()
-        took = after - before
-        if took <= LONGEST_START_S + converter.conversion_s:
+        took, most = after - before, LONGEST_START_S + converter.conversion_s
+        if took <= most:
             self._started, self._held_up = after, 0
             return
         # nobody knows when the conversion began; the next call starts one anew
@@ -207,7 +207,7 @@ class Ads1115(Driver):
         if self._held_up == MOST_HELD_UP:
             raise NoAnswer(
                 f"{self.name}: {MOST_HELD_UP} starts of a conversion one after the other took more than"
-                f" {1e3 * LONGEST_START_S:g} ms, the last {1e3 * took:.3g} ms: its readings have no known time; is the"
+                f" {1e3 * most:.3g} ms, the last {1e3 * took:.3g} ms: its readings have no known time; is the"
                 " bus slow, or the host busy?"
             )
 

@@ -209,6 +209,7 @@ class ElmoCan(Driver):
             `DeviceFault` if it is in fault.
         """
         self._standing = _Standing()
+        self._sdo.surplus = 0  # what came before is of another start, or of a stop that awaits no answer
         self._connect()
         self._emergency = ""  # of a drive that is in fault still, its state tells
         setup = self._setup()
@@ -461,7 +462,7 @@ class ElmoCan(Driver):
         DeviceFault : the drive is still in fault afterwards, its cause is still there.
         """
         self._setup().reset_fault()
-        self._emergency = ""
+        self._emergency = self._standing.of_other_master
 
     # -- set-up ------------------------------------------------------------------------------------------------------
 
@@ -616,7 +617,7 @@ class ElmoCan(Driver):
     def _accuse(self, text: str) -> None:
         """End the run, or refuse the start, for what another master does.
 
-        Resetting a fault at the start does not excuse it.
+        Resetting a fault does not excuse it.
         """
         self._standing.of_other_master = self._standing.of_other_master or text
         self._emergency = self._emergency or text
