@@ -62,15 +62,15 @@ def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
         raise
 
 
-def number_if_told(sdo: Sdo, index: int, sub: int, kind: str = "u32") -> int | None:
-    """A number that a node need not tell; None where it refuses, for whatever reason, or where it has another length.
+def number_if_told(sdo: Sdo, index: int, sub: int) -> int | None:
+    """A number of 32 bits that a node need not tell; None where it refuses for any reason, or has another length.
 
     Raises
     ------
     NoAnswer : the node does not answer.
     """
     try:
-        return sdo.read(index, sub, kind)
+        return sdo.read(index, sub, "u32")
     except NoAnswer:
         raise
     except DeviceError:

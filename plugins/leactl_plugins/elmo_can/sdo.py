@@ -77,7 +77,7 @@ class Sdo:
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
-        self.surplus = 0  # answers beyond one to each transfer
+        self.surplus = 0  # answers received minus transfers begun
         self._has_size = True  # whether the last answer tells how many of its four bytes count
         self._segments = False  # of a text, whose frames carry no index
 
