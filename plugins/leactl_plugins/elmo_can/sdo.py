@@ -13,7 +13,8 @@ from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
 FRAME_BYTES = 8  # of every SDO frame (CiA 301, 7.2.4.3); `canopen` breaks over a shorter one
-UPLOAD_FLAGS, EXPEDITED_WITHOUT_SIZE = 0xE3, 0x42  # of the first byte (CiA 301, 7.2.4.3.5)
+# bits of command, expedited and size in the first byte, and their value where no size is told (CiA 301, 7.2.4.3.5)
+UPLOAD_MASK, EXPEDITED_WITHOUT_SIZE = 0xE3, 0x42
 SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
 LONGEST_TEXT = 256  # bytes; names have some 30
 TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
@@ -34,7 +35,7 @@ class _PumpedQueue(queue.Queue[bytes]):
         super().__init__()
         self._port = port
         self.until = math.inf
-        self._came = [False]  # whether an answer waits
+        self._came = [False]  # whether an answer waits; a list, which the port watches
 
     def _put(self, item: bytes) -> None:
         super()._put(item)
@@ -77,7 +78,7 @@ class Sdo:
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
-        self.surplus = 0  # answers received minus transfers begun
+        self.surplus = 0  # answers received minus transfers begun; -1 while one is awaited
         self._has_size = True  # whether the last answer tells how many of its four bytes count
         self._segments = False  # of a text, whose frames carry no index
 
@@ -86,13 +87,13 @@ class Sdo:
         self._answers.until = until
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
-        """Receive an answer of the node; others, by length or object, are dropped."""
+        """Pass on answers to the present transfer; those for other objects are counted only, other lengths ignored."""
         if len(data) != FRAME_BYTES:
             return
         if data[0] >= SEGMENT_ANSWERS_BELOW:
             self.surplus += 1
         if data[1:4] == self._asked:
-            self._has_size = data[0] & UPLOAD_FLAGS != EXPEDITED_WITHOUT_SIZE
+            self._has_size = data[0] & UPLOAD_MASK != EXPEDITED_WITHOUT_SIZE
         if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
@@ -166,7 +167,7 @@ class Sdo:
 
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
         self._answers.clear()
-        self._client.responses = self._answers  # `canopen` drops what came twice by a queue that pumps nothing
+        self._client.responses = self._answers  # `canopen` may have put a plain queue there, to drop doubles
         self._asked = struct.pack("<HB", index, sub)
         self.surplus -= 1
         try:
