@@ -121,10 +121,13 @@ def test_advice_names_what_stays_dark_and_what_would_help(advised):
     assert "unbalance" in shown
     assert not {"friction", "separate-drive-timing"} & {line["protocol"] for line in further}
     assert [line["gain_per_s"] for line in further] == sorted((line["gain_per_s"] for line in further), reverse=True)
-    assert any("torque_sensor_gain" in line["shows"] for line in further)
+    assert "torque_sensor_gain" in shown  # by the locked steps, of which the free run's voltage tells the torque
+    assert any("load_dependent_friction" in line["shows"] for line in further)
+    assert not [line["protocol"] for line in further if set(line["shows"]) & shown]
     helped = {effect for line in further for effect in line["shows"]}
-    others = {name for name in effect_names() if effect_definition(name).shown_on != ("servo",)}
-    assert set(advised["not_shown"]) == others - {"resistance_temperature"} - shown - helped
+    others = {name for name in effect_names() if "bench" in effect_definition(name).shown_on}
+    others -= {"resistance_temperature", "gravity_load", "position_spring"}  # the model has the first, and no arm
+    assert set(advised["not_shown"]) == others - shown - helped
 
 
 @pytest.mark.long

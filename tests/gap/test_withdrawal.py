@@ -7,14 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.effects import library
 from leactl.effects.contract import Signals
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
-from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
-from leactl.gap.search.sets import best_of_each, outweighs
-from leactl.gap.signals.record import read_record
+from leactl.gap.search.sets import outweighs
 from leactl.gap.verdict.shrinkage import Growth, Shrunk
 from leactl.gap.verdict.withdrawal import FittedEffects, apply
 from leactl.model.nominal import Model, read_model
@@ -76,6 +73,22 @@ def test_an_effect_that_closes_nothing_is_taken_back_and_said(model, by_effects,
     assert applied.notes == (f"not named though it fits: saturation; {reason}",)
 
 
+def test_an_effect_that_closes_one_channel_and_opens_another_farther_is_taken_back(model):
+    """The blocks of one channel shrink beyond chance, and the squares of all channels grow by half a percent."""
+
+    def simulate(calibrated, further):
+        torque, velocity = (5.5, 10.12) if further.effects else (6.0, 9.8)
+        lines = (
+            Shrinkage("torque", "test", "free", "N*m", 6.0, 6.0, torque, 1.0),
+            Shrinkage("velocity", "test", "free", "rad/s", 9.8, 9.8, velocity, 1.0),
+        )
+        return Shrunk(lines, (), (), (), growth(-1.0, -0.05, bool(further.effects)))
+
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate)
+    assert not applied.augmented.effects
+    assert applied.notes == ("not named though it fits: saturation; with it the gap of held-out runs grows",)
+
+
 def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model):
     """Better than a calibration that took up the effect, and worse than the one that is fitted beside it."""
     alone = replace(SOUND, fitted=0.05)
@@ -102,13 +115,15 @@ def test_of_several_effects_the_one_goes_without_which_the_gap_is_smallest(model
     """Both shrink the gap beside a calibration that is not applied in the end, and fail beside the one that is."""
     alone = replace(SOUND, fitted=0.05)
     without = {alone.fitted: 8.0, SOUND.fitted: 5.0, model.viscous_damping: 7.0}
-    distance = {frozenset({"saturation"}): 4.9, frozenset({"cogging"}): 3.0, frozenset({"saturation", "cogging"}): 6.0}
+    distance = {frozenset({"saturation"}): 7.0, frozenset({"cogging"}): 3.0, frozenset({"saturation", "cogging"}): 6.0}
+
+    def far(model):
+        return distance.get(frozenset(entry.effect for entry in model.effects), without[model.viscous_damping])
 
     def simulate(calibrated, further):
-        plain = without[calibrated.viscous_damping]
-        names = frozenset(entry.effect for entry in further.effects)
-        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, plain, distance.get(names, plain), 1.0)
-        return Shrunk((line,), (), (), (), growth(plain - 7.0, -1.0 if names else 0.0, bool(names)))
+        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, far(calibrated), far(further), 1.0)
+        by_effects = -1.0 if further.effects else 0.0
+        return Shrunk((line,), (), (), (), growth(far(calibrated) - 7.0, by_effects, bool(further.effects)))
 
     applied = apply(model, [alone], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
     assert [cause.effect for cause in applied.fitted.causes] == ["cogging"]
@@ -245,11 +260,6 @@ def test_the_recipe_of_the_readme_names_nothing_that_is_not_there(tmp_path, monk
         assert leactl("run", "friction", *arguments).returncode == 0
     Path("nominal.yaml").write_text(leactl("bench", "model", "emulated").stdout)
     [fitted], [held_out] = Path("11").glob("*.h5"), Path("12").glob("*.h5")
-    evidence = Evidence([read_record(fitted)], read_model(Path("nominal.yaml"))[0])
-    evidence.settle([])
-    offered = {item.effect for item in best_of_each(evidence, evidence.normal(), [])}
-    assert "saturation" not in offered  # it would have to take 4.7 times the torque constant away
-    assert offered < set(library())
     done = leactl("gap", "diagnose", fitted, "--held-out", held_out, "--model", "nominal.yaml", "--json")
     assert "Warning" not in done.stderr
     answer = json.loads(done.stdout)

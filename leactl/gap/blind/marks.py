@@ -6,11 +6,11 @@ from typing import Any
 
 from leactl.gap.blind.truth import Truth
 from leactl.gap.verdict.decision import NAMED
+from leactl.gap.verdict.withdrawal import GROWN
 
 LEAST_MOVED = 1.0  # floors, below which a gap drowns in noise wherever it is
 AS_GOOD = 0.9  # of the most floors moved: test and load actuator tell the speed of one shaft
 GAP = 1.1  # floors, below which an oracle finds no gap to close
-GROWN = 1.001  # of the squared distance, up to which it is the same: replays differ by as much
 SAME_NUMBER = "back_emf_constant"  # in power-invariant units the torque constant again
 REPLACED = {"shaft_compliance": "bench.shaft_stiffness"}  # an effect whose parameter stands for one of the model's
 NO_TRUTH = "ambient_offset"  # of the plant's ambient, which has none of its own

@@ -17,6 +17,7 @@ from leactl.gap.search.evidence import Evidence, every_form, forms_here
 from leactl.gap.search.regression import Candidate, Normal
 from leactl.gap.search.sets import ENTRY, SHAPE, WAVE
 from leactl.gap.signals.record import Record
+from leactl.gap.signals.setpoints import marked
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -57,8 +58,10 @@ def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidat
 def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
     """Evidence of planned or measured runs for every effect, with what a sound machine leaves over in each of them.
 
-    What it shows of effects is not counted: that hangs on which of the runs are taken together.
+    What it shows of effects is not counted: that hangs on which of the runs are taken together. Whether setpoints hold
+    over their interval is read from the runs, as a diagnosis reads it.
     """
+    records = marked(records, model)
     evidence = Evidence(records, model, only=planned_candidates(records, model))
     evidence.compare_with(measure(records, model, machines=1, only=[]))
     return evidence

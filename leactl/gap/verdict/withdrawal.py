@@ -12,6 +12,7 @@ from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"
+GROWN = 1.001  # of a squared distance to held-out runs, up to which it is the same: replays differ by as much
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -158,9 +159,9 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equa
     """
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
-    if shrunk.growth.effects_worse:
-        return GAP_GROWS
     before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
+    if shrunk.growth.effects_worse or after > GROWN * before:
+        return GAP_GROWS
     by_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
     if shrunk.growth.closed is False and not by_equations:
         return "with it no gap of held-out runs shrinks beyond chance"
