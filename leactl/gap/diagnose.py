@@ -30,7 +30,16 @@ from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
 from leactl.gap.signals.setpoints import marked, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
-from leactl.gap.verdict.judge import Judged, judge, left_by_form, unexplained, unrest
+from leactl.gap.verdict.judge import (
+    Judged,
+    far_from_held_out,
+    judge,
+    left_by_form,
+    unexplained,
+    unexplained_in_a_run,
+    unrest,
+    unrest_of_runs,
+)
 from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.verdict.picture import pictured, pictured_by_replays
 from leactl.gap.verdict.shrinkage import shrinkage
@@ -214,7 +223,8 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
     judged = judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
     beside_sound = among_sound_noise(evidence, searched)
-    restless, lines = left_over(evidence, beside_sound)
+    by_run, lines = left_over(evidence, beside_sound)
+    restless = unrest(by_run)
     surprise = unexplained(restless, lines)
     causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated(evidence, evidence.settle([]))
@@ -269,8 +279,11 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     if len(standing) < len(searched.hypothesis) and not by_runs:  # what the others explained is unexplained again
         rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(standing)))
-        without = unexplained(*left_over(evidence, rest_of_set))
-        surprise = max(surprise, without, key=lambda one: one.probability)
+        by_run, lines = left_over(evidence, rest_of_set)
+        surprise = max(surprise, unexplained(unrest(by_run), lines), key=lambda one: one.probability)
+    if not standing and not by_runs:
+        off = unexplained_in_a_run(by_run), far_from_held_out(shrunk.channels, bool(applied.fitted.calibration))
+        surprise = max(surprise, *off, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -317,11 +330,11 @@ def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     return replace(result, taken=taken, left=left)
 
 
-def left_over(evidence: Evidence, result: EffectSet) -> tuple[dict[Channel, float], dict[Channel, Line]]:
-    """How restless a set leaves each channel, and the lines in the spectra of what it leaves."""
+def left_over(evidence: Evidence, result: EffectSet) -> tuple[dict[Channel, dict[str, float]], dict[Channel, Line]]:
+    """How restless a set leaves each channel of each run, and the lines in the spectra of what it leaves."""
     heard = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(result.hypothesis), heard)
-    return unrest(evidence, result), lines
+    return unrest_of_runs(evidence, result), lines
 
 
 def outweighed(

@@ -24,6 +24,7 @@ WINDING = ("winding_temperature", "test")
 FED, UNFED = "active", "inactive"  # places of the phases that two leads feed, and of the third
 SLOW = ("winding_temperature", "housing_temperature", AMBIENT)
 FEWEST = 50  # samples, below which a run says nothing
+MANY_MISSING = 0.2  # of a channel's samples, from which on an answer says so
 REACH = 2.5  # paces, that values are taken in between over
 BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
@@ -198,6 +199,8 @@ def build(
             usable.append(channel)
             if good.all() and np.ptp(channel.values) == 0.0 and not may_rest(channel, mechanical):
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
+            if good.mean() <= 1.0 - MANY_MISSING and not channel.quantity.endswith("_reference"):
+                notes.append(f"{path.name}: a fifth or more of {channel.quantity} of {channel.role} was not measured")
     if not usable:
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
     fast = [c for c in usable if not is_slow(c.quantity)]

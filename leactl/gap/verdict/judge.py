@@ -6,12 +6,13 @@ winner is named together with it.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from leactl.effects import library
+from leactl.gap.replay.compared import Compared
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Rows
 from leactl.gap.search.ringing import Line
@@ -26,7 +27,14 @@ SHARED_LEFT = 5e-4  # of an equation's largest part, below which a slow rest is 
 NOISE_BESIDE = 1.6  # noise of a row over that of its differences, squared, where rows overlap
 FORM_LEFT = 0.01  # of what a set explains in a channel, that its forms may leave over there
 UNREST, UNREST_SLOPE = 5.0, 2.5  # times what benches without an effect show, above which a channel is not explained
+RUN_UNREST = 25.0  # the same of the worst of several runs, where the others are at rest
+FAR_OFF, FAR_OFF_SLOPE = 20.0, 5.0  # floors, off which a replay is as likely unexplained as not
+ONE_MACHINE = "are they of one machine in one state?"
 LINE, LINE_SLOPE = 1.28, 30.0  # over its neighbourhood, of a line in a spectrum as likely there as not
+
+
+Channel = tuple[str, str, str]
+"""Equation, quantity and mechanical set-up."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +95,12 @@ def presence(height: float) -> float:
     return SURE / (1.0 + math.exp(-SLOPE * (height - HALF)))
 
 
-def unrest(evidence: Evidence, result: EffectSet) -> dict[tuple[str, str, str], float]:
-    """Of each channel: what is left over, slow and unexplained, over what benches without an effect leave.
+def unrest_of_runs(evidence: Evidence, result: EffectSet) -> dict[Channel, dict[str, float]]:
+    """Of each channel, by run: what is left over, slow and unexplained, over what benches without an effect leave.
 
-    Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error. Keys
-    are equation, quantity and mechanical set-up.
+    Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error.
     """
-    ratios: dict[tuple[str, str, str], list[float]] = {}
+    ratios: dict[Channel, dict[str, float]] = {}
     for index, rows in enumerate(evidence.stack.rows):
         if not evidence.is_judged(rows):
             continue
@@ -104,8 +111,13 @@ def unrest(evidence: Evidence, result: EffectSet) -> dict[tuple[str, str, str], 
         # what a shared parameter leaves of a large signal is no sign either
         if left_by_form(result, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
             value = min(value, expected)
-        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(value / expected)
-    return {key: float(np.median(values)) for key, values in ratios.items()}
+        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), {})[rows.run] = value / expected
+    return ratios
+
+
+def unrest(by_run: Mapping[Channel, Mapping[str, float]]) -> dict[Channel, float]:
+    """The unrest of each channel in the middle one of its runs."""
+    return {channel: float(np.median(list(ratios.values()))) for channel, ratios in by_run.items()}
 
 
 def left_by_form(result: EffectSet, index: int) -> bool:
@@ -125,17 +137,14 @@ class Unexplained:
 
     probability: float
     note: str  # empty where nothing does
-    channel: tuple[str, str, str] | None = None  # equation, quantity and set-up that tell it
+    channel: Channel | None = None  # that tells it
 
 
-Channels = Mapping[tuple[str, str, str], float]
-
-
-def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) -> Unexplained:
-    """Judge the most restless channel and the highest line in a spectrum; keys as `unrest` has them."""
+def unexplained(restless: Mapping[Channel, float], lines: Mapping[Channel, Line]) -> Unexplained:
+    """Judge the most restless channel and the highest line in a spectrum."""
     candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratio in restless.items():
-        probability = 1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE) if ratio > 0.0 else 0.0
+        probability = beyond_sound(ratio, UNREST)
         told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
         note = f"unexplained: {quantity}, {mechanical} ({equation}) is {told}"
         candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
@@ -145,3 +154,42 @@ def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) 
         note = f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}"
         candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     return max(candidates, key=lambda one: one.probability)
+
+
+def unexplained_in_a_run(by_run: Mapping[Channel, Mapping[str, float]]) -> Unexplained:
+    """Judge the run that stands farthest out of the others of its channel: it may be of another machine."""
+    candidates = [Unexplained(0.0, "")]
+    for (equation, quantity, mechanical), ratios in by_run.items():
+        run, ratio = max(ratios.items(), key=lambda item: item[1])
+        told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
+        middle = f"the middle one of {len(ratios)} runs {float(np.median(list(ratios.values()))):.3g} times"
+        note = f"unexplained: {quantity} of {run} ({equation}) is {told}, {middle}; {ONE_MACHINE}"
+        candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
+    return max(candidates, key=lambda one: one.probability)
+
+
+def far_from_held_out(compared: Sequence[Compared], calibrated: bool) -> Unexplained:
+    """Judge the channel whose held-out run stands farthest from the last model, in floors.
+
+    Held-out runs of another machine, or of the same in another state, show in no equation of the fitted runs.
+
+    calibrated : whether the fitted runs tell any parameter of the model.
+    """
+    candidates = [Unexplained(0.0, "")]
+    for one in compared:
+        squares, floors = float(one.squares(-1).sum()), float(one.floor_squares().sum())
+        if floors > 0.0 and squares > 0.0:
+            off = math.sqrt(squares / floors)
+            told = f"{one.quantity} of {one.run} ({one.mechanical}) stands {off:.3g} floors off the model"
+            asked = f"as the fitted runs have it; {ONE_MACHINE}" if calibrated else "and no fitted run tells it better"
+            probability = 1.0 / (1.0 + (FAR_OFF / off) ** FAR_OFF_SLOPE)
+            candidates.append(Unexplained(probability, f"unexplained: {told} {asked}"))
+    return max(candidates, key=lambda one: one.probability)
+
+
+def beyond_sound(ratio: float, even: float) -> float:
+    """Probability that something acts where a channel leaves so many times what a sound machine leaves.
+
+    even : ratio at which it is a half.
+    """
+    return 1.0 / (1.0 + (even / ratio) ** UNREST_SLOPE) if ratio > 0.0 else 0.0

@@ -20,7 +20,7 @@ from leactl.gap.search.sets import ENTRY, EffectSet, FurtherEffect
 from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.decision import NAMED
-from leactl.gap.verdict.judge import HALF, Judged, presence
+from leactl.gap.verdict.judge import HALF, Channel, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
 from leactl.gap.verdict.residual_frequency import ResidualCourse, gains, strongest_frequency
 from leactl.gap.verdict.state_regression import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
@@ -29,7 +29,6 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
-Channel = tuple[str, str, str]  # equation, quantity, mechanical set-up
 STRETCHES = 24  # of a run
 FEWEST = 4  # rows in a stretch, below which a run says nothing
 LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # of an angle: the first few, the strongest, and the last one tried
