@@ -63,7 +63,7 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
     assert len({one.fast.fastest for one in several}) == 1
     assert {one.run for one in several} == {"night-1"}
     assert len({one.name for one in several}) == STRETCHES
-    assert "16 stretches of 1.02 s of a run of 59.999 s are looked at (27 %)" in whole.notes[0]
+    assert "16 stretches of 1.02 s of a run of 59.999 s are looked at (27 % of its rows)" in whole.notes[0]
     with h5py.File(pair / "night-1.h5") as file:
         current = file["streams/loop/q_axis_current"][:]
         stamps = file["streams/loop/time"][:]
