@@ -125,18 +125,21 @@ def test_a_reader_that_hangs_or_leaves_costs_the_run_nothing(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-c", f"open({str(pipe)!r}).readline(); input()"], stdin=subprocess.PIPE
     ) as r:
-        deadline = time.monotonic() + 20.0
-        while True:  # until the reader has opened it
-            try:
-                held = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
-                break
-            except OSError:
-                assert time.monotonic() < deadline
-        done = leactl(*SHORT, "--out", tmp_path, "--events", pipe, LEACTL_STATE=str(tmp_path))
-        assert done.returncode == 0, done.stderr
-        assert "complete" in done.stdout
-        os.close(held)
-        r.communicate(b"\n", timeout=20)
+        try:
+            deadline = time.monotonic() + 20.0
+            while True:  # until the reader has opened it
+                try:
+                    held = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+                    break
+                except OSError:
+                    assert time.monotonic() < deadline
+            done = leactl(*SHORT, "--out", tmp_path, "--events", pipe, LEACTL_STATE=str(tmp_path))
+            assert done.returncode == 0, done.stderr
+            assert "complete" in done.stdout
+            os.close(held)
+            r.communicate(b"\n", timeout=20)
+        finally:
+            r.kill()  # or a failure would wait for it for ever
 
 
 def test_what_has_no_room_is_counted_and_told(tmp_path):
