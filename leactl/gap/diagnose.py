@@ -32,11 +32,12 @@ from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
 from leactl.gap.verdict.judge import (
     Judged,
-    far_from_held_out,
+    RunRatios,
     judge,
     left_by_form,
     unexplained,
     unexplained_in_a_run,
+    unlike_fitted,
     unrest,
     unrest_of_runs,
 )
@@ -281,8 +282,8 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(standing)))
         by_run, lines = left_over(evidence, rest_of_set)
         surprise = max(surprise, unexplained(unrest(by_run), lines), key=lambda one: one.probability)
-    if not standing and not by_runs:
-        off = unexplained_in_a_run(by_run), far_from_held_out(shrunk.channels, bool(applied.fitted.calibration))
+    if not standing and not by_runs and surprise.probability < UNKNOWN:
+        off = unexplained_in_a_run(by_run), unlike_fitted(evidence, standing, case.held_out)
         surprise = max(surprise, *off, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
@@ -330,7 +331,7 @@ def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     return replace(result, taken=taken, left=left)
 
 
-def left_over(evidence: Evidence, result: EffectSet) -> tuple[dict[Channel, dict[str, float]], dict[Channel, Line]]:
+def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
     """How restless a set leaves each channel of each run, and the lines in the spectra of what it leaves."""
     heard = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(result.hypothesis), heard)

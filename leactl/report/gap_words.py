@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import (
+    REPLAY_MISS,
     CalibratedParameter,
     Cause,
     DiagnosisResult,
@@ -32,12 +33,20 @@ VERDICTS = {
     "effect": "The model lacks {causes}.",
     "unknown": "A gap remains that no effect of the library explains.",
 }
+FAR_OFF = {
+    "none": "Nothing in these runs shows what the model lacks, but a replay of",
+    "calibration": "Other parameters explain what these runs tell of the model, but a replay of",
+}
 Channel = Where | Shrinkage
 
 
 def verdict_sentence(answer: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes; faults of the set-up are named apart from effects."""
     faults, lacking = claimed_faults(answer), claimed_effects(answer)
+    farthest = next((line for line in largest_first(answer.shrinkage) if line.floor_rms > 0.0), None)
+    if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > REPLAY_MISS * farthest.floor_rms:
+        floors = farthest.calibrated_rms / farthest.floor_rms
+        return f"{FAR_OFF[answer.verdict]} {channel_label(farthest, answer.shrinkage)} stands {floors:.3g} floors off."
     if answer.verdict != "effect" or not faults:
         return VERDICTS[answer.verdict].format(causes=enumerated(lacking))
     lacks = f"; with it mended, the model lacks {enumerated(lacking)}" if lacking else ""

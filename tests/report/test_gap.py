@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leactl.gap.diagnosis import Cause, DiagnosisResult
+from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
 from leactl.report.gap import render
 from leactl.report.gap_words import rest_words
 from tests.report.answers import answer, rest
@@ -132,6 +132,14 @@ def test_an_answer_without_a_gap_is_short():
         "verdict: none. The model explains these runs; no gap is left.\n"
         "probability that something unexplained acts: < 0.01\n"
     )
+
+
+@pytest.mark.parametrize(("floors", "told"), [(5.0, False), (7.0, True)])
+def test_a_replay_that_stands_farther_off_than_a_right_model_s_may_is_said_beside_a_sound_verdict(floors, told):
+    line = Shrinkage("velocity", "test", "free", "rad/s", 0.02 * floors, 0.01 * floors, 0.01 * floors, 0.01)
+    for verdict in ("none", "calibration"):
+        text = " ".join(render(DiagnosisResult(verdict, 0.003, shrinkage=(line,))).split())
+        assert (f"but a replay of velocity, free stands {floors:.3g} floors off." in text) is told
 
 
 def test_a_name_cannot_steer_the_terminal():

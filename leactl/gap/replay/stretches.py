@@ -357,7 +357,10 @@ class Walk:
         lasts = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
         each, share = self.interval * self.length, 100.0 * len(stretches) * self.length / self.rows
         unrecorded = lasts - self.interval * (self.rows - 1)
-        paused = f"; its clock jumps or it pauses: {unrecorded:.4g} s of it have no rows" if unrecorded > each else ""
+        # stamps rounded to a few digits put the usual interval off by a share: that is no pause
+        paused = (
+            f"; its clock jumps or it pauses: {unrecorded:.4g} s of it have no rows" if unrecorded > lasts / 2 else ""
+        )
         return (
             f"{self.run.path.name}: {len(stretches)} stretches of {each:.3g} s of a run of {lasts:.6g} s are looked at"
             f" ({share:.2g} % of its rows), temperatures and what heats from end to end{paused}"

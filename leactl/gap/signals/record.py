@@ -199,7 +199,8 @@ def build(
             usable.append(channel)
             if good.all() and np.ptp(channel.values) == 0.0 and not may_rest(channel, mechanical):
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
-            if good.mean() <= 1.0 - MANY_MISSING and not channel.quantity.endswith("_reference"):
+            evenly = np.ptp(np.diff(np.flatnonzero(good))) == 0  # as a slower channel has them on a faster one's clock
+            if good.mean() <= 1.0 - MANY_MISSING and not evenly and not channel.quantity.endswith("_reference"):
                 notes.append(f"{path.name}: a fifth or more of {channel.quantity} of {channel.role} was not measured")
     if not usable:
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")

@@ -6,17 +6,18 @@ winner is named together with it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.replay.compared import Compared
+from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.regression import Candidate, Rows
+from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
 from leactl.gap.search.sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
+from leactl.gap.signals.record import Record
 
 EXACT_FORM_ERROR = 0.0005
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
@@ -27,14 +28,15 @@ SHARED_LEFT = 5e-4  # of an equation's largest part, below which a slow rest is 
 NOISE_BESIDE = 1.6  # noise of a row over that of its differences, squared, where rows overlap
 FORM_LEFT = 0.01  # of what a set explains in a channel, that its forms may leave over there
 UNREST, UNREST_SLOPE = 5.0, 2.5  # times what benches without an effect show, above which a channel is not explained
-RUN_UNREST = 25.0  # the same of the worst of several runs, where the others are at rest
-FAR_OFF, FAR_OFF_SLOPE = 20.0, 5.0  # floors, off which a replay is as likely unexplained as not
+RUN_UNREST = 25.0  # the same of one run where the middle one is at rest, and of a held-out run over the fitted ones
 ONE_MACHINE = "are they of one machine in one state?"
 LINE, LINE_SLOPE = 1.28, 30.0  # over its neighbourhood, of a line in a spectrum as likely there as not
 
 
 Channel = tuple[str, str, str]
 """Equation, quantity and mechanical set-up."""
+RunRatios = dict[Channel, list[tuple[str, float]]]
+"""Of each channel, runs and how restless they are; a run that is looked at in stretches occurs once for each."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +97,12 @@ def presence(height: float) -> float:
     return SURE / (1.0 + math.exp(-SLOPE * (height - HALF)))
 
 
-def unrest_of_runs(evidence: Evidence, result: EffectSet) -> dict[Channel, dict[str, float]]:
-    """Of each channel, by run: what is left over, slow and unexplained, over what benches without an effect leave.
+def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
+    """What is left over in each run, slow and unexplained, over what benches without an effect leave.
 
     Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error.
     """
-    ratios: dict[Channel, dict[str, float]] = {}
+    ratios: RunRatios = {}
     for index, rows in enumerate(evidence.stack.rows):
         if not evidence.is_judged(rows):
             continue
@@ -111,13 +113,18 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> dict[Channel, dict[
         # what a shared parameter leaves of a large signal is no sign either
         if left_by_form(result, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
             value = min(value, expected)
-        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), {})[rows.run] = value / expected
+        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append((rows.run, value / expected))
     return ratios
 
 
-def unrest(by_run: Mapping[Channel, Mapping[str, float]]) -> dict[Channel, float]:
-    """The unrest of each channel in the middle one of its runs."""
-    return {channel: float(np.median(list(ratios.values()))) for channel, ratios in by_run.items()}
+def unrest(by_run: RunRatios) -> dict[Channel, float]:
+    """The unrest of each channel in the middle one of its runs and stretches."""
+    return {channel: middle(ratio for _, ratio in ratios) for channel, ratios in by_run.items()}
+
+
+def middle(ratios: Iterable[float]) -> float:
+    """The median."""
+    return float(np.median(list(ratios)))
 
 
 def left_by_form(result: EffectSet, index: int) -> bool:
@@ -156,36 +163,66 @@ def unexplained(restless: Mapping[Channel, float], lines: Mapping[Channel, Line]
     return max(candidates, key=lambda one: one.probability)
 
 
-def unexplained_in_a_run(by_run: Mapping[Channel, Mapping[str, float]]) -> Unexplained:
-    """Judge the run that stands farthest out of the others of its channel: it may be of another machine."""
-    candidates = [Unexplained(0.0, "")]
-    for (equation, quantity, mechanical), ratios in by_run.items():
-        run, ratio = max(ratios.items(), key=lambda item: item[1])
-        told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
-        middle = f"the middle one of {len(ratios)} runs {float(np.median(list(ratios.values()))):.3g} times"
-        note = f"unexplained: {quantity} of {run} ({equation}) is {told}, {middle}; {ONE_MACHINE}"
-        candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
-    return max(candidates, key=lambda one: one.probability)
+def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
+    """Judge the run that stands farthest out where the middle one is at rest: it may be of another machine.
 
-
-def far_from_held_out(compared: Sequence[Compared], calibrated: bool) -> Unexplained:
-    """Judge the channel whose held-out run stands farthest from the last model, in floors.
-
-    Held-out runs of another machine, or of the same in another state, show in no equation of the fitted runs. A drive's
-    current does not count: it follows a reference of which a slow log holds a part.
-
-    calibrated : whether the fitted runs tell any parameter of the model.
+    A run counts by the middle one of its stretches.
     """
     candidates = [Unexplained(0.0, "")]
-    for one in compared:
-        squares, floors = float(one.squares(-1).sum()), float(one.floor_squares().sum())
-        if one.quantity != "q_axis_current" and floors > 0.0 and squares > 0.0:
-            off = math.sqrt(squares / floors)
-            told = f"{one.quantity} of {one.run} ({one.mechanical}) stands {off:.3g} floors off the model"
-            asked = f"as the fitted runs have it; {ONE_MACHINE}" if calibrated else "and no fitted run tells it better"
-            probability = 1.0 / (1.0 + (FAR_OFF / off) ** FAR_OFF_SLOPE)
-            candidates.append(Unexplained(probability, f"unexplained: {told} {asked}"))
+    for (equation, quantity, mechanical), ratios in by_run.items():
+        runs = {run: middle(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
+        run, ratio = max(runs.items(), key=lambda item: item[1])
+        others = middle(runs.values())
+        if others < UNREST:
+            told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
+            beside = f"the middle one of {len(runs)} runs {others:.3g} times"
+            note = f"unexplained: {quantity} of {run} ({equation}) is {told}, {beside}; {ONE_MACHINE}"
+            candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
     return max(candidates, key=lambda one: one.probability)
+
+
+def unlike_fitted(evidence: Evidence, standing: Sequence[Candidate], held_out: Sequence[Record]) -> Unexplained:
+    """Judge the held-out run whose equations stand farthest off the fit, over those of fitted runs of its kind.
+
+    A held-out run of another machine, or of the same in another state, shows in no fitted run.
+
+    standing : effects of the augmented model.
+    """
+    candidates = [Unexplained(0.0, "")]
+    others = evidence.on(held_out, standing)
+    if not others.stack.rows:
+        return candidates[0]
+    others.settle(standing)
+    fit = evidence.settle(standing)
+    fitted = squares_left(evidence.stack, fit)
+    for own, runs in squares_left(others.stack, transferred(others.normal(), evidence, fit)).items():
+        usual = max((left for left, _ in fitted.get(own, {}).values()), default=0.0)
+        ratios = {run: (left - noise) / usual for run, (left, noise) in runs.items() if usual > 0.0}
+        if ratios:
+            run, ratio = max(ratios.items(), key=lambda item: item[1])
+            equation, quantity, mechanical, _ = own
+            told = f"{math.sqrt(max(ratio, 0.0)):.3g} times as far off the fit as in the fitted runs of its kind"
+            note = f"unexplained: {quantity} of {run} ({equation}) stands {told}; {ONE_MACHINE}"
+            candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
+    return max(candidates, key=lambda one: one.probability)
+
+
+def squares_left(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], dict[str, tuple[float, float]]]:
+    """Mean squares that a fit leaves in each run, and of the noise from row to row there; of stretches the middle one.
+
+    Keys are equation, quantity, mechanical set-up and kind of run.
+    """
+    left: dict[tuple[str, str, str, str], dict[str, list[tuple[float, float]]]] = {}
+    for index, rows in enumerate(stacked.rows):
+        squares = float(np.mean(residuals(stacked, fit, index) ** 2)), rows.white**2
+        own = left.setdefault((rows.equation, rows.quantity, rows.mechanical, rows.kind), {})
+        own.setdefault(rows.run, []).append(squares)
+    return {
+        key: {
+            run: (middle(one for one, _ in several), middle(one for _, one in several)) for run, several in runs.items()
+        }
+        for key, runs in left.items()
+    }
 
 
 def beyond_sound(ratio: float, even: float) -> float:

@@ -18,7 +18,7 @@ from leactl.gap.binned_means import (
     repeats,
     turned,
 )
-from leactl.gap.diagnosis import Cause, Region, Where
+from leactl.gap.diagnosis import REPLAY_MISS, Cause, Region, Where
 from leactl.gap.replay.compared import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth, speeds
@@ -31,7 +31,6 @@ MOST = 0.8  # of the squared residual that a region is to hold
 BINS = 12
 NARROW = 0.75  # of the data, above which a region says nothing
 NEAR_FLOOR = 1.1
-REPLAY_MISS = 6.0  # times the noise, that a replay of the right model may miss by
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
 PROFILES = 5  # entries that come with a profile
 PROFILE_BINS = 24
