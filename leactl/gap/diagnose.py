@@ -46,7 +46,7 @@ from leactl.gap.verdict.picture import pictured, pictured_by_replays
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
-from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply
+from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, at_bounds
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
@@ -282,7 +282,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(standing)))
         by_run, lines = left_over(evidence, rest_of_set)
         surprise = max(surprise, unexplained(unrest(by_run), lines), key=lambda one: one.probability)
-    if not standing and not by_runs and surprise.probability < UNKNOWN:
+    if not (standing or by_runs or at_bounds(calibrated_alone)) and surprise.probability < UNKNOWN:
         off = unexplained_in_a_run(by_run), unlike_fitted(evidence, standing, case.held_out)
         surprise = max(surprise, *off, key=lambda one: one.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
