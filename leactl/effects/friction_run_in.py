@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
-from leactl.effects.friction import drag
+from leactl.effects.friction import friction_torque
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
@@ -23,7 +23,7 @@ class FrictionRunIn(Effect):
         """Nominal friction, fading over the run."""
         if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
             return {}
-        friction = drag(signals.model, signals.velocity, signals.sliding)
+        friction = friction_torque(signals.model, signals.velocity, signals.sliding)
         return {"drag": {"excess": friction * np.exp(-signals.time / form[0])}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
-from leactl.effects.friction import drag
+from leactl.effects.friction import friction_torque
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
@@ -23,7 +23,7 @@ class FrictionTemperature(Effect):
             or signals.housing_rise is None
         ):
             return {}
-        friction = drag(signals.model, signals.velocity, signals.sliding)
+        friction = friction_torque(signals.model, signals.velocity, signals.sliding)
         return {"drag": {"coefficient": friction * signals.housing_rise}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:

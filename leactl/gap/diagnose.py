@@ -23,7 +23,7 @@ from leactl.gap.search.sets import EffectSet, search
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
-from leactl.gap.servo.runs import side_by_side
+from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.setup import SetUpFault, mended
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
@@ -235,7 +235,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     told: tuple[str, ...] = ()
     if by_runs:
         progress("fitting free runs of the servo")
-        free = side_by_side(case.fitted, case.model)
+        free = runs_at_common_rate(case.fitted, case.model)
         fitted_sets = fit_effect_sets(free, case.held_out, case.model, searched.hypothesis)
         calibrated_alone = servo_answer.calibration(case.model, fitted_sets.calibrated, {})
         parameters = servo_answer.calibration(case.model, fitted_sets.augmented, fitted_sets.stds)

@@ -35,6 +35,6 @@ def explained(name: str) -> dict[str, Any]:
 
 
 def equation(name: str) -> str:
-    """The form that diagnosis and simulation give an effect: the first words of its file."""
+    """The equation of an effect: the whole docstring of its module, on one line."""
     module = sys.modules[type(library()[name]).__module__]
     return " ".join((inspect.getdoc(module) or "").split())

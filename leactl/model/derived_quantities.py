@@ -61,15 +61,15 @@ def continuous_torques(motor: MotorSheet, ambient: float) -> Torques:
     return Torques(held[0], held[1], dense[0], dense[1])
 
 
-def without_friction(motor: MotorSheet) -> list[str]:
-    """What a file lacks for a no-load speed with friction."""
+def fields_missing_for_friction(motor: MotorSheet) -> list[str]:
+    """The fields that a motor file lacks for `no_load_speed` to include friction."""
     return motor.missing("torque_constant", "phase_resistance", "viscous_damping", "coulomb_friction")
 
 
 def no_load_speed(motor: MotorSheet, bus_voltage: float) -> float | None:
     """Speed at which the back-EMF, and the current that friction takes, leave nothing of the bus [rad/s].
 
-    The root of R i + Kb w = V at i = (f + b w) / Kt, cold; w = V / Kb `without_friction`.
+    The root of R i + Kb w = V at i = (f + b w) / Kt, cold; V / Kb where `fields_missing_for_friction` names any.
     """
     if motor.back_emf_constant is None:
         return None

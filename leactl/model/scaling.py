@@ -12,7 +12,7 @@ from leactl.errors import InputError
 from leactl.model.derived_quantities import electrical, motor_constant
 from leactl.model.motor_schema import MotorSheet
 
-POWERS = {
+RADIUS_EXPONENTS = {
     "torque_constant": 2.0,
     "phase_resistance": 1.0,
     "phase_inductance": 1.0,
@@ -20,7 +20,7 @@ POWERS = {
     "pole_pairs": 1.0,
     "mass": 1.0,
 }
-"""Power of the radius that each figure goes by; heat leaves by an area that goes by the radius as the heat does."""
+"""Exponent of the radius for each figure; at equal current, Joule heat and cooling area both grow with the radius."""
 SMALLEST, LARGEST = 1e-3, 10.0  # m; a radius told in metres lies below
 UNITS = {
     "torque_constant": "N*m/A",
@@ -69,7 +69,7 @@ def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) 
         if not SMALLEST <= value <= LARGEST:
             expected = f"{1e3 * SMALLEST:g} to {1e3 * LARGEST:g} mm"
             raise InputError(f"{what} {1e3 * value:g} mm: a length of {expected} was expected")
-    values = {name: getattr(motor, name) for name in POWERS if name != "mass"} | {"mass": motor.body.mass}
+    values = {name: getattr(motor, name) for name in RADIUS_EXPONENTS if name != "mass"} | {"mass": motor.body.mass}
     held = _product(motor.continuous_current, motor.torque_constant)
     derived: dict[str, tuple[float, float | None]] = {
         "motor_constant": (1.5, motor_constant(motor)),
@@ -77,7 +77,7 @@ def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) 
         "continuous_torque": (2.0, held),
         "torque_density": (1.0, _product(held, None if motor.body.mass is None else 1.0 / motor.body.mass)),
     }
-    every = {name: (power, values[name]) for name, power in POWERS.items()} | derived
+    every = {name: (power, values[name]) for name, power in RADIUS_EXPONENTS.items()} | derived
     ratio = radius / before
     return [
         Scaled(name, power, value, None if value is None else value * ratio**power)

@@ -10,10 +10,10 @@ from leactl.errors import InputError
 from leactl.model.derived_quantities import (
     continuous_torques,
     electrical,
+    fields_missing_for_friction,
     motor_constant,
     network_current,
     no_load_speed,
-    without_friction,
 )
 from leactl.model.motor import Motor, load_sheet
 from leactl.model.motor_schema import LoopFigures, MotorSheet
@@ -130,7 +130,7 @@ def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
     notes += [
         f"{motor.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(lacking)}"
         for motor in motors
-        if motor.sheet.back_emf_constant is not None and (lacking := without_friction(motor.sheet))
+        if motor.sheet.back_emf_constant is not None and (lacking := fields_missing_for_friction(motor.sheet))
     ]
     for motor in motors:
         notes += [f"{motor.sheet.name}: {note}" for note in (*against_print(motor), *against_itself(motor.sheet))]

@@ -18,7 +18,7 @@ from leactl.emulation.bench.emulated_bench import observed
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runner import thermal_admission
-from leactl.runner.drill.plant import DrillPlant
+from leactl.runner.drill.power_watch import DrivePowerWatch
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
@@ -63,7 +63,7 @@ def trial(draw: np.random.Generator, number: int, guard_of: MakeGuard) -> dict[s
         request = prepare(
             str(place / "trial.yaml"), str(place / "bench.yaml"), [f"seed={number}"], "", "", "", place, realtime=False
         )
-        plant = DrillPlant()
+        plant = DrivePowerWatch()
         with observed(plant.see):
             outcome = execute(request, granted, lambda _progress: nullcontext())
         time = plant.bench.time

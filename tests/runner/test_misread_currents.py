@@ -11,7 +11,7 @@ from leactl_plugins.bk1688b.driver import Bk1688b
 
 from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import observed
-from leactl.runner.drill.plant import DrillPlant
+from leactl.runner.drill.power_watch import DrivePowerWatch
 
 FACTORS = (2 / 3, math.sqrt(1.5), math.sqrt(2.0), 1.5, math.sqrt(3.0))  # true current over its reading
 AMBIENT_DEGC, LIMIT_DEGC = 25.0, 130.0
@@ -50,7 +50,7 @@ def misread(spin, tmp_path):
         change(bench)
         path = tmp_path / "misread.yaml"
         path.write_text(yaml.safe_dump(bench))
-        plant = DrillPlant()
+        plant = DrivePowerWatch()
         with observed(plant.see):
             outcome, _bench = spin(text, bench=str(path), condition="", **options)
         return outcome, max(plant.bench.rig.hottest_phase(role).highest for role in ("test", "load"))

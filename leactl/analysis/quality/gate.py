@@ -2,7 +2,7 @@
 
 A channel that contradicts its demand throughout is condemned: whoever reads it is refused with the reason, and where
 nothing reads it the reason is a note. A channel that repeats one reading for a part of the record, or lacks readings,
-gets a note. No criterion has a unit or a rate, so that a machine of any size is judged alike.
+gets a note. No threshold has a unit or depends on the sampling rate, except the plausible ambient temperatures.
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ NEVER_NEGATIVE = ("bus_voltage",)
 HEATED = ("winding_temperature", "housing_temperature")  # whose places warm and cool together
 SUPPLIED = ("line_current", "line_voltage")
 NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
-STANDS = 0.25  # of a record, that a voltage across a winding that warms does not stay the same for
+LONGEST_VOLTAGE_REPEAT = 0.25  # share of a record; across a warming winding, the voltage does not stay equal so long
 WARMEST_ROOM = 60.0  # degC, as 0 degC the other end of where people and instruments work
 NOT_MEASURED = ("drive_enabled",)
 MISSING = 0.01  # of a channel's readings, above which a note says so
@@ -149,7 +149,9 @@ def hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
 
 def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
     """Return why a constant reading or an ambient temperature is doubtful; empty for most channels."""
-    long_repeat = repeat is not None and repeat.value != 0.0 and repeat.length > STANDS * len(channel.values)
+    long_repeat = (
+        repeat is not None and repeat.value != 0.0 and repeat.length > LONGEST_VOLTAGE_REPEAT * len(channel.values)
+    )
     if repeat is not None and long_repeat and channel.quantity == "line_voltage":
         begin, end = float(channel.time[repeat.first]), float(channel.time[repeat.last])
         return (

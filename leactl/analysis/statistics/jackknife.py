@@ -15,7 +15,7 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.statistics.intervals import half_width
 
-SCATTER_COVERS = 4.0  # rounding variance that the scatter of the trials accounts for, over that scatter
+COVERED_ROUNDING = 4.0  # rounding variance that the scatter already includes, over the variance of a single trial
 
 
 class TrialFigure(NamedTuple):
@@ -46,7 +46,7 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> 
     leave_one_out = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
     rounding_square = sum(limit**2 for limit in of_all_trials.own)
-    covered = SCATTER_COVERS * 3.0 * trials * scatter**2
+    covered = COVERED_ROUNDING * 3.0 * trials * scatter**2
     remaining = math.sqrt(max(1.0 - covered / rounding_square, 0.0)) if rounding_square else 0.0
     return LevelValue(
         of_all_trials._replace(own=tuple(remaining * limit for limit in of_all_trials.own)), scatter, trials - 1

@@ -14,7 +14,7 @@ from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.servo.effect_sets import OWN, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
 from leactl.gap.servo.profile import shifted
-from leactl.gap.servo.runs import side_by_side
+from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.servo.simulation import FREE
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import drive_of
@@ -37,7 +37,7 @@ def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
     known = all(entry.effect in SIMULATED for entry in model.effects)
     moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
     told = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
-    return bool(known and moves and not told and side_by_side(records, model))
+    return bool(known and moves and not told and runs_at_common_rate(records, model))
 
 
 def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.servo.fit import SETTLED, FittedServo, MeasuredServoRuns, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, drive_starts, to_effect_parameters, to_fit_parameters
 from leactl.gap.servo.profile import PROFILE
-from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
+from leactl.gap.servo.runs import ServoRuns, runs_at_common_rate, servo_runs
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.decision import LISTED, NAMED
@@ -99,7 +99,7 @@ def fit_effect_sets(
         sets.update({one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost})
         members = sets.pruned(max(smaller, key=len) | {effect})
         base = members - core
-    unseen = side_by_side(held_out, model)
+    unseen = runs_at_common_rate(held_out, model)
     sets.fit_missing([members - {name} for name in sorted(members)], members)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED)
@@ -200,7 +200,7 @@ def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: 
 def unidentifiable(runs: ServoRuns) -> tuple[str, ...]:
     """Parameters that runs of this kind tell nothing of: without a weight all torques share one scale."""
     none = () if runs.hangs else ("load_zero", "phase_resistance")
-    return none if runs.told.any() else (*none, "voltage_delay")
+    return none if runs.voltage_logged.any() else (*none, "voltage_delay")
 
 
 def standing_of(
@@ -302,7 +302,7 @@ def open_cost(sets: Mapping[Set, FittedServo], members: Set, judged: Set, runs: 
     What a profile or a dead band takes from the cost is most of it; what their forms leave of that is open as well,
     but where they are judged themselves.
     """
-    left_open = len(sets[members].error) * (COUNTS * runs.count) ** 2
+    left_open = len(sets[members].error) * (COUNTS * runs.encoder_resolution) ** 2
     drive = members & DRIVE
     if drive and not judged & DRIVE and members - drive in sets:
         left_open += FORM_LEFT * max(sets[members - drive].cost - sets[members].cost, 0.0)
@@ -325,7 +325,7 @@ def errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
 
     The second is the sandwich of Huber (1967) over whole runs; a parameter that nothing shows has its own size.
     """
-    sizes = np.array([runs.sizes[name] for name in fitted.names])
+    sizes = np.array([runs.scales[name] for name in fitted.names])
     inverse = np.linalg.pinv(fitted.information, hermitian=True)
     variance = np.diag(inverse) * fitted.cost / len(fitted.error) * rows_per_independent(fitted.error)
     count = len(fitted.scores)

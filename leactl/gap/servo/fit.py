@@ -33,14 +33,17 @@ class Fitting:
     def __init__(self, start: Parameters, held: Sequence[str], runs: ServoRuns) -> None:
         self.names = [name for name in start if name not in SHAPES and name not in held]
         self.shapes = {name: value for name, value in start.items() if name not in self.names}
-        self.sizes = np.array([runs.sizes[name] for name in self.names])
+        self.sizes = np.array([runs.scales[name] for name in self.names])
         self.moved = np.array([LIMIT_MOVED if name in PROFILE else MOVED for name in self.names])
-        self.least = np.array([-np.inf if name in SIGNED else LEAST * runs.sizes[name] for name in self.names])
+        self.least = np.array([-np.inf if name in SIGNED else LEAST * runs.scales[name] for name in self.names])
         if "reference_delay" in self.names:  # a stamp may be a sample early
             self.least[self.names.index("reference_delay")] = -runs.interval
         self.point = np.array([start[name] for name in self.names])
         usual = [runs.usual.get(name, (0.0, math.inf)) for name in self.names]
-        self.usual, self.pull = np.array([at for at, _ in usual]), np.array([(runs.count / by) ** 2 for _, by in usual])
+        self.usual, self.pull = (
+            np.array([at for at, _ in usual]),
+            np.array([(runs.encoder_resolution / by) ** 2 for _, by in usual]),
+        )
         self.damping, self.cost, self.done = 1e-2, np.inf, False
         self.error = self.tangent = np.empty(0)
 
@@ -151,7 +154,7 @@ class MeasuredServoRuns:
 
     def __init__(self, runs: ServoRuns, whole: Stretches | None = None) -> None:
         self._runs, self._cut, self._points = runs, whole or cut(runs), SetPoints(runs)
-        self._told = runs.told if runs.told.any() else None
+        self._told = runs.voltage_logged if runs.voltage_logged.any() else None
         run = [np.nonzero(mask)[0] for mask in (runs.measured, self._told) if mask is not None]
         self.run = np.concatenate(run)
 
@@ -161,7 +164,7 @@ class MeasuredServoRuns:
         wrong = (simulate(runs, values, self._cut, self._points) - runs.angle)[:, runs.measured]
         if self._told is None:
             return wrong
-        inner = (voltages(runs, values, self._points) - runs.volts)[:, self._told]
+        inner = (voltages(runs, values, self._points) - runs.q_axis_voltage)[:, self._told]
         return np.concatenate([wrong, inner / runs.gain[np.nonzero(self._told)[0]]], axis=1)
 
     def differentiate(self, fittings: Sequence[Fitting]) -> None:

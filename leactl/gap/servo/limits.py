@@ -14,7 +14,7 @@ from leactl.gap.servo.simulation import FINEST, Parameters
 Array = npt.NDArray[np.float64]
 DRIVE = frozenset({"reference_rate_limit", "servo_dead_band"})
 SPEED_LIMIT_SHARES = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # of the top speed: limits from which fits begin
-ACCELERATION_GRID = (0.01, 1.0, 3.0, 10.0, 30.0)  # inverse accelerations, in `runs.sizes[SLUGGISHNESS]` [s^2/rad]
+ACCELERATION_GRID = (0.01, 1.0, 3.0, 10.0, 30.0)  # inverse accelerations, in `runs.scales[SLUGGISHNESS]` [s^2/rad]
 DEAD_BAND_COUNTS = (3.0, 6.0, 12.0, 25.0, 50.0)  # widths in counts of the encoder, from which fits begin
 SPEED_SPAN = 4  # samples over which a speed is taken, so that counts of the encoder make little of it
 TOP_QUANTILE = 0.99  # of the speeds, that counts as the top speed
@@ -34,11 +34,11 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     top = top_speed(runs)
     if top <= 0.0:
         return {}
-    ramps = runs.sizes[SLUGGISHNESS] * np.array(ACCELERATION_GRID)
+    ramps = runs.scales[SLUGGISHNESS] * np.array(ACCELERATION_GRID)
     profiles = [
         {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEED_LIMIT_SHARES for ramp in ramps
     ]
-    bands = [{"servo_dead_band.band": counts * max(runs.count, FINEST)} for counts in DEAD_BAND_COUNTS]
+    bands = [{"servo_dead_band.band": counts * max(runs.encoder_resolution, FINEST)} for counts in DEAD_BAND_COUNTS]
     asked = np.abs(np.diff(runs.reference, axis=1)) / runs.interval
     grids = {"servo_dead_band": bands} | (
         {"reference_rate_limit": profiles} if float(np.max(asked)) > LEAST_REFERENCE_RATIO * top else {}
@@ -58,7 +58,7 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
 def acts(effect: str, parameters: Parameters, runs: ServoRuns) -> bool:
     """Whether a fitted effect acts: the axis reaches the limit, or the dead band is two encoder counts or wider."""
     if effect == "servo_dead_band":
-        return parameters.get("servo_dead_band.band", 0.0) >= LEAST_BAND_COUNTS * runs.count
+        return parameters.get("servo_dead_band.band", 0.0) >= LEAST_BAND_COUNTS * runs.encoder_resolution
     if effect != "reference_rate_limit":
         return True
     top = top_speed(runs)

@@ -27,20 +27,20 @@ class ServoRuns:
     """Runs side by side; (runs, samples) for channels, one value a run for the rest."""
 
     interval: float
-    count: float  # rad, of the encoders
+    encoder_resolution: float  # rad, the largest of the runs' smallest angle steps; 0.0 if no run has one
     angle: Array
     speed: Array  # rad/s, at the first sample
     reference: Array
     enabled: Array
     measured: Mask
-    volts: Array  # V, that the motors got, as far as
-    told: Mask  # it is logged
+    q_axis_voltage: Array  # V, logged voltage of each motor; use it only where `voltage_logged` is true
+    voltage_logged: Mask  # whether voltage and reference are valid at a sample and the servo's gain is above zero
     gain: Array  # V/rad
     rate_gain: Array  # V*s/rad, on the rate of the error
     limit: Array  # V
     level: Array  # N*m, of the pendulum held out level
     inertia: Array  # kg*m^2, of the pendulum
-    sizes: Mapping[str, float]  # of each parameter that a fit may move, what it counts by
+    scales: Mapping[str, float]  # typical size of each parameter that a fit may move, in the parameter's own unit
     usual: Mapping[str, tuple[float, float]]  # of the model's own parameters: value, and how far it may be off
     forgets: int  # samples, after which a servo of the model no longer knows where it began
 
@@ -71,15 +71,15 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         np.stack(c) for c in zip(*(channels(k, longest) for k in clocks), strict=True)
     )
     measured = np.stack([np.arange(longest) < len(clock.time) for clock in clocks])
-    told = measured.copy()
-    for row, logged, clock in zip(measured, told, clocks, strict=True):
+    voltage_logged = measured.copy()
+    for row, logged, clock in zip(measured, voltage_logged, clocks, strict=True):
         row[: len(clock.time)] &= clock.all_valid(("angle", "test"), ("angle_reference", "test"))
         logged[: len(clock.time)] &= clock.all_valid(("q_axis_voltage", "test"), ("angle_reference", "test"))
         logged &= clock.get("q_axis_voltage") is not None
     servos = [servo for record in records if (servo := drive_of(record, model)) is not None]
     loads = [load_of(record, model) for record in records]
     gain, inertia = np.array([servo.gain for servo in servos]), np.array([load.inertia for load in loads])
-    told &= (gain > 0.0)[:, None]
+    voltage_logged &= (gain > 0.0)[:, None]
     fast, slow = times_of(model, gain, float(np.min(inertia)), float(np.max(inertia)))
     every = max(1, math.floor(STEPS * fast / interval))
     return ServoRuns(
@@ -87,24 +87,24 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
         angles[:, ::every],
         np.array([starting_speed(one, interval) for one in angles]),
-        means_ahead(references, every),
+        block_means(references, every),
         enabled[:, ::every],
         measured[:, ::every],
         volts[:, ::every],
-        told[:, ::every],
+        voltage_logged[:, ::every],
         gain,
         np.array([servo.damping for servo in servos]),
         np.array([servo.voltage_limit for servo in servos]),
         np.array([load.level_torque for load in loads]),
         inertia,
-        sizes_of(model, angles, interval * every, interval, float(np.mean(inertia))),
+        parameter_scales(model, angles, interval * every, interval, float(np.mean(inertia))),
         usual_of(model),
         math.ceil(FORGETS * slow / (interval * every)),
     )
 
 
-def sizes_of(model: Model, angles: Array, interval: float, sampled: float, load: float) -> dict[str, float]:
-    """What each parameter of a simulation counts by, from the servo's own torque, speed and time."""
+def parameter_scales(model: Model, angles: Array, interval: float, sampled: float, load: float) -> dict[str, float]:
+    """Typical size of each parameter of a simulation, from the servo's torque, speed and response time."""
     constant, resistance = model.torque_constant or 0.0, model.phase_resistance or 1.0
     volts = model.drive.voltage_limit if model.drive is not None else 0.0
     stall, holding = constant * volts / resistance, constant**2 / resistance
@@ -144,17 +144,17 @@ def usual_of(model: Model) -> dict[str, tuple[float, float]]:
     return {name: (value, PRIORS[name] * value) for name, value in known.items() if value > 0.0}
 
 
-def means_ahead(values: Array, every: int) -> Array:
-    """Of every so many samples: the mean of one and of those up to the next that stays."""
-    if every == 1:
+def block_means(values: Array, length: int) -> Array:
+    """Average blocks of samples, (runs, samples) to (runs, blocks); the last sample fills up the last block."""
+    if length == 1:
         return values
-    short = -values.shape[1] % every
+    short = -values.shape[1] % length
     whole = np.pad(values, ((0, 0), (0, short)), mode="edge")
-    return np.asarray(whole.reshape(len(values), -1, every).mean(axis=2), np.float64)
+    return np.asarray(whole.reshape(len(values), -1, length).mean(axis=2), np.float64)
 
 
-def side_by_side(records: Sequence[Record], model: Model) -> list[Record]:
-    """Those runs of servos that are sampled at the pace that most of them have."""
+def runs_at_common_rate(records: Sequence[Record], model: Model) -> list[Record]:
+    """The largest group of servo runs whose sampling intervals are within 1 % of one of theirs."""
     paced = [(r, r.fast.interval) for r in records if r.fast is not None and drive_of(r, model) is not None]
     paces = [[r for r, other in paced if abs(other / one - 1.0) <= SAME_PACE] for _, one in paced]
     return max(paces, key=len, default=[])

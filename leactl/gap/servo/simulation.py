@@ -102,7 +102,7 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], cut: Stretches, points:
     rub = spread("load_dependent_friction.coefficient")
     fade = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
     wave = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
-    deaf = _deafness(spread("servo_dead_band.band"), max(EDGE * runs.count, FINEST))
+    deaf = _deafness(spread("servo_dead_band.band"), max(EDGE * runs.encoder_resolution, FINEST))
     rubs, hangs = bool(np.any(rub)), runs.hangs
     lopsided, drag = spread("asymmetric_friction.asymmetry"), spread("quadratic_drag.coefficient")
     leans, drags = bool(np.any(lopsided)), bool(np.any(drag))
@@ -206,7 +206,7 @@ def voltages(runs: ServoRuns, sets: Mapping[str, Array], points: SetPoints) -> A
     begins, _, place = points.at(sets, count, "voltage_delay")
     error = begins[place] - runs.angle
     band = sets.get("servo_dead_band.band", np.zeros(count))[:, None, None]
-    deaf = _deafness(band, max(EDGE * runs.count, FINEST))
+    deaf = _deafness(band, max(EDGE * runs.encoder_resolution, FINEST))
     if deaf is not None:
         deaf(error, np.empty_like(error))
     volts = runs.gain[:, None] * error

@@ -62,7 +62,7 @@ class Ended:
 
 
 def conduct(campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, manner: CampaignOptions) -> Ended:
-    """Make what is not finished; what ended a run too soon is in the answer.
+    """Perform the unfinished runs; `error` of the result is the exception that stopped the campaign, if any did.
 
     Raises
     ------

@@ -33,7 +33,7 @@ from leactl.runner.drill.finding import (
     Tell,
     of_the_end,
 )
-from leactl.runner.drill.plant import DrillPlant
+from leactl.runner.drill.power_watch import DrivePowerWatch
 from leactl.runner.dry_run import dry_run
 from leactl.runner.operators import granted
 from leactl.runner.outcome import Outcome
@@ -53,7 +53,7 @@ class _Ended:
     """One run and what its plant shows."""
 
     outcome: Outcome
-    plant: DrillPlant
+    plant: DrivePowerWatch
     ends: Mapping[str, DeviceEnd]
     file_faults: list[str]
 
@@ -179,7 +179,7 @@ class EmulatedDrill:
         outcome, plant = ended.outcome, ended.plant
         noticed = moment is not None and outcome.status != "complete"
         since = moment or 0.0
-        zero = plant.without_power
+        zero = plant.unpowered_since
         return DrillFinding(
             name,
             on,
@@ -203,7 +203,7 @@ class EmulatedDrill:
         data = data | {"emulated": {**data["emulated"], "faults": faults}}
         written.write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True), encoding="utf-8")
         request = prepare_by_hand("drill", self._steps, str(written), self._setup, self._directory, realtime=False)
-        plant = DrillPlant()
+        plant = DrivePowerWatch()
 
         def begin(_progress: object) -> nullcontext[None]:
             plant.began = plant.bench.time.now()

@@ -16,22 +16,22 @@ MAKER = "BK Precision"
 
 
 class Bk1688bProbe(LineProbe):
-    """Reads two pairs of digits; a supply says nothing of its serial number and firmware."""
+    """Read voltage and current as three digits each; the supply reports no serial number or firmware."""
 
     baudrates = (9600,)
 
     def ask(self, port: SerialPort) -> Seen:
         """Ask for the limits, then for the settings."""
         port.line_end = b"\r"
-        most: LevelCounts | None = self.answer(port, LIMITS)
-        if most is None:
+        limits: LevelCounts | None = self.answer(port, LIMITS)
+        if limits is None:
             levels: LevelCounts | None = self.answer(port, SETTINGS)
             if levels is not None:
                 detail = f"does not tell its limits; set to {levels.volts * STEP_V:.1f} V"
                 yield Sighting(None, Identity(f"{MAKER}, model unknown"), {}, detail)
             return
-        detail = f"limits of {most.volts * STEP_V:.1f} V and {most.amperes} steps of current"
-        models = [model for model, rating in RATINGS.items() if is_near(most, rating)]
+        detail = f"limits of {limits.volts * STEP_V:.1f} V and {limits.amperes} steps of current"
+        models = [model for model, rating in RATINGS.items() if is_near(limits, rating)]
         settings: dict[str, Any] | None = {"model": models[0]} if len(models) == 1 else None
         model = models[0] if settings else "unknown to this driver"
         yield Sighting(None, Identity(f"{MAKER} {model}"), settings, detail)

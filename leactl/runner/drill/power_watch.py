@@ -1,4 +1,4 @@
-"""What the emulated bench itself shows of a run: whether its drives have power, whatever is said of them."""
+"""Watch an emulated bench during a drill: since when no drive has had power, whatever its devices report."""
 
 from typing import TYPE_CHECKING
 
@@ -6,12 +6,12 @@ if TYPE_CHECKING:
     from leactl.emulation.bench.emulated_bench import EmulatedBench
 
 
-class DrillPlant:
+class DrivePowerWatch:
     """The emulated bench of one run: when each cycle began, and since when no drive has had power."""
 
     def __init__(self) -> None:
         self.began = self.cycle = 0.0  # on the bench's own clock [s], of the run and of its last cycle
-        self.without_power: float | None = None
+        self.unpowered_since: float | None = None  # s on the bench's clock; None while any drive has power
         self._bench: EmulatedBench | None = None
 
     @property
@@ -32,9 +32,9 @@ class DrillPlant:
 
     def _look(self, now: float) -> None:
         if any(self.powered(role) for role in self.bench.rig.actuators):
-            self.without_power = None
-        elif self.without_power is None:
-            self.without_power = now
+            self.unpowered_since = None
+        elif self.unpowered_since is None:
+            self.unpowered_since = now
 
     def end(self) -> None:
         """The run is over, no time has passed since the last device was made safe."""
