@@ -131,6 +131,57 @@ def test_of_several_effects_the_one_goes_without_which_the_gap_is_smallest(model
     assert any(note.startswith("calibration alone is not applied") for note in applied.notes)
 
 
+def test_an_effect_may_keep_the_calibration_without_it_where_the_one_beside_it_lets_a_gap_grow(model):
+    alone, shifted = SOUND, replace(SOUND, fitted=0.025)
+
+    def simulate(calibrated, further):
+        velocity = {shifted.fitted: 9.9}.get(further.viscous_damping, 9.8)
+        lines = (
+            Shrinkage("torque", "test", "free", "N*m", 6.0, 6.0, 5.9 if further.effects else 6.0, 1.0),
+            Shrinkage("velocity", "test", "free", "rad/s", 9.8, 9.8, velocity, 1.0),
+        )
+        return Shrunk(lines, (), (), (), growth(-1.0, -0.05, bool(further.effects)))
+
+    applied = apply(model, [alone], [[SATURATION]], beside(shifted), simulate)
+    assert applied.fitted == FittedEffects((SATURATION,), (alone,))
+    assert applied.augmented.viscous_damping == alone.fitted
+    assert applied.notes == ()
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_effects_that_close_a_gap_together_alone_are_applied_if_each_is_needed(model, needed):
+    """Alone each lets the gap grow; both close it, or cogging does so with whatever is beside it."""
+    distance = {frozenset(): 5.0, frozenset({"cogging"}): 6.0, frozenset({"saturation"}): 6.0}
+
+    def far(model):
+        names = frozenset(entry.effect for entry in model.effects)
+        return distance.get(names, 1.0 if needed else 6.0)
+
+    def simulate(calibrated, further):
+        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, far(calibrated), far(further), 1.0)
+        closer = far(further) < far(calibrated)
+        return Shrunk((line,), (), (), (), growth(-1.0, -1.0 if closer else 0.5, closer))
+
+    applied = apply(model, [SOUND], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
+    assert bool(applied.fitted.causes) is needed
+    assert len(applied.refused) == (0 if needed else 2)
+
+
+def test_of_effects_that_close_a_gap_together_one_that_is_not_needed_takes_the_others_with_it(model):
+    shown = []
+
+    def simulate(calibrated, further):
+        has, had = ({entry.effect for entry in one.effects} for one in (further, calibrated))
+        shown.append((has, had))
+        closer = has == {"cogging", "saturation"} and "cogging" not in had  # whatever saturation adds to it
+        line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, 5.0, 4.0 if closer else 5.1, 1.0)
+        return Shrunk((line,), (), (), (), growth(-1.0, -1.0 if closer else 0.5, closer))
+
+    applied = apply(model, [SOUND], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
+    assert ({"cogging", "saturation"}, {"cogging"}) in shown
+    assert applied.fitted.causes == ()
+
+
 @pytest.mark.parametrize("order", [(SATURATION, RIPPLE), (RIPPLE, SATURATION)])
 def test_each_effect_has_to_close_a_gap_beside_the_others(model, order):
     def simulate(calibrated, augmented):

@@ -28,6 +28,51 @@ Refit = Callable[[Sequence[Cause]], FittedEffects]
 """Fits some of the effects that were named, without the others."""
 
 
+class Trial(NamedTuple):
+    """Effects that are tried on held-out runs."""
+
+    fitted: FittedEffects
+    model: Model  # with them
+    comparison: Shrunk  # from the model without them
+    refused_because: str  # empty where held-out runs bear them out
+
+
+@dataclass(frozen=True)
+class Trials:
+    """How effects are tried on held-out runs; the fields are those of `apply`."""
+
+    model: Model
+    refit: Refit
+    simulate: Simulate
+    bounded_fit: bool
+    borne_out_by_equations: Collection[str]
+
+    def beside(self, kept: FittedEffects, before: Model, stage: Sequence[Cause]) -> Trial:
+        """Try effects beside those that are kept; `before` is the model with these alone.
+
+        Where the calibration that is fitted beside the effects lets a gap grow elsewhere, the kept one may serve.
+        """
+        fitted = self.refit([*kept.causes, *stage])
+        by_equations = all(cause.effect in self.borne_out_by_equations for cause in stage)
+        trial = self._of(fitted, before, bool(kept.causes), by_equations)
+        if trial.refused_because == GAP_GROWS:
+            trial = self._of(fitted._replace(calibration=kept.calibration), before, bool(kept.causes), by_equations)
+        return trial
+
+    def is_needed(self, stage: Sequence[Cause], whole: Trial) -> bool:
+        """Whether effects close a gap beside all others of a trial."""
+        dropped = {cause.effect for cause in stage}
+        without = self.refit([cause for cause in whole.fitted.causes if cause.effect not in dropped])
+        comparison = self.simulate(with_fitted(self.model, without), whole.model)
+        return not refusal(comparison, [], beside_others=True, by_equations=False)
+
+    def _of(self, fitted: FittedEffects, before: Model, beside_others: bool, by_equations: bool) -> Trial:
+        after = with_fitted(self.model, fitted)
+        comparison = self.simulate(before, after)
+        bounds = at_bounds(fitted.calibration) if self.bounded_fit else []
+        return Trial(fitted, after, comparison, refusal(comparison, bounds, beside_others, by_equations))
+
+
 @dataclass(frozen=True)
 class Applied:
     """Models that held-out runs do not contradict, and what was taken back on the way."""
@@ -60,24 +105,27 @@ def apply(
     bounded_fit : whether a parameter that ends at its bound counts against a trial; not so in the free runs of a servo,
         which tell some parameters by their ratio only.
     """
+    trials = Trials(model, refit, simulate, bounded_fit, borne_out_by_equations)
     fitted, calibrated = FittedEffects((), tuple(without_effects)), with_calibration(model, without_effects)
     augmented, shrunk = calibrated, None
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(waiting):  # after each acceptance all refused ones are tried again
         index = len(refusals)
-        trial = refit([*fitted.causes, *waiting[index]])
-        entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in trial.causes]
-        with_trial = with_effects(with_calibration(model, trial.calibration), entries)
-        comparison = simulate(augmented, with_trial)
-        by_equations = all(cause.effect in borne_out_by_equations for cause in waiting[index])
-        bounds = at_bounds(trial.calibration) if bounded_fit else []
-        if reason := refusal(comparison, bounds, bool(fitted.causes), by_equations):
-            refusals.append(reason)
+        trial = trials.beside(fitted, augmented, waiting[index])
+        if trial.refused_because:
+            refusals.append(trial.refused_because)
             continue
-        shrunk = comparison if shrunk is None else simulate(calibrated, with_trial)
-        fitted, augmented = trial, with_trial
+        shrunk = trial.comparison if shrunk is None else simulate(calibrated, trial.model)
+        fitted, augmented = trial.fitted, trial.model
         accepted.append(waiting.pop(index))
         refusals.clear()
+    if len(waiting) > 1:  # each may let the gap grow alone that all of them close together
+        trial = trials.beside(fitted, augmented, [cause for stage in waiting for cause in stage])
+        if not trial.refused_because and all(trials.is_needed(stage, trial) for stage in waiting):
+            shrunk = trial.comparison if shrunk is None else simulate(calibrated, trial.model)
+            fitted, augmented = trial.fitted, trial.model
+            accepted += waiting
+            waiting, refusals = [], []
     notes = [refusal_note(stage, why) for stage, why in zip(waiting, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
@@ -112,6 +160,12 @@ def apply(
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else GAP_GROWS
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, FittedEffects((), ()), simulate(model, model), True, tuple(notes), refused)
+
+
+def with_fitted(model: Model, fitted: FittedEffects) -> Model:
+    """The model with a calibration and effects."""
+    entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in fitted.causes]
+    return with_effects(with_calibration(model, fitted.calibration), entries)
 
 
 def all_but(stages: Sequence[Sequence[Cause]], dropped: Sequence[Cause]) -> list[Sequence[Cause]]:
