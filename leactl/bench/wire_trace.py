@@ -80,10 +80,12 @@ class WireTrace:
         self._depth: dict[str, int] = {}
         self._can_log: Any = None
         self._flushed = -math.inf
+        self._is_empty = True  # until a line or a frame is to be written
+        self._paths = {path, self.path}
         self._earlier = 0.0  # s, duration of the runs before this one, if this one's clock began at 0 again
         self.fault = ""  # why lines are missing from here on
         self.now: Callable[[], float] = lambda: 0.0  # the bench's clock, once there is one
-        for taken in {path, self.path}:
+        for taken in self._paths:
             refuse_existing(taken)
         try:
             self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
@@ -96,8 +98,7 @@ class WireTrace:
                 self._can_log = self._files.enter_context(can.Logger(path))
             except OSError as error:
                 self._files.close()
-                for made in (self.path, path):  # else they would stand in the way of the next attempt
-                    made.unlink(missing_ok=True)
+                self._remove()
                 raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._text.write(f"{HEAD}\n")
 
@@ -107,6 +108,13 @@ class WireTrace:
     def __exit__(self, *_exception: object) -> None:
         with self._errors_to_fault():
             self._files.close()
+            if self._is_empty:  # the run was refused before a device was opened
+                self._remove()
+
+    def _remove(self) -> None:
+        """Remove the files, which would stand in the way of the next attempt."""
+        for made in self._paths:
+            made.unlink(missing_ok=True)
 
     def follow(self, now: Callable[[], float]) -> None:
         """Use this clock from now on; an emulated bench has a new one for each run, which begins at 0."""
@@ -116,6 +124,7 @@ class WireTrace:
 
     def write(self, owner: str, kind: str, text: str) -> None:
         """Add a line."""
+        self._is_empty = False
         if self.fault:
             return
         with self._errors_to_fault():
@@ -131,6 +140,7 @@ class WireTrace:
 
     def frame(self, owner: str, kind: str, message: "can.Message") -> None:
         """Add a CAN frame."""
+        self._is_empty = False
         if not self.fault:
             with self._errors_to_fault():
                 self._add_frame(owner, kind, message)

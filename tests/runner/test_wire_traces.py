@@ -167,6 +167,15 @@ def test_a_trace_that_cannot_be_written_is_refused_before_a_device_is_opened(her
     assert not (here / "runs").exists()
 
 
+@pytest.mark.parametrize("name", ["jog.trace", "jog.asc"])
+def test_what_is_refused_leaves_no_trace_in_the_way_of_the_next_attempt(here, name):
+    refused = by_hand(("jog", "--current", "31"), name)
+    assert refused.returncode == 2
+    assert "31 A is above the bench limit of 30 A" in refused.stderr
+    assert [path.name for path in here.glob("jog*")] == []
+    assert by_hand(JOG, name).returncode == 0
+
+
 @pytest.mark.parametrize("words", [JOG, MOVE], ids=["jog", "move"])
 def test_a_dry_run_by_hand_writes_no_trace(here, words):
     assert by_hand((*words, "--dry-run"), "dry.trace").returncode == 0
