@@ -278,6 +278,8 @@ class _I2cSide:
 def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Replayed:
     """Repeat the calls of a trace on the drivers of its bench; devices without a bus are left out.
 
+    Each run of the trace has drivers of its own; an `open` after a `close` begins the next run.
+
     Raises
     ------
     InputError : no trace, a trace of another bench, one without calls, or one whose CAN frames are in a separate log.
@@ -291,10 +293,14 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
     wiring = ReplayWiring(lines, buses)
     bench = Bench(file, wired, wiring)
     ends = _ends_of(lines)
-    calls, raised, cut_short = 0, list[str](), False
+    calls, raised, cut_short, is_closed = 0, list[str](), False, False
     for line in lines:
         if line.kind != CALLED or line.owner in left_out:
             continue
+        method = line.text.partition(" ")[0]
+        if method == "open" and is_closed:
+            bench, is_closed = Bench(file, wired, wiring), False
+        is_closed = is_closed or method == "close"
         call = _call_of(path, line, bench)
         end = ends.get(line.number)
         wiring.call_ends = end.number if end else lines[-1].number
@@ -308,9 +314,7 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
             outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
         if end is not None and is_unlike(outcome, end.text):
-            difference = Difference(
-                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{outcome}'"
-            )
+            difference = Difference(end.number, line.owner, f"'{end.text}'", f"{method} ended with '{outcome}'")
             return Replayed(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
         calls += 1
     return Replayed(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)

@@ -1,4 +1,4 @@
-"""Record every byte on every wire of a run, with the driver calls that caused it, so that a fault can be replayed.
+"""Record every byte on every wire of runs, with the driver calls that caused it, so that a fault can be replayed.
 
 A trace is text. Each line has the time of the bench's clock [s], the bus or device, the kind of line, and the bytes or
 the call (docs/reference/wire-traces.md). The last line of a run that died may be incomplete and is not read.
@@ -80,9 +80,12 @@ class WireTrace:
         self._depth: dict[str, int] = {}
         self._can_log: Any = None
         self._flushed = -math.inf
+        self._is_empty = True  # until a line or a frame is to be written
+        self._paths = {path, self.path}
+        self._earlier = 0.0  # s, duration of the runs before this one, if this one's clock began at 0 again
         self.fault = ""  # why lines are missing from here on
         self.now: Callable[[], float] = lambda: 0.0  # the bench's clock, once there is one
-        for taken in {path, self.path}:
+        for taken in self._paths:
             refuse_existing(taken)
         try:
             self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
@@ -95,8 +98,7 @@ class WireTrace:
                 self._can_log = self._files.enter_context(can.Logger(path))
             except OSError as error:
                 self._files.close()
-                for made in (self.path, path):  # else they would stand in the way of the next attempt
-                    made.unlink(missing_ok=True)
+                self._remove()
                 raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._text.write(f"{HEAD}\n")
 
@@ -106,9 +108,23 @@ class WireTrace:
     def __exit__(self, *_exception: object) -> None:
         with self._errors_to_fault():
             self._files.close()
+            if self._is_empty:  # the run was refused before a device was opened
+                self._remove()
+
+    def _remove(self) -> None:
+        """Remove the files, which would stand in the way of the next attempt."""
+        for made in self._paths:
+            made.unlink(missing_ok=True)
+
+    def follow(self, now: Callable[[], float]) -> None:
+        """Use this clock from now on; an emulated bench has a new one for each run, which begins at 0."""
+        if now() < self.now():
+            self._earlier += self.now()
+        self.now, self._flushed = now, -math.inf
 
     def write(self, owner: str, kind: str, text: str) -> None:
         """Add a line."""
+        self._is_empty = False
         if self.fault:
             return
         with self._errors_to_fault():
@@ -124,6 +140,7 @@ class WireTrace:
 
     def frame(self, owner: str, kind: str, message: "can.Message") -> None:
         """Add a CAN frame."""
+        self._is_empty = False
         if not self.fault:
             with self._errors_to_fault():
                 self._add_frame(owner, kind, message)
@@ -142,7 +159,8 @@ class WireTrace:
             self.write(owner, kind, frame_text(message))
             return
         logged = copy.copy(message)
-        logged.timestamp, logged.channel, logged.is_rx = self.now(), owner, kind == HEARD
+        # python-can 4.6 gives a frame in a .blf the time of the first one if its own time is earlier
+        logged.timestamp, logged.channel, logged.is_rx = self._earlier + self.now(), owner, kind == HEARD
         self._can_log(logged)
 
     def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -161,6 +179,8 @@ class WireTrace:
                 raise
             finally:
                 self._depth[owner] = 0
+                if name == "close":
+                    self._flushed = -math.inf  # the next line is flushed: the clock may stand until another run
             with self._errors_to_fault():
                 values = function.__self__.values if name == "end_cycle" else result  # type: ignore[attr-defined]
                 self.write(owner, ENDED, outcome_text(values))
@@ -213,7 +233,7 @@ class TracedWiring:
     def __init__(self, wiring: Wiring, trace: WireTrace) -> None:
         self._wiring, self._trace = wiring, trace
         self.clock = wiring.clock
-        trace.now = wiring.clock.now
+        trace.follow(wiring.clock.now)
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
         """Function that connects to a CAN bus."""
@@ -350,7 +370,7 @@ def read_trace(path: Path) -> list[TraceLine]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is no text; a trace of leactl run --trace was expected") from None
+        raise InputError(f"{path}: is no text; a trace that --trace has written was expected") from None
     head, *lines = text.split("\n")[:-1] or [""]
     if head != HEAD:
         raise InputError(f"{path}:1  '{head[:40]}': '{HEAD}' was expected")

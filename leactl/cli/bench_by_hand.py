@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from leactl.cli import finite, print_answer
+from leactl.cli import TRACE, finite, print_answer, traced_to
 from leactl.cli.completion import benches
 
 if TYPE_CHECKING:
@@ -196,6 +196,7 @@ def read(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    trace: Path | None = TRACE,
     as_json: bool = AS_JSON,
 ) -> None:
     """Read every channel with all drives off: mean, standard deviation and age; --follow prints readings as they come.
@@ -213,12 +214,12 @@ def read(
     from leactl.runfile.read.reader import Run
 
     if follow:
-        _follow(bench, hold_s, every or EVERY_S, channels, setup, out, realtime, served, bus, as_json)
+        _follow(bench, hold_s, every or EVERY_S, channels, setup, out, realtime, served, bus, trace, as_json)
         return
     if every is not None or channels:
         raise InputError(f"{'--channel' if channels else '--every'}: goes with --follow alone")
     steps = reading_steps(READ_S if hold_s is None else hold_s)
-    outcome = _perform("read", steps, bench, setup, out, realtime, served, bus, everything=True)
+    outcome = _perform("read", steps, bench, setup, out, realtime, served, bus, trace, everything=True)
     summaries = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
@@ -240,6 +241,7 @@ def _follow(
     realtime: bool,
     served: bool,
     bus: list[str],
+    trace: Path | None,
     as_json: bool,
 ) -> None:
     """Read a bench and print a line of its readings every so often; without `hold_s` until a person stops it."""
@@ -261,7 +263,8 @@ def _follow(
     follower = Follower(Looks(request.bench.name, streams_of(request), channels), every_s, as_json)
     warn_overdue(request)
     with to_the_end():
-        with keyboard(shown=sys.stderr.isatty()) as keys:
+        with traced_to(trace) as traced, keyboard(shown=sys.stderr.isatty()) as keys:
+            request = replace(request, trace=traced)
             outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
         unread = follower.unread
         if as_json and unread is None:
@@ -285,13 +288,14 @@ def zero(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    trace: Path | None = TRACE,
     as_json: bool = AS_JSON,
 ) -> None:
     """Take the zero of the torque sensor as a protocol does, and say how far it is from the bench file's."""
     from leactl.cli.run import finish
     from leactl.protocol.by_hand import tare_steps
 
-    outcome = _perform("zero", tare_steps(), bench, setup, out, realtime, served, bus)
+    outcome = _perform("zero", tare_steps(), bench, setup, out, realtime, served, bus, trace)
     zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
     lines = [
         f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m"
@@ -320,13 +324,16 @@ def jog(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    trace: Path | None = TRACE,
     dry_run: bool = typer.Option(
         False, "--dry-run", help="Check everything, print the plan, and move nothing; an angle begins at 0 rad."
     ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import ending_line, finish, print_dry_run
+    from dataclasses import replace
+
+    from leactl.cli.run import ending_line, finish, perform, print_dry_run
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading_steps
@@ -346,13 +353,17 @@ def jog(
         request = prepare_by_hand("jog", motion.steps(), bench, setup, out, realtime, served, bus)
         print_dry_run(request, as_json)
         return
-    stands_at = 0.0
-    if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
-        before = _perform("read", reading_steps(0.2), bench, setup, out, realtime, served, bus)
-        finish(before, [], None)
-        with Run.open(before.path) as run:
-            stands_at = float(run.channel("angle", role).values[-1])
-    outcome = _perform("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
+    # a protocol's angles are absolute, so that they can be checked before anything moves
+    name, steps = ("read", reading_steps(0.2)) if motion.mode is Mode.ANGLE else ("jog", motion.steps())
+    request = prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus)
+    with traced_to(trace) as traced:
+        if motion.mode is Mode.ANGLE:
+            before = perform(replace(request, trace=traced))
+            finish(before, [], None)
+            with Run.open(before.path) as run:
+                stands_at = float(run.channel("angle", role).values[-1])
+            request = prepare_by_hand("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
+        outcome = perform(replace(request, trace=traced))
     finish(outcome, [], print_answer(json.dumps(outcome.as_json()) if as_json else ending_line(outcome)))
 
 
@@ -385,9 +396,14 @@ def _perform(
     realtime: bool,
     served: bool,
     bus: list[str],
+    trace: Path | None,
     everything: bool = False,
 ) -> "Outcome":
+    from dataclasses import replace
+
     from leactl.cli.run import perform
     from leactl.runner.request import prepare_by_hand
 
-    return perform(prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus, everything))
+    request = prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus, everything)
+    with traced_to(trace) as traced:
+        return perform(replace(request, trace=traced))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from leactl.cli import confirmed, finite, print_answer
+from leactl.cli import TRACE, confirmed, finite, print_answer, traced_to
 from leactl.cli.bench_by_hand import AS_JSON, BUS, OUT, REALTIME, SERVED, SETUP
 from leactl.cli.completion import benches
 
@@ -33,6 +33,7 @@ def check(
     realtime: bool = REALTIME,
     served: bool = SERVED,
     bus: list[str] = BUS,
+    trace: Path | None = TRACE,
     dry_run: bool = typer.Option(
         False, "--dry-run", help="Of --devices and --move: check everything, print the last run's plan, open nothing."
     ),
@@ -48,6 +49,7 @@ def check(
 
     of_the_move = {"--current": current is not None, "--yes": yes}
     of_the_bench = {"--dry-run": dry_run, "--setup": setup, "--realtime": realtime, "--served": served, "--bus": bus}
+    of_the_bench |= {"--trace": trace is not None}
     stray = [name for name, given in of_the_move.items() if given and not move]
     stray += [name for name, given in of_the_bench.items() if given and not (devices or move)]
     if stray:
@@ -55,7 +57,7 @@ def check(
             f"{stray[0]}: goes with {'--move' if stray[0] in of_the_move else '--devices or --move'} alone"
         )
     if devices or move:
-        _examine(bench, move, current, yes, setup, out, realtime, served, bus, dry_run, as_json)
+        _examine(bench, move, current, yes, setup, out, realtime, served, bus, trace, dry_run, as_json)
         return
     _check_file(bench, as_json)
 
@@ -99,11 +101,13 @@ def _examine(
     realtime: bool,
     served: bool,
     bus: list[str],
+    trace: Path | None,
     dry_run: bool,
     as_json: bool,
 ) -> None:
     """Hold a bench file against its bench, and print a line for each statement of the file."""
     import sys
+    from dataclasses import replace
 
     from leactl.cli.run import perform, print_dry_run
     from leactl.errors import InputError
@@ -120,7 +124,10 @@ def _examine(
     if turn is not None and not (rest.in_process or yes or sys.stdin.isatty()):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")
     question = f"{turn[1] if turn else ''}. Keep clear of the shaft. Go on?"
-    examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
+    with traced_to(trace) as traced:
+        rest = replace(rest, trace=traced)
+        turn = (replace(turn[0], trace=traced), turn[1]) if turn is not None else None
+        examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
     text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
     unread = print_answer(encodable(text, encoding_of_stdout()))
     if turn is not None and len(examined.outcomes) < 2:

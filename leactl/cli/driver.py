@@ -112,7 +112,7 @@ def new(
     )
 )
 def replay(
-    trace: Path = typer.Argument(help="A file that leactl run --trace has written."),
+    trace: Path = typer.Argument(help="A file that --trace has written."),
     bench: str = typer.Option(..., "--bench", help="The run's bench file.", autocompletion=benches),
     as_json: bool = AS_JSON,
 ) -> None:

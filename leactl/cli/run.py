@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand
 
-from leactl.cli import print_answer
+from leactl.cli import TRACE, print_answer, traced_to
 from leactl.cli.completion import benches, protocols, settings
 from leactl.cli.helptext import ON_A_BENCH, examples, single_command
 from leactl.errors import AcceptanceFailed
@@ -97,14 +97,11 @@ def run(
     at_end: str | None = typer.Option(
         None, "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
     ),
-    trace: Path | None = typer.Option(
-        None, "--trace", metavar="FILE", help="Write every byte of every wire; CAN frames apart with .asc, .blf, .log."
-    ),
+    trace: Path | None = TRACE,
     dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
-    from leactl.bench.wire_trace import WireTrace
     from leactl.errors import InputError
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
@@ -129,7 +126,7 @@ def run(
         to_the_end(),
         page as shown,
         EventLines(events) if events else nullcontext() as lines,
-        WireTrace(trace) if trace else nullcontext() as traced,
+        traced_to(trace) as traced,
     ):
         outcome = perform(replace(request, lines=lines, trace=traced), page=shown)
         acceptance, unmet = judge_all(request.plan, outcome)
@@ -140,7 +137,7 @@ def run(
         if as_json or events != STDOUT:
             unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [log.fault for log in (lines, traced, shown) if log is not None and log.fault not in outcome.notes]
+    faults = [log.fault for log in (lines, shown) if log is not None and log.fault not in outcome.notes]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet, unread)

@@ -1,9 +1,8 @@
 """What a run would do and take, without opening a device, and which of its devices can be opened."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from leactl.bench.bench import Bench
 from leactl.bench.provenance import overdue
 from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.errors import DeviceError
@@ -72,7 +71,7 @@ def failures(request: Request) -> dict[str, str]:
     with locks_of(request):
         wiring = wiring_of(request)
         for device in request.devices:
-            bench = Bench(request.bench, [device], wiring)
+            bench = bench_of(replace(request, devices=[device]), wiring)
             try:
                 bench.open()
             except DeviceError as error:

@@ -125,12 +125,15 @@ def room_needed(request: Request, bench: Bench) -> float:
     return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
 
 
-def bench_of(request: Request) -> Bench:
-    """The bench of a request, none of whose devices is open; its wires go through the trace where there is one."""
-    trace = request.trace
+def bench_of(request: Request, wiring: Wiring | None = None) -> Bench:
+    """The bench of a request, none of whose devices is open; its wires go through the trace where there is one.
+
+    Benches that are made with one `wiring` share its emulated devices and their clock; None makes a new one.
+    """
+    wiring, trace = wiring or wiring_of(request), request.trace
     if trace is None:
-        return Bench(request.bench, request.devices, wiring_of(request))
-    bench = Bench(request.bench, request.devices, TracedWiring(wiring_of(request), trace))
+        return Bench(request.bench, request.devices, wiring)
+    bench = Bench(request.bench, request.devices, TracedWiring(wiring, trace))
     bench.pass_calls_through(trace.called, CALLS)
     return bench
 

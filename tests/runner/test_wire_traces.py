@@ -2,6 +2,8 @@
 
 import json
 import math
+import signal
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from leactl.bench.wire_trace import HEAD, KINDS, TracedCan, TraceLine, WireTrace
 from leactl.driver.contract import Row, SampleBlock
 from leactl.errors import InputError
 from tests.cli.answers import fits_the_page
-from tests.cli.terminal import leactl
+from tests.cli.terminal import leactl, start
 
 PROTOCOL = """
 name: spin
@@ -62,6 +64,36 @@ def traced(tmp_path_factory):
     return run
 
 
+READ = ("read", "--for", "0.3")
+FOLLOW = ("read", "--follow", "--every", "0.1", "--for", "0.3")
+JOG = ("jog", "--current", "1", "--for", "0.3")
+TURN = ("jog", "--angle", "0.05", "--for", "0.2")  # reads the angle in a run of its own first
+ASK = ("check", "--devices")
+MOVE = ("check", "--move")
+BY_HAND = {"read": (READ, 1), "follow": (FOLLOW, 1), "zero": (("zero",), 1), "jog": (JOG, 1), "turn": (TURN, 2)}
+BY_HAND |= {"ask": (ASK, 1), "move": (MOVE, 2)}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a bench of its own, where the tests of `leactl bench` write."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+    write_bench(lambda _: None)
+    return tmp_path
+
+
+def write_bench(change):
+    data = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
+    change(data)
+    Path("bench.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+
+
+def by_hand(words, trace):
+    """Call a command of `leactl bench` on the bench of this folder, with a trace."""
+    return leactl("bench", words[0], "bench.yaml", *words[1:], "--trace", trace)
+
+
 def replayed(trace, bench):
     file, devices, _ = benchfile.load(str(bench))
     return replay(trace, file, devices)
@@ -83,6 +115,120 @@ def test_a_fault_in_the_field_is_raised_again(traced):
     found = replayed(trace, bench)
     assert found.difference is None
     assert found.raised == ("DeviceFault: drive_test: MF 0xB000 (short circuit)",)
+
+
+@pytest.mark.parametrize(("words", "runs"), BY_HAND.values(), ids=BY_HAND)
+def test_a_trace_of_what_is_done_by_hand_is_replayed_to_the_last_byte(here, words, runs):
+    done = by_hand(words, "hand.trace")
+    assert done.returncode == 0, done.stderr
+    found, lines = replayed(Path("hand.trace"), "bench.yaml"), read_trace(Path("hand.trace"))
+    assert (found.difference, found.raised, found.cut_short) == (None, (), False)
+    assert found.transfers == len([line for line in lines if line.kind in "><!"]) > 200
+    assert found.calls == len([line for line in lines if line.kind == "=" and line.owner != "daq"])  # has no wire
+    opened = [line for line in lines if (line.owner, line.text) == ("drive_test", "open []")]
+    assert len(opened) == runs == len(list(here.glob("runs/by-hand/*.h5")))
+    again = leactl("driver", "replay", "hand.trace", "--bench", "bench.yaml")
+    assert (again.returncode, again.stdout.split()[1]) == (0, str(found.calls))
+
+
+def test_each_run_of_a_trace_is_replayed_on_drivers_of_its_own(here, monkeypatch):
+    assert by_hand(TURN, "turn.trace").returncode == 0
+    opened, given = [], ElmoCan.open
+    monkeypatch.setattr(ElmoCan, "open", lambda self: (opened.append(self), given(self))[1])
+    assert replayed(Path("turn.trace"), "bench.yaml").difference is None
+    assert [drive.name for drive in opened] == ["drive_test", "drive_load"] * 2
+    assert len({id(drive) for drive in opened}) == 4
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "log"])
+def test_times_in_a_log_of_frames_go_on_from_run_to_run(here, suffix):
+    assert by_hand(TURN, f"turn.{suffix}").returncode == 0
+    assert by_hand(TURN, "whole.trace").returncode == 0
+    frames = [line for line in read_trace(Path("whole.trace")) if line.owner == "can0" and line.kind in "<>"]
+    with can.LogReader(f"turn.{suffix}") as log:
+        logged = list(log)
+    assert [message.arbitration_id for message in logged] == [int(line.text[:3], 16) for line in frames]
+    times = [message.timestamp for message in logged]
+    assert times == sorted(times)
+    assert times[-1] - times[0] > frames[-1].time
+
+
+@pytest.mark.parametrize(("words", "runs"), BY_HAND.values(), ids=BY_HAND)
+def test_a_trace_that_cannot_be_written_is_refused_before_a_device_is_opened(here, words, runs):
+    (here / "old.trace").write_text("kept")
+    faults = {
+        "old.trace": "exists already and is never overwritten; choose another name or move it away",
+        "absent/new.trace": "cannot be written: No such file or directory",
+    }
+    for name, fault in faults.items():
+        done = by_hand(words, name)
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"leactl: {name}: {fault}\n")
+    assert (here / "old.trace").read_text() == "kept"
+    assert not (here / "runs").exists()
+
+
+@pytest.mark.parametrize("name", ["jog.trace", "jog.asc"])
+def test_what_is_refused_leaves_no_trace_in_the_way_of_the_next_attempt(here, name):
+    refused = by_hand(("jog", "--current", "31"), name)
+    assert refused.returncode == 2
+    assert "31 A is above the bench limit of 30 A" in refused.stderr
+    assert [path.name for path in here.glob("jog*")] == []
+    assert by_hand(JOG, name).returncode == 0
+
+
+@pytest.mark.parametrize("words", [JOG, MOVE], ids=["jog", "move"])
+def test_a_dry_run_by_hand_writes_no_trace(here, words):
+    assert by_hand((*words, "--dry-run"), "dry.trace").returncode == 0
+    assert not (here / "dry.trace").exists()
+
+
+@pytest.mark.parametrize("words", [("read", "--follow", "--every", "0.1"), ("jog", "--current", "1", "--for", "60")])
+def test_a_trace_by_hand_is_whole_after_ctrl_c(here, words):
+    trace = here / "hand.trace"
+    process = start("bench", words[0], "bench.yaml", *words[1:], "--realtime", "--trace", str(trace))
+    try:
+        while process.poll() is None and not (trace.exists() and " end_cycle " in trace.read_text()):
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 4, errors
+    closed = [line.owner for line in read_trace(trace) if line.text == "close []"]
+    assert closed[:3] == ["drive_test", "drive_load", "torque_sensor"]
+    found = replayed(trace, "bench.yaml")
+    assert (found.difference, found.cut_short) == (None, False)
+
+
+def test_a_fault_during_a_jog_is_raised_again(here):
+    fault = {"fault": "drive_fault", "at_s": 0.5, "device": "drive_test", "code": 0x2340}
+    write_bench(lambda data: data["emulated"].update(faults=[fault]))
+    assert by_hand(JOG, "jog.trace").returncode == 5
+    found = replayed(Path("jog.trace"), "bench.yaml")
+    assert (found.difference, found.cut_short) == (None, False)
+    assert [text.split(":")[:2] for text in found.raised] == [["DeviceFault", " drive_test"]]
+
+
+def test_a_check_traces_each_device_that_it_tries_by_itself(here):
+    write_bench(lambda data: data["devices"]["drive_load"].update(serial="another"))
+    assert by_hand(ASK, "check.trace").returncode == 5
+    opened = [line.owner for line in read_trace(Path("check.trace")) if line.text == "open []"]
+    assert opened == ["drive_test", "drive_load", "drive_test", "drive_load", "torque_sensor", "daq"]
+    assert replayed(Path("check.trace"), "bench.yaml").difference is None
+
+
+def test_a_check_of_the_file_alone_has_no_trace(here):
+    done = by_hand(("check",), "check.trace")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "leactl: --trace: goes with --devices or --move alone\n"
+    assert not (here / "check.trace").exists()
+
+
+def test_a_trace_is_on_the_disk_once_a_device_is_closed(tmp_path):
+    with WireTrace(tmp_path / "run.trace") as trace:
+        trace.write("can0", "<", "first")
+        trace.called("drive", "close", lambda: None)()
+        assert [line.kind for line in read_trace(tmp_path / "run.trace")] == ["<", "=", "~"]
 
 
 def test_a_driver_that_sends_something_else_is_named_with_the_line(traced, monkeypatch):
