@@ -41,24 +41,24 @@ def bench(
             speed = np.where(np.abs(stop) <= rub, 0.0, speed + step / inertia * (push - np.sign(stop) * rub))
             angle = angle + step * speed
         currents.append(current)
-    told = np.array(currents).T
+    currents_of_runs = np.array(currents).T
     angles = np.round(np.array(rows).T / COUNT_RAD) * COUNT_RAD
     return [
         recorded(
             tmp_path,
             [channel(time, "angle", angle, "rad"), channel(time, "angle_reference", goal, "rad")]
             + ([channel(time, "q_axis_current", current, "A")] if logs_current else []),
-            {"drive_gain": own},
-            f"{name}-{own:g}",
+            {"drive_gain": drive_gain},
+            f"{name}-{drive_gain:g}",
         )
-        for own, angle, goal, current in zip(GAINS, angles, goals, told, strict=True)
+        for drive_gain, angle, goal, current in zip(GAINS, angles, goals, currents_of_runs, strict=True)
     ]
 
 
 def standing(*records, held_out=(), proposed=()):
     """Probabilities of what stands."""
-    found = fit_effect_sets(records, held_out, servo_model(), proposed)
-    return {item.effect: item.probability for item in found.standing}
+    fitted_sets = fit_effect_sets(records, held_out, servo_model(), proposed)
+    return {item.effect: item.probability for item in fitted_sets.standing}
 
 
 def diagnosed(records, **changes):
@@ -66,8 +66,8 @@ def diagnosed(records, **changes):
     return diagnose(Case(servo_model(**changes), *split(records)))
 
 
-def named(found):
-    return sorted(cause.effect for cause in found.causes if cause.probability >= 0.5)
+def named(answer):
+    return sorted(cause.effect for cause in answer.causes if cause.probability >= 0.5)
 
 
 def test_a_servo_is_diagnosed_whole(tmp_path):
@@ -181,8 +181,8 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
     }
     for unseen, believed in ((bench(tmp_path), False), (bench(tmp_path, load=0.2), True)):
         runs = servo_runs(unseen, servo_model())
-        (one,) = standing_of(sets, load, runs, runs)
-        assert (one.probability > 0.9) == believed
+        (effect,) = standing_of(sets, load, runs, runs)
+        assert (effect.probability > 0.9) == believed
 
 
 def test_free_runs_give_a_servo_s_parameters_back_with_their_errors(tmp_path):

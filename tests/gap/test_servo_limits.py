@@ -40,25 +40,25 @@ def drawn(seed, kind, seconds=20.0, free=None):
 
 
 def standing(case):
-    found = fit_effect_sets(case.fitted, case.held_out, case.model, [])
-    return {item.effect: dict(item.parameters) for item in found.standing if item.probability >= 0.5}
+    fitted_sets = fit_effect_sets(case.fitted, case.held_out, case.model, [])
+    return {item.effect: dict(item.parameters) for item in fitted_sets.standing if item.probability >= 0.5}
 
 
-def named(found):
-    return sorted(cause.effect for cause in found.causes if cause.probability >= 0.5)
+def named(answer):
+    return sorted(cause.effect for cause in answer.causes if cause.probability >= 0.5)
 
 
 def test_a_limited_servo_is_diagnosed_whole_from_position_goal_and_duty():
     servo, random = drawn(3, "LIMIT", seconds=8.0, free=False)
     case = servos.case(servo, random, kinds=("steps", "sines"))
-    found = diagnose(case)
-    assert named(found) == ["reference_rate_limit"]
-    speed = found.causes[0].parameters[0]
+    answer = diagnose(case)
+    assert named(answer) == ["reference_rate_limit"]
+    speed = answer.causes[0].parameters[0]
     assert speed.name == "speed"
     assert speed.value == pytest.approx(servo.speed, rel=0.05)
-    angle = next(line for line in found.shrinkage if line.quantity == "angle")
+    angle = next(line for line in answer.shrinkage if line.quantity == "angle")
     assert angle.augmented_rms < 0.5 * angle.calibrated_rms
-    assert not any("reference_rate_limit" in note and "invisible" in note for note in found.notes)
+    assert not any("reference_rate_limit" in note and "invisible" in note for note in answer.notes)
 
 
 def test_a_limited_servo_is_told_from_a_weak_motor_by_position_and_goal_alone():
@@ -175,19 +175,19 @@ def test_a_replayed_servo_stays_below_the_speed_that_its_voltage_holds_however_l
 
 @pytest.mark.long
 def test_of_many_servos_limits_and_bands_are_named_and_nothing_else():
-    right, told, shrunk = 0, 0, []
+    right, expected_count, shrunk = 0, 0, []
     for seed in range(24):
         kind = KINDS[seed % len(KINDS)]
         servo, random = drawn(100 + seed, kind)
-        found = diagnose(servos.case(servo, random, volts=seed % 3 < 2, thin=1 + seed // 10 % 2))
-        causes, expected = named(found), [NAMES[kind.lower()]] if kind.lower() in NAMES else []
-        angle = next(line for line in found.shrinkage if line.quantity == "angle")
-        print(seed, kind, found.verdict, causes, f"{angle.calibrated_rms:.3g} -> {angle.augmented_rms:.3g} rad")
+        answer = diagnose(servos.case(servo, random, volts=seed % 3 < 2, thin=1 + seed // 10 % 2))
+        causes, expected = named(answer), [NAMES[kind.lower()]] if kind.lower() in NAMES else []
+        angle = next(line for line in answer.shrinkage if line.quantity == "angle")
+        print(seed, kind, answer.verdict, causes, f"{angle.calibrated_rms:.3g} -> {angle.augmented_rms:.3g} rad")
         assert [name for name in causes if name not in expected] == [], (seed, kind)
         if expected:
-            told, right = told + 1, right + (causes == expected)
+            expected_count, right = expected_count + 1, right + (causes == expected)
         if kind.lower() == "limit" and causes == expected:
             shrunk.append(angle.augmented_rms / angle.calibrated_rms)
-    print(f"{right} of {told} named; free runs' error times {np.mean(shrunk):.2f}, at most {max(shrunk):.2f}")
-    assert right >= 0.9 * told
+    print(f"{right} of {expected_count} named; free runs' error times {np.mean(shrunk):.2f}, at most {max(shrunk):.2f}")
+    assert right >= 0.9 * expected_count
     assert max(shrunk) < 0.75

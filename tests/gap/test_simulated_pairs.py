@@ -39,7 +39,7 @@ def test_a_name_comes_first(tmp_path):
     assert pairs(real, simulated) == [(str(simulated[1]), "name"), (str(simulated[0]), "name")]
 
 
-def test_without_one_the_experiment_tells(tmp_path):
+def test_runs_without_a_common_name_are_paired_by_experiment(tmp_path):
     real = [run(tmp_path / "real", f"2026-{kind}", kind) for kind in ("ramp", "levels")]
     simulated = [run(tmp_path / "sim", f"sim-{kind}", kind) for kind in ("levels", "ramp")]
     assert pairs(real, simulated) == [(str(simulated[1]), "experiment"), (str(simulated[0]), "experiment")]

@@ -11,7 +11,13 @@ from leactl.cli.gap import repeated
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.equations.contract import Equation
 from leactl.gap.signals.derived import fast_signals
-from leactl.gap.simulated.comparing import SideBySide, SizeInReal, by_free_runs, of_another_machine, settled
+from leactl.gap.simulated.comparing import (
+    SideBySide,
+    SizeInReal,
+    of_another_machine,
+    side_by_side_in_free_runs,
+    without_shared_causes,
+)
 from leactl.gap.simulated.known import KnownEffect, Subtraction
 from leactl.report.gap_words import change_text
 from tests.gap.synthetic import model, record
@@ -65,7 +71,7 @@ def test_effects_of_a_servo_are_compared_as_its_free_runs_have_them():
         0.0,
         causes=(cause("stribeck", 0.7, 0.05), cause("saturation", 0.4), cause("backlash", 0.1, 0.01, 0.3)),
     )
-    both = by_free_runs(nominal, alone)
+    both = side_by_side_in_free_runs(nominal, alone)
     assert both.differing == ["saturation", "backlash"]
     assert both.alike == {"stribeck"}
     assert [both.of_simulator[name].shows for name in both.differing] == [True, False]
@@ -82,19 +88,19 @@ def test_effects_of_a_servo_are_compared_as_its_free_runs_have_them():
 )
 def test_what_both_have_is_no_cause(causes, unexplained, differs, verdict):
     both = SideBySide({"cogging": SizeInReal((), False, True)}, ())
-    answer = settled(DiagnosisResult("effect", unexplained, causes=causes), both, differs)
+    answer = without_shared_causes(DiagnosisResult("effect", unexplained, causes=causes), both, differs)
     assert answer.verdict == verdict
     assert "cogging" not in [item.effect for item in answer.causes]
 
 
 def test_what_the_simulator_has_and_the_machine_lacks_is_no_sound_machine():
     both = SideBySide({"cogging": SizeInReal((), True, False)}, ())
-    assert settled(DiagnosisResult("none", 0.0), both, False).verdict == "calibration"
-    assert settled(DiagnosisResult("calibration", 0.0), SideBySide({}, ()), False).verdict == "none"
+    assert without_shared_causes(DiagnosisResult("none", 0.0), both, False).verdict == "calibration"
+    assert without_shared_causes(DiagnosisResult("calibration", 0.0), SideBySide({}, ()), False).verdict == "none"
 
 
 def test_what_both_show_though_it_is_small_in_the_simulator_is_told():
-    answer = settled(
+    answer = without_shared_causes(
         DiagnosisResult("effect", 0.0, causes=(cause("cogging", 1.0),)), SideBySide({}, ("cogging",)), False
     )
     assert answer.notes == ("not named: cogging; the simulated runs show as much of it",)

@@ -11,7 +11,7 @@ from leactl.gap.replay import replay_all
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.job import Job
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
-from leactl.gap.servo.effect_sets import OWN, FittedEffectSets
+from leactl.gap.servo.effect_sets import MODEL_PARAMETERS, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
 from leactl.gap.servo.profile import shifted
 from leactl.gap.servo.runs import runs_at_common_rate
@@ -25,23 +25,28 @@ from leactl.vocabulary.effect import effect_definition
 
 SIMULATED = {name.partition(".")[0] for name in FREE if "." in name}
 """Effects that a servo's simulation knows."""
-USUAL = 3.0  # floors that a replay without the rig's own zero and delay leaves
-LEAPS, TOP = 2.0, 0.99  # times the highest speed of the axis, from which a reference leaps; the quantile that is it
-ARRIVED = 0.1  # of a leap, within which the axis is there
-SURE = 2.0  # variances of a uniform instant, that may be hidden
-CLOSER = 0.95  # of the squared distance without it, that an effect of the balance must bring a free run to
+ALLOWED_RMS_OVER_FLOOR = 3.0  # RMS error over floor that a replay without the rig's load zero and delay may have
+LEAST_LEAP_RATIO = 2.0  # step of the reference over the fastest step of the axis, above which the reference leaps
+TOP_STEP_QUANTILE = 0.99  # quantile of the axis' steps that counts as its fastest
+ARRIVAL_SHARE = 0.1  # of a leap; an axis this close to its reference has arrived
+STAMP_ERROR_FACTOR = 2.0  # times the mean square error that stamps hide, which is allowed in a replay
+CONFIRMED_ERROR_RATIO = 0.95  # mean square error with an effect over that without, below which free runs confirm it
 
 
 def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
-    """Whether runs are of a pendulum on a position servo whose torque no channel shows, in a model that can move it."""
+    """Return whether free runs judge the effects of a servo, instead of a balance of torques.
+
+    They do if a position servo drives a run, no run logs its q-axis current, the servo simulation includes every effect
+    of the model, and the model has a torque constant, a phase resistance and a rotor inertia.
+    """
     known = all(entry.effect in SIMULATED for entry in model.effects)
     moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
-    told = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
-    return bool(known and moves and not told and runs_at_common_rate(records, model))
+    logs_current = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
+    return bool(known and moves and not logs_current and runs_at_common_rate(records, model))
 
 
 def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
-    """What free runs told of the rig that no model file holds, and which runs were not among them."""
+    """Return notes on the load zero and the reference delay that free runs gave, and on runs left out of their fit."""
     zero, late = fitted_sets.augmented.parameters["load_zero"], fitted_sets.late
     hangs = f"the pendulum straight down at {zero:.3g} rad (replays go without) and " if pendulum else ""
     note = f"free runs have {hangs}the reference {1e3 * late:.2g} ms late, which no model file holds"
@@ -52,7 +57,7 @@ def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[R
 
 
 def on_time(records: Sequence[Record], model: Model, late: float) -> list[Record]:
-    """Runs of a servo whose references arrive as free runs have them: what a stamp hides is nobody's fault."""
+    """Delay the references of servo runs by `late` [s], so that a delay hidden by stamps is no error of the model."""
     return [_shifted(record, late) if drive_of(record, model) is not None else record for record in records]
 
 
@@ -67,16 +72,17 @@ def _shifted(record: Record, late: float) -> Record:
 def causes(
     fitted_sets: FittedEffectSets, balanced: Sequence[Cause], records: Sequence[Record], calibrated: Model
 ) -> tuple[Cause, ...]:
-    """What stands in free runs, beside what a balance of torques found of effects that no servo's simulation knows.
+    """Return causes from free runs, and from a balance of torques for effects that the simulation lacks.
 
-    The torque of that balance is the model's own: what it finds must bring a free run closer, or is no more than odd.
+    No torque is logged, so the balance takes the model's: an effect that it proposes has to lower the mean square error
+    of replayed angles, or its probability is reduced.
     """
     standing = [
         Cause(
             item.effect,
             item.probability,
             item.share,
-            parameters(item.effect, item.parameters),
+            parameters_with_units(item.effect, item.parameters),
             item.peers,
             separating_experiment(item.effect, item.peers),
             effect_definition(item.effect).family,
@@ -86,27 +92,29 @@ def causes(
     named = [_entry(cause) for cause in standing if cause.probability >= NAMED]
     others = [cause for cause in balanced if cause.effect not in SIMULATED]
     if others:
-        alone, *with_each = distances(
+        alone, *with_each = mean_square_errors(
             records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in others)]]
         )
         others = [
-            cause if closer < CLOSER * alone else replace(cause, probability=cause.probability * UNCONFIRMED)
+            cause
+            if closer < CONFIRMED_ERROR_RATIO * alone
+            else replace(cause, probability=cause.probability * UNCONFIRMED)
             for cause, closer in zip(others, with_each, strict=True)
         ]
     return tuple(sorted([*standing, *others], key=lambda cause: -cause.probability))
 
 
-def distances(records: Sequence[Record], models: Sequence[Model]) -> list[float]:
-    """Mean squares of the angle's error in free runs, for each model."""
+def mean_square_errors(records: Sequence[Record], models: Sequence[Model]) -> list[float]:
+    """Replay runs with each model and return the mean square error [rad^2] of the angle, one per model."""
     jobs = [[Job(record, plant_of(model)) for record in records] for model in models]
-    replay_all([job for own in jobs for job in own])
+    replay_all([job for jobs_of_model in jobs for job in jobs_of_model])
     squares = []
-    for own in jobs:
-        pairs = [(job.fast["angle", "test"], job.clock) for job in own if ("angle", "test") in job.fast]
-        wrong = np.concatenate(
+    for jobs_of_model in jobs:
+        pairs = [(job.fast["angle", "test"], job.clock) for job in jobs_of_model if ("angle", "test") in job.fast]
+        errors = np.concatenate(
             [(angle - clock.values["angle", "test"])[clock.all_valid(("angle", "test"))] for angle, clock in pairs]
         )
-        squares.append(float(np.nanmean(wrong**2)))
+        squares.append(float(np.nanmean(errors**2)))
     return squares
 
 
@@ -115,10 +123,11 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
 
 
 def unfollowed(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:
-    """Of the angle: what the last model leaves of held-out runs, over what a servo's replay may well leave."""
-    hidden = SURE * float(np.mean([hidden_by_stamps(record) for record in records]))
+    """Return the augmented model's mean square angle error over the allowed one, by (equation, quantity, set-up)."""
+    hidden = STAMP_ERROR_FACTOR * float(np.mean([hidden_by_stamps(record) for record in records]))
     return {
-        ("free run", line.quantity, line.mechanical): line.augmented_rms**2 / ((USUAL * line.floor_rms) ** 2 + hidden)
+        ("free run", line.quantity, line.mechanical): line.augmented_rms**2
+        / ((ALLOWED_RMS_OVER_FLOOR * line.floor_rms) ** 2 + hidden)
         for line in shrinkage
         if line.quantity == "angle"
     }
@@ -132,14 +141,14 @@ def hidden_by_stamps(record: Record) -> float:
     reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
     moved, asked = np.abs(np.diff(angle)), np.abs(np.diff(reference))
     away, on_its_way = np.abs(reference - angle)[1:], np.zeros(len(moved), np.bool_)
-    for leap in np.flatnonzero(asked > LEAPS * float(np.quantile(moved, TOP))):
-        arrived = np.flatnonzero(away[leap:] < ARRIVED * asked[leap])
+    for leap in np.flatnonzero(asked > LEAST_LEAP_RATIO * float(np.quantile(moved, TOP_STEP_QUANTILE))):
+        arrived = np.flatnonzero(away[leap:] < ARRIVAL_SHARE * asked[leap])
         on_its_way[leap : leap + arrived[0] if len(arrived) else None] = True
     return float(np.sum(moved[on_its_way] ** 2)) / (12.0 * len(angle))
 
 
-def parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
-    """Parameters of an effect with the units of its definition."""
+def parameters_with_units(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
+    """Return an effect's fitted parameters, given as (value, standard error), with the units of its definition."""
     defined = effect_definition(effect).parameters
     return tuple(EffectParameter(name, *fitted[name], defined[name].units) for name in defined if name in fitted)
 
@@ -147,7 +156,7 @@ def parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[
 def calibration(model: Model, fitted: FittedServo, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
     """The nominal model's parameters as free runs have them."""
     parameters = []
-    for name in OWN:
+    for name in MODEL_PARAMETERS:
         nominal, value = float(getattr(model, name) or 0.0), fitted.parameters[name]
         std = max(stds.get(name, 0.0), LEAST_MODEL_ERROR * abs(value))
         parameters.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))

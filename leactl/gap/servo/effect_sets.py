@@ -1,9 +1,9 @@
-"""Which effects a servo's free runs ask for: every small set fitted by simulation, from the fits of smaller ones.
+"""Fit sets of effects to a servo's free runs by simulation, and keep the effects without which the fit is worse.
 
-A balance of torques linearises what moves by half where friction and torque constant trade places, and a servo does not
-log its torque; a simulation that follows the angle does without both. Sets are fitted and not effects one by one:
-friction that falls with speed shows nothing where friction that grows with load is missing. An effect counts by how far
-the set of all that stand is worse without it, refitted.
+A servo does not log its torque, and a balance of torques is linear in parameters that change by half where friction and
+torque constant trade places; a simulation of the angle avoids both. Effects are fitted in sets, each from the fits of
+smaller ones: friction that falls with speed does not show while friction that grows with load is missing. The evidence
+for an effect is how much worse the final set fits without it, refitted.
 """
 
 import math
@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from leactl.gap.search.evidence import rows_per_independent
 from leactl.gap.search.regression import Candidate
-from leactl.gap.servo.fit import SETTLED, FittedServo, MeasuredServoRuns, cost, fit
+from leactl.gap.servo.fit import FINAL_LEAST_GAIN, FittedServo, MeasuredServoRuns, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, drive_starts, to_effect_parameters, to_fit_parameters
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, runs_at_common_rate, servo_runs
@@ -28,18 +28,18 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[str]
-OWN = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
-RIG = ("load_zero", "reference_delay", "voltage_delay")  # what belongs to the rig and to no model
+MODEL_PARAMETERS = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
+RIG_PARAMETERS = ("load_zero", "reference_delay", "voltage_delay")  # of the rig; no model file holds them
 ALWAYS: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
 MOST_PROPOSED = 2  # effects of a balance that are tried besides
-FORM_ERROR = 0.05  # relative change of a cost, that an effect makes by standing in for another or by luck of the search
+COST_FORM_ERROR = 0.05  # relative gain in cost of an effect that only imitates another, or by luck of the search
 """On the XL330's logs, friction over the angle at any order gains 2 to 15 % beyond the others, by where a fit ends."""
-FORM_LEFT = 0.01  # of what the drive's effects take from a cost, that their forms may leave over
-COUNTS = 1.0  # of the encoder, root mean square, below which it does not matter how closely a run is followed
+DRIVE_FORM_ERROR = 0.01  # share of the cost taken by the drive's effects that their forms may leave over
+IGNORED_RMS_COUNTS = 1.0  # RMS error in encoder counts, below which a closer fit does not matter
 LOST = 0.1  # share of the torque at the largest current, that saturation begins with
 FADES = (0.03, 0.15)  # of the fast speeds, at which friction may begin to fall
-PAIRS = 2  # effects, that are always tried together
-FEW_RUNS = 4  # below which runs do not tell how far they lie apart
+SIZE_ALWAYS_TRIED = 2  # effects; sets up to this size are tried even if smaller ones gain little
+FEWEST_RUNS_FOR_SPREAD = 4  # below, standard errors do not include the spread between runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,35 +68,42 @@ class FittedEffectSets:
 def fit_effect_sets(
     records: Sequence[Record], held_out: Sequence[Record], model: Model, proposed: Sequence[Candidate]
 ) -> FittedEffectSets:
-    """Fit every set of the effects that a simulation knows, and keep those that stand; by `records` alone.
+    """Fit sets of the effects that the simulation includes to `records`, and return the effects that stand.
 
-    What the drive does to its reference and its error comes first: it is seen in all that follows. What a balance of
-    torques proposed says in which form an effect is tried; held-out runs confirm or not.
+    Effects of the drive are fitted first, since they change all that follows. The candidates that a balance of torques
+    proposed give the forms in which effects are tried; held-out runs only confirm or weaken effects.
 
     Raises
     ------
-    InputError : runs that cannot be put side by side.
+    InputError : a run without a position servo, or runs sampled at different rates.
     """
     runs = servo_runs(records, model)
     fixed = effects_of(model)
-    here = {name.partition(".")[0] for name in fixed}
+    in_model = {name.partition(".")[0] for name in fixed}
     held = (*fixed, *unidentifiable(runs))
-    begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | dict.fromkeys(RIG, 0.0) | fixed
-    (alone,) = fit(runs, [begin | {"reference_delay": runs.interval}], held)
-    sets = Sets(runs, {frozenset(): alone}, held)
-    drive = drive_starts(runs, [begin, alone.parameters])
-    core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in here})
-    starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in here}
+    begin = (
+        {name: float(getattr(model, name) or 0.0) for name in MODEL_PARAMETERS}
+        | dict.fromkeys(RIG_PARAMETERS, 0.0)
+        | fixed
+    )
+    (plain,) = fit(runs, [begin | {"reference_delay": runs.interval}], held)
+    sets = Sets(runs, {frozenset(): plain}, held)
+    drive = drive_starts(runs, [begin, plain.parameters])
+    core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in in_model})
+    starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in in_model}
     base: Set = frozenset(ALWAYS & starts.keys())
     members = sets.grow(core, {name: starts[name] for name in sorted(base)})
     for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
-        smaller = [core.union(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
-        smaller = [one for one in smaller if one in sets]  # none of more effects where fewer follow the runs
-        fits = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], held)
-        sets.update({one | {effect}: fitted for one, fitted in zip(smaller, fits, strict=True)})
-        # a search that ends lower by a luckier way is no gain of the effect: without it, from there, as low again?
-        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in fits], held)
-        sets.update({one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost})
+        smaller = [core.union(subset) for size in range(len(base) + 1) for subset in combinations(sorted(base), size)]
+        # sets are not tried beyond one that follows the runs closely
+        smaller = [subset for subset in smaller if subset in sets]
+        fits = fit(runs, [sets[subset].parameters | starts[effect][0] for subset in smaller], held)
+        sets.update({subset | {effect}: fitted for subset, fitted in zip(smaller, fits, strict=True)})
+        # a luckier search is no gain of the effect: fit again without it, from where the fit with it ended
+        refits = fit(runs, [without_effects(fitted.parameters, frozenset({effect})) for fitted in fits], held)
+        sets.update(
+            {subset: refit for subset, refit in zip(smaller, refits, strict=True) if refit.cost < sets[subset].cost}
+        )
         members = sets.pruned(max(smaller, key=len) | {effect})
         base = members - core
     unseen = runs_at_common_rate(held_out, model)
@@ -118,18 +125,18 @@ class Sets(dict[Set, FittedServo]):
         self._runs, self._held = runs, tuple(held)
 
     def grow(self, core: Set, starts: Mapping[str, Sequence[Parameters]]) -> Set:
-        """Fit every set of further effects beside a core, each from the fits of what it is made of, and prune.
+        """Fit sets of further effects beside a core, each from the fits of smaller sets, and prune the best.
 
-        What the core's profile is stays as it was found. Where a set follows the runs so closely that no further effect
-        could stand, none is tried.
+        The profile parameters of a core stay as fitted. No larger set is tried once a set follows the runs so closely
+        that no further effect could be named.
         """
         held = (*self._held, *(PROFILE if "reference_rate_limit" in core else ()))
         judged = DRIVE & starts.keys()
         for size in range(len(starts)):
             made = [m for m in self if m >= core and m - core <= starts.keys() and len(m) == size + len(core)]
             best = min(made, key=lambda members: self[members].cost)
-            # what takes next to nothing in twos takes nothing in threes
-            hopeless = size >= PAIRS and relative(self, core, best, self._runs) < FORM_ERROR
+            # where two effects gain next to nothing, three gain nothing
+            hopeless = size >= SIZE_ALWAYS_TRIED and log_cost_ratio(self, core, best, self._runs) < COST_FORM_ERROR
             if hopeless or self.followed(best, judged):
                 return self.pruned(best)
             jobs: list[tuple[Set, str, Parameters]] = []
@@ -141,15 +148,15 @@ class Sets(dict[Set, FittedServo]):
                     jobs += [(members, effect, base | start) for start in beginnings(starts, effect, size)]
             fitted = fit(self._runs, [start for _, _, start in jobs], held)
             for (fewer, effect, _), result in zip(jobs, fitted, strict=True):
-                # what does not act is as good as absent
-                best_found = result if acts(effect, result.parameters, self._runs) else self[fewer]
+                # the fit without an effect replaces one in which it does not act
+                candidate = result if acts(effect, result.parameters, self._runs) else self[fewer]
                 members = fewer | {effect}
-                if members not in self or best_found.cost < self[members].cost:
-                    self[members] = best_found
+                if members not in self or candidate.cost < self[members].cost:
+                    self[members] = candidate
         return self.pruned(core.union(starts))
 
     def followed(self, members: Set, judged: Set) -> bool:
-        """Whether a set leaves so little beside what is open to all that nothing could be named for taking the rest."""
+        """Return whether the remaining cost is so close to the open cost that no further effect could be named."""
         fitted = self[members]
         left_open = open_cost(self, members, judged, self._runs)
         most = math.log((fitted.cost + left_open) / left_open) if left_open else math.inf
@@ -157,31 +164,32 @@ class Sets(dict[Set, FittedServo]):
 
     def fit_missing(self, wanted: Sequence[Set], largest: Set) -> None:
         """Fit those sets that were not tried, each from a larger one."""
-        missing = [one for one in dict.fromkeys(wanted) if one not in self]
+        missing = [members for members in dict.fromkeys(wanted) if members not in self]
         full = self[largest] if largest in self else self[max((m for m in self if m <= largest), key=len)]
-        starts = [without(full.parameters, largest - one) for one in missing]
+        starts = [without_effects(full.parameters, largest - members) for members in missing]
         if missing:
             self.update(zip(missing, fit(self._runs, starts, self._held), strict=True))
 
     def fit_back(self, members: Set) -> None:
-        """Fit every set with one member less from where the search with it ended: a luckier way is no member's gain."""
+        """Refit the set without each member from the fit with it, so that no member gains by a luckier search."""
         fewer = [members - {name} for name in sorted(members)]
-        starts = [without(self[members].parameters, members - one) for one in fewer]
-        for one, result in zip(fewer, fit(self._runs, starts, self._held), strict=True):
-            if one not in self or result.cost < self[one].cost:
-                self[one] = result
+        starts = [without_effects(self[members].parameters, members - subset) for subset in fewer]
+        for subset, result in zip(fewer, fit(self._runs, starts, self._held), strict=True):
+            if subset not in self or result.cost < self[subset].cost:
+                self[subset] = result
 
     def settle(self, members: Set) -> FittedServo:
-        """Fit a set that is told once more, with all that belongs to it and as closely as it goes."""
-        (self[members],) = fit(self._runs, [self[members].parameters], self._held, SETTLED)
+        """Fit a set once more, to the finer stopping limit of sets that are reported."""
+        (self[members],) = fit(self._runs, [self[members].parameters], self._held, FINAL_LEAST_GAIN)
         return self[members]
 
     def pruned(self, members: Set) -> Set:
-        """The members that stand: of all, the weakest goes first."""
+        """Remove the weakest member until each remaining one is strong enough to be named."""
         while members:
             self.fit_back(members)
             heights = {
-                name: height(relative(self, members - {name}, members, self._runs), self[members]) for name in members
+                name: height(log_cost_ratio(self, members - {name}, members, self._runs), self[members])
+                for name in members
             }
             weakest = min(sorted(members), key=lambda name: heights[name])
             if presence(heights[weakest]) >= NAMED:
@@ -198,7 +206,7 @@ def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: 
 
 
 def unidentifiable(runs: ServoRuns) -> tuple[str, ...]:
-    """Parameters that runs of this kind tell nothing of: without a weight all torques share one scale."""
+    """Return parameters that the runs cannot identify: without a weight, all torques share one scale."""
     none = () if runs.hangs else ("load_zero", "phase_resistance")
     return none if runs.voltage_logged.any() else (*none, "voltage_delay")
 
@@ -206,40 +214,52 @@ def unidentifiable(runs: ServoRuns) -> tuple[str, ...]:
 def standing_of(
     sets: Mapping[Set, FittedServo], members: Set, runs: ServoRuns, unseen: ServoRuns | None
 ) -> tuple[LikelyEffect, ...]:
-    """How sure each effect is: what it gains where it was fitted, unless runs that nobody fitted lose as much by it."""
+    """Return members and further effects with their probabilities, most probable first.
+
+    A member's probability grows with its log cost ratio in the fitted runs, and is reduced if unseen runs are worse
+    with it by as much. Further effects that were tried beside all members stay below the probability of a named one.
+    """
     fitted = sets[members]
     stds = errors_of(fitted, runs)
-    worse = {name: relative(sets, members - {name}, members, runs) for name in members}
-    lost = dict.fromkeys(members, 0.0)
+    worse = {name: log_cost_ratio(sets, members - {name}, members, runs) for name in members}
+    unseen_loss = dict.fromkeys(members, 0.0)
     if unseen is not None and unseen.measured.any() and members:
         names = sorted(members)
-        left, *others = unfollowed(unseen, [fitted, *(sets[members - {name}] for name in names)])
-        lost = {name: math.log(left / other) for name, other in zip(names, others, strict=True)}
+        with_all, *lacking = costs_of(unseen, [fitted, *(sets[members - {name}] for name in names)])
+        unseen_loss = {
+            name: math.log(with_all / without_member) for name, without_member in zip(names, lacking, strict=True)
+        }
     standings = [
         LikelyEffect(
             name,
             acts(name, fitted.parameters, runs)
             * presence(height(worse[name], fitted))
-            * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
+            * (1.0 if unseen_loss[name] < worse[name] else UNCONFIRMED),
             worse[name] / sum(worse.values()),
             parameters_of(name, fitted, stds),
             in_place_of(sets, members, name, runs),
         )
         for name in members
     ]
-    for more in [one for one in sets if len(one) == len(members) + 1 and one > members]:
-        (name,) = more - members
-        probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LISTED)
+    for larger in [larger for larger in sets if len(larger) == len(members) + 1 and larger > members]:
+        (name,) = larger - members
+        probability = min(presence(height(log_cost_ratio(sets, members, larger, runs), sets[larger])), NAMED - LISTED)
         if probability >= LISTED:
-            further = parameters_of(name, sets[more], errors_of(sets[more], runs))
+            further = parameters_of(name, sets[larger], errors_of(sets[larger], runs))
             standings.append(LikelyEffect(name, probability, 0.0, further))
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))
 
 
 def in_place_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
     """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
-    others = {one: next(iter(one - members)) for one in sets if members - one == {name} and len(one - members) == 1}
-    return tuple(sorted(q for one, q in others.items() if relative(sets, one, members, runs) < FORM_ERROR))
+    others = {
+        other: next(iter(other - members)) for other in sets if members - other == {name} and len(other - members) == 1
+    }
+    return tuple(
+        sorted(
+            effect for other, effect in others.items() if log_cost_ratio(sets, other, members, runs) < COST_FORM_ERROR
+        )
+    )
 
 
 def effects_of(model: Model) -> Parameters:
@@ -284,52 +304,53 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     }
 
 
-def without(parameters: Parameters, effects: Set) -> Parameters:
-    """The same but for what belongs to some effects."""
+def without_effects(parameters: Parameters, effects: Set) -> Parameters:
+    """Return the parameters except those of some effects."""
     return {name: value for name, value in parameters.items() if name.partition(".")[0] not in effects}
 
 
-def relative(sets: Mapping[Set, FittedServo], fewer: Set, members: Set, runs: ServoRuns) -> float:
-    """Logarithm of how much worse a set is without a member, beside what is open to all."""
+def log_cost_ratio(sets: Mapping[Set, FittedServo], fewer: Set, members: Set, runs: ServoRuns) -> float:
+    """Return the log of the cost of fewer effects over that of all members, at least 0; both include the open cost."""
     fitted, lacking = sets[members], sets[fewer]
     left_open = open_cost(sets, members, members - fewer, runs)
     return math.log(max((lacking.cost + left_open) / (fitted.cost + left_open), 1.0))
 
 
 def open_cost(sets: Mapping[Set, FittedServo], members: Set, judged: Set, runs: ServoRuns) -> float:
-    """Cost that the encoder's counts leave open, and that forms may leave.
+    """Return the cost [rad^2] that encoder counts and errors of the drive's forms leave open.
 
-    What a profile or a dead band takes from the cost is most of it; what their forms leave of that is open as well,
-    but where they are judged themselves.
+    A profile or a dead band takes most of the cost; a share of that is open because of their forms, unless they are
+    judged themselves.
     """
-    left_open = len(sets[members].error) * (COUNTS * runs.encoder_resolution) ** 2
+    left_open = len(sets[members].error) * (IGNORED_RMS_COUNTS * runs.encoder_resolution) ** 2
     drive = members & DRIVE
     if drive and not judged & DRIVE and members - drive in sets:
-        left_open += FORM_LEFT * max(sets[members - drive].cost - sets[members].cost, 0.0)
+        left_open += DRIVE_FORM_ERROR * max(sets[members - drive].cost - sets[members].cost, 0.0)
     return left_open
 
 
 def height(worse: float, fitted: FittedServo) -> float:
     """How far an effect stands above what noise and the forms of others would give it."""
     independent = len(fitted.error) / rows_per_independent(fitted.error)
-    return worse / math.hypot(FORM_ERROR, math.sqrt(2.0) / independent)
+    return worse / math.hypot(COST_FORM_ERROR, math.sqrt(2.0) / independent)
 
 
-def unfollowed(runs: ServoRuns, several: Sequence[FittedServo]) -> list[float]:
-    """Cost of other runs with the parameters of each of several fits."""
-    return [cost(error) for error in MeasuredServoRuns(runs).of([fitted.parameters for fitted in several])]
+def costs_of(runs: ServoRuns, fits: Sequence[FittedServo]) -> list[float]:
+    """Return the cost of runs with the parameters of each fit, without fitting."""
+    return [cost(error) for error in MeasuredServoRuns(runs).of([fitted.parameters for fitted in fits])]
 
 
 def errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
-    """Standard errors of what was fitted: by errors that hang together, or by how far runs lie apart if that is more.
+    """Return standard errors of the fitted parameters, from autocorrelated residuals or the spread between runs.
 
-    The second is the sandwich of Huber (1967) over whole runs; a parameter that nothing shows has its own size.
+    The larger one counts; the spread is the sandwich of Huber (1967) over whole runs. The error of a parameter that the
+    runs do not show is its typical size.
     """
     sizes = np.array([runs.scales[name] for name in fitted.names])
     inverse = np.linalg.pinv(fitted.information, hermitian=True)
     variance = np.diag(inverse) * fitted.cost / len(fitted.error) * rows_per_independent(fitted.error)
     count = len(fitted.scores)
-    if count >= FEW_RUNS:
+    if count >= FEWEST_RUNS_FOR_SPREAD:
         apart = inverse @ (fitted.scores.T @ fitted.scores) @ inverse * count / (count - 1)
         variance = np.maximum(variance, np.diag(apart))
     shown = np.diag(fitted.information) * sizes**2 > 1e-9 * fitted.cost
@@ -348,6 +369,6 @@ def parameters_of(effect: str, fitted: FittedServo, stds: Mapping[str, float]) -
         return to_effect_parameters(effect, parameters)
     if "cos" not in parameters:
         return parameters
-    (cosine, one), (sine, other) = parameters.pop("cos"), parameters.pop("sin")
-    amplitude, spread = math.hypot(cosine, sine), max(one, other)
-    return parameters | {"amplitude": (amplitude, spread), "phase": (math.atan2(-sine, cosine), spread / amplitude)}
+    (cosine, cosine_std), (sine, sine_std) = parameters.pop("cos"), parameters.pop("sin")
+    amplitude, std = math.hypot(cosine, sine), max(cosine_std, sine_std)
+    return parameters | {"amplitude": (amplitude, std), "phase": (math.atan2(-sine, cosine), std / amplitude)}

@@ -17,14 +17,14 @@ from leactl.gap.servo.simulation import SHAPES, SIGNED, Parameters, simulate, ta
 from leactl.gap.servo.stretches import Stretches, cut
 
 Array = npt.NDArray[np.float64]
-ROUNDS = 25
+MOST_ITERATIONS = 25
 OUTLIER_RAD = 0.03  # errors beyond count by their size, not their square: a slip at another instant is no other model
 DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # tried at once, relative to the last that helped
 MOVED = 1e-3  # relative, by which a parameter is moved for a derivative
 LIMIT_MOVED = 1e-2  # the same of a profile's: it arrives at its goal a sample earlier or later, which is not smooth
-LEAST = 1e-3  # of its size, below which a positive one does not go
-GAINED = 1e-3  # of the cost, below which a step is the last
-SETTLED = 1e-4  # the same of a set that is told
+LEAST_VALUE = 1e-3  # of a parameter's typical size: the lower bound of a positive one
+LEAST_GAIN = 1e-3  # of the cost; an iteration that gains less is the last
+FINAL_LEAST_GAIN = 1e-4  # the same for a set that is reported
 
 
 class Fitting:
@@ -35,7 +35,7 @@ class Fitting:
         self.shapes = {name: value for name, value in start.items() if name not in self.names}
         self.sizes = np.array([runs.scales[name] for name in self.names])
         self.moved = np.array([LIMIT_MOVED if name in PROFILE else MOVED for name in self.names])
-        self.least = np.array([-np.inf if name in SIGNED else LEAST * runs.scales[name] for name in self.names])
+        self.least = np.array([-np.inf if name in SIGNED else LEAST_VALUE * runs.scales[name] for name in self.names])
         if "reference_delay" in self.names:  # a stamp may be a sample early
             self.least[self.names.index("reference_delay")] = -runs.interval
         self.point = np.array([start[name] for name in self.names])
@@ -65,9 +65,9 @@ class Fitting:
         return np.asarray(point - self.usual, np.float64)
 
     def total(self, error: Array, point: Array) -> float:
-        """Cost of a point: of its errors, and of being off the model, a count of the encoder for each prior's width.
+        """Return the cost of residuals plus that of the priors, one squared encoder count at one prior width.
 
-        What runs tell next to nothing of stays where the model has it.
+        A parameter that the runs hardly show thus stays near the model's value.
         """
         return cost(error) + float(self.pull @ self.off(point) ** 2)
 
@@ -110,34 +110,35 @@ class FittedServo:
 
 
 def fit(
-    runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = (), least_gain: float = GAINED
+    runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = (), least_gain: float = LEAST_GAIN
 ) -> list[FittedServo]:
-    """Fit every parameter of each start but the shapes and those held, from where it is; all starts side by side."""
+    """Fit all parameters of each start except shapes and those in `held`; all starts are fitted side by side."""
     against = MeasuredServoRuns(runs)
     fittings = [Fitting(start, held, runs) for start in starts]
-    for one, errors in zip(fittings, against.errors(fittings, [f.point[None] for f in fittings]), strict=True):
-        one.error, one.cost = errors[0], one.total(errors[0], one.point)
-    for _ in range(ROUNDS):
+    points = [fitting.point[None] for fitting in fittings]
+    for fitting, errors in zip(fittings, against.errors(fittings, points), strict=True):
+        fitting.error, fitting.cost = errors[0], fitting.total(errors[0], fitting.point)
+    for _ in range(MOST_ITERATIONS):
         against.differentiate(fittings)
-        going = [one for one in fittings if not one.done]
+        going = [fitting for fitting in fittings if not fitting.done]
         if not going:
             break
-        trials = [one.trials() for one in going]
-        for one, points, errors in zip(going, trials, against.errors(going, trials), strict=True):
-            one.take(points, errors, least_gain)
-    for one in fittings:
-        one.done = False
+        trials = [fitting.trials() for fitting in going]
+        for fitting, trial_points, errors in zip(going, trials, against.errors(going, trials), strict=True):
+            fitting.take(trial_points, errors, least_gain)
+    for fitting in fittings:
+        fitting.done = False
     against.differentiate(fittings)  # where each ended
     return [
         FittedServo(
-            one.parameters(one.point),
-            one.cost,
-            one.error,
-            tuple(one.names),
-            one.curvature()[0],
-            one.scores(against.run),
+            fitting.parameters(fitting.point),
+            fitting.cost,
+            fitting.error,
+            tuple(fitting.names),
+            fitting.curvature()[0],
+            fitting.scores(against.run),
         )
-        for one in fittings
+        for fitting in fittings
     ]
 
 
@@ -147,38 +148,42 @@ def cost(error: Array) -> float:
 
 
 class MeasuredServoRuns:
-    """Runs that fits are held against: the angle, and where a voltage is logged the inner error that it tells.
+    """Measured runs that give residuals of angles and, where logged, of the controller's voltages.
 
-    A voltage over the gain is an error of the angle as the controller has it: both are counted in rad.
+    A voltage over the gain is the controller's error of the angle, so all residuals are in rad.
     """
 
     def __init__(self, runs: ServoRuns, whole: Stretches | None = None) -> None:
-        self._runs, self._cut, self._points = runs, whole or cut(runs), SetPoints(runs)
-        self._told = runs.voltage_logged if runs.voltage_logged.any() else None
-        run = [np.nonzero(mask)[0] for mask in (runs.measured, self._told) if mask is not None]
+        self._runs, self._stretches, self._points = runs, whole or cut(runs), SetPoints(runs)
+        self._voltage_logged = runs.voltage_logged if runs.voltage_logged.any() else None
+        run = [np.nonzero(mask)[0] for mask in (runs.measured, self._voltage_logged) if mask is not None]
         self.run = np.concatenate(run)
 
     def of(self, sets: Sequence[Parameters]) -> Array:
-        """Errors [rad] of each set of parameters: those of the angle, then those that voltages tell."""
+        """Return residuals [rad] (sets, measured samples): angles first, then voltages over the gain."""
         runs, values = self._runs, table(sets)
-        wrong = (simulate(runs, values, self._cut, self._points) - runs.angle)[:, runs.measured]
-        if self._told is None:
+        wrong = (simulate(runs, values, self._stretches, self._points) - runs.angle)[:, runs.measured]
+        if self._voltage_logged is None:
             return wrong
-        inner = (voltages(runs, values, self._points) - runs.q_axis_voltage)[:, self._told]
-        return np.concatenate([wrong, inner / runs.gain[np.nonzero(self._told)[0]]], axis=1)
+        inner = (voltages(runs, values, self._points) - runs.q_axis_voltage)[:, self._voltage_logged]
+        return np.concatenate([wrong, inner / runs.gain[np.nonzero(self._voltage_logged)[0]]], axis=1)
 
     def differentiate(self, fittings: Sequence[Fitting]) -> None:
         """Give each fitting that goes on the slopes of its errors."""
-        going = [one for one in fittings if not one.done]
-        moved = [one.point + np.diag(one.moves()) for one in going]
-        for one, errors in zip(going, self.errors(going, moved), strict=True):
-            one.tangent = (errors - one.error) / one.moves()[:, None]
+        going = [fitting for fitting in fittings if not fitting.done]
+        moved = [fitting.point + np.diag(fitting.moves()) for fitting in going]
+        for fitting, errors in zip(going, self.errors(going, moved), strict=True):
+            fitting.tangent = (errors - fitting.error) / fitting.moves()[:, None]
 
     def errors(self, fittings: Sequence[Fitting], points: Sequence[Array]) -> list[Array]:
-        """Of each fitting: errors (points, measured samples) at its points."""
+        """Return residuals (points, measured samples) of each fitting at its points."""
         if not fittings:
             return []
-        sets = [one.parameters(point) for one, own in zip(fittings, points, strict=True) for point in own]
+        sets = [
+            fitting.parameters(point)
+            for fitting, of_fitting in zip(fittings, points, strict=True)
+            for point in of_fitting
+        ]
         with np.errstate(over="ignore", invalid="ignore"):  # a trial may run away; it is not taken then
             wrong = self.of(sets)
-        return np.split(wrong, np.cumsum([len(own) for own in points])[:-1])
+        return np.split(wrong, np.cumsum([len(of_fitting) for of_fitting in points])[:-1])

@@ -1,6 +1,7 @@
-"""The inner set-point of a servo: what its profile makes of the reference, many parameter sets at once.
+"""Set-points of a servo: its references after limits of speed and acceleration, many parameter sets at once.
 
-A limit is told by its inverse, `slowness` [s/rad] and `sluggishness` [s^2/rad]: it is none at zero, where a fit may go.
+A limit is given by its inverse, `slowness` [s/rad] or `sluggishness` [s^2/rad]: there is no limit at zero, which a fit
+can reach.
 """
 
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ SLOWNESS, SLUGGISHNESS = "reference_rate_limit.slowness", "reference_rate_limit.
 KEPT = 256  # profiles
 PROFILE = (SLOWNESS, SLUGGISHNESS)
 UNLIMITED = (0.0, 0.0)
-ARRIVED = 1e-9  # of what was left to go, within which a set-point is at its goal
+GOAL_TOLERANCE = 1e-9  # of the distance at the beginning of an interval; a set-point within it is at its goal
 TINY = 1e-300
 
 
@@ -28,23 +29,24 @@ class SetPoints:
         self._known: dict[tuple[float, float], tuple[Array, Array]] = {}
 
     def at(self, sets: Mapping[str, Array], count: int, delay: str = "reference_delay") -> tuple[Array, Array, Index]:
-        """Distinct set-points (some, runs, samples) at the beginning and the end of the interval after each sample.
+        """Return distinct set-points (profiles, runs, samples) at both ends of each interval, and each set's index.
 
-        The third tells which of them each set has; where none is limited, beginning and end are the same array.
+        The first array is for the beginning of the interval after a sample, the second for its end; where no set has a
+        limit, both are the same array.
         """
         none = np.zeros(count)
         delays = (sets.get(delay, none) / self._runs.interval).tolist()
         limits = zip(sets.get(SLOWNESS, none).tolist(), sets.get(SLUGGISHNESS, none).tolist(), strict=True)
         wanted = list(zip(limits, delays, strict=True))
-        distinct = {one: place for place, one in enumerate(dict.fromkeys(wanted))}
+        distinct = {profile_delay: index for index, profile_delay in enumerate(dict.fromkeys(wanted))}
         if len(self._known) > KEPT:
             self._known.clear()
         self._work_out([limit for limit in dict.fromkeys(limit for limit, _ in distinct) if limit not in self._known])
-        place = np.array([distinct[one] for one in wanted])
+        index = np.array([distinct[profile_delay] for profile_delay in wanted])
         begins = np.stack([shifted(self._known[limit][0], late) for limit, late in distinct])
         if all(limit == UNLIMITED for limit, _ in distinct):
-            return begins, begins, place
-        return begins, np.stack([shifted(self._known[limit][1], late) for limit, late in distinct]), place
+            return begins, begins, index
+        return begins, np.stack([shifted(self._known[limit][1], late) for limit, late in distinct]), index
 
     def _work_out(self, limits: list[tuple[float, float]]) -> None:
         plain = (self._runs.reference, self._runs.reference)
@@ -57,10 +59,10 @@ class SetPoints:
 
 
 def profile(reference: Array, interval: float, slowness: Array, sluggishness: Array) -> tuple[Array, Array]:
-    """Set-points (sets, runs, samples) that go to references (runs, samples), no faster than limits (sets, 1) allow.
+    """Return limited set-points (sets, runs, samples) at the beginning and the end of the interval after each sample.
 
-    Each goes as fast as it may and can still stop at the goal; one that arrives leaps the rest of the way, as one
-    without a limit does.
+    They go to references (runs, samples) as fast as inverse limits (sets, 1) allow and as they can still stop there. In
+    the interval of its arrival a set-point is at the goal from the beginning, as one without a limit is.
     """
     lanes = (len(slowness), len(reference))
     fast = np.broadcast_to(1.0 / np.maximum(slowness, TINY), lanes).copy()
@@ -70,34 +72,36 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
     point, pace = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
     begins, ends = np.empty((reference.shape[1], *lanes)), np.empty((reference.shape[1], *lanes))
     ramps = bool(np.any(sluggishness > 0.0))
-    left, wanted = np.empty(lanes), np.empty(lanes)
+    needed, wanted = np.empty(lanes), np.empty(lanes)
     for sample, asked in enumerate(reference.T.copy()):
         begins[sample] = point
-        np.subtract(asked, point, out=left)
-        left /= interval
+        np.subtract(asked, point, out=needed)
+        needed /= interval
         if ramps:
-            np.abs(left, out=wanted)
+            np.abs(needed, out=wanted)
             wanted *= held
             wanted += 0.25
             np.sqrt(wanted, out=wanted)
             wanted += 0.5
             np.divide(2.0, wanted, out=wanted)
             np.minimum(wanted, 1.0, out=wanted)
-            left *= wanted  # so fast that it can still stop there
-            np.minimum(left, fast, out=left)
-            np.maximum(left, slow, out=left)
-            left -= pace
-            np.minimum(left, gain, out=left)
-            np.maximum(left, loss, out=left)
-            pace += left
+            needed *= wanted  # so fast that it can still stop there
+            np.minimum(needed, fast, out=needed)
+            np.maximum(needed, slow, out=needed)
+            needed -= pace
+            np.minimum(needed, gain, out=needed)
+            np.maximum(needed, loss, out=needed)
+            pace += needed
         else:
-            np.minimum(left, fast, out=pace)
+            np.minimum(needed, fast, out=pace)
             np.maximum(pace, slow, out=pace)
-        np.multiply(pace, interval, out=left)
-        point += left
+        np.multiply(pace, interval, out=needed)
+        point += needed
         ends[sample] = point
     goal = reference.T[:, None, :]
-    np.copyto(begins, np.broadcast_to(goal, begins.shape), where=np.abs(ends - goal) <= ARRIVED * np.abs(goal - begins))
+    np.copyto(
+        begins, np.broadcast_to(goal, begins.shape), where=np.abs(ends - goal) <= GOAL_TOLERANCE * np.abs(goal - begins)
+    )
     return np.moveaxis(begins, 0, 2), np.moveaxis(ends, 0, 2)
 
 

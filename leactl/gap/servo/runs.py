@@ -16,9 +16,9 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-FEW = 4  # samples
-MOVING = 0.1  # of the fast speeds, below which a run begins at rest
-SAME_PACE = 0.01  # relative, by which sampling intervals may differ
+PARABOLA_SAMPLES = 4  # at the beginning of a run, to which a parabola is fitted for its speed
+LEAST_MOVING_SHARE = 0.1  # of the fast speeds; a run that begins more slowly begins at rest
+INTERVAL_TOLERANCE = 0.01  # relative difference of sampling intervals that count as equal
 FAST = 0.95  # quantile of the speeds
 
 
@@ -64,7 +64,7 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         lacking = next(record for record in records if drive_of(record, model) is None)
         raise InputError(f"{lacking.path}: no position servo: an angle, its reference and a `drive:` were expected")
     longest, interval = max(len(clock.time) for clock in clocks), clocks[0].interval
-    if any(abs(clock.interval / interval - 1.0) > SAME_PACE for clock in clocks):
+    if any(abs(clock.interval / interval - 1.0) > INTERVAL_TOLERANCE for clock in clocks):
         paces = sorted({f"{clock.interval:.4g}" for clock in clocks})
         raise InputError(f"runs sampled every {', '.join(paces)} s cannot be simulated side by side")
     angles, references, enabled, volts = (
@@ -86,7 +86,7 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         interval * every,
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
         angles[:, ::every],
-        np.array([starting_speed(one, interval) for one in angles]),
+        np.array([starting_speed(angle, interval) for angle in angles]),
         block_means(references, every),
         enabled[:, ::every],
         measured[:, ::every],
@@ -156,15 +156,20 @@ def block_means(values: Array, length: int) -> Array:
 def runs_at_common_rate(records: Sequence[Record], model: Model) -> list[Record]:
     """The largest group of servo runs whose sampling intervals are within 1 % of one of theirs."""
     paced = [(r, r.fast.interval) for r in records if r.fast is not None and drive_of(r, model) is not None]
-    paces = [[r for r, other in paced if abs(other / one - 1.0) <= SAME_PACE] for _, one in paced]
+    paces = [
+        [r for r, other_interval in paced if abs(other_interval / interval - 1.0) <= INTERVAL_TOLERANCE]
+        for _, interval in paced
+    ]
     return max(paces, key=len, default=[])
 
 
 def starting_speed(angle: Array, interval: float) -> float:
     """Speed at the first sample, by a parabola through a few; none where that is little beside the run's speeds."""
-    speed = float(np.polynomial.Polynomial.fit(interval * np.arange(FEW), angle[:FEW], 2).deriv()(0.0))
+    speed = float(
+        np.polynomial.Polynomial.fit(interval * np.arange(PARABOLA_SAMPLES), angle[:PARABOLA_SAMPLES], 2).deriv()(0.0)
+    )
     fast = float(np.quantile(np.abs(np.diff(angle)), FAST)) / interval
-    return speed if abs(speed) > MOVING * fast else 0.0
+    return speed if abs(speed) > LEAST_MOVING_SHARE * fast else 0.0
 
 
 def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array, Array]:

@@ -76,15 +76,15 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
     return simulate(runs, sets, whole_runs(runs), SetPoints(runs))
 
 
-def simulate(runs: ServoRuns, sets: Mapping[str, Array], cut: Stretches, points: SetPoints) -> Array:
+def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, points: SetPoints) -> Array:
     """Angles (sets, runs, samples) of stretches of runs that are replayed side by side."""
-    count, own = len(next(iter(sets.values()))), cut.run
+    count, run = len(next(iter(sets.values()))), stretches.run
 
     def spread(name: str) -> Array:
-        return np.repeat(sets.get(name, np.full(count, SHAPES.get(name, 0.0)))[:, None], len(own), axis=1)
+        return np.repeat(sets.get(name, np.full(count, SHAPES.get(name, 0.0)))[:, None], len(run), axis=1)
 
     def of_runs(values: Array) -> Array:
-        return np.repeat(values[own][None], count, axis=0)
+        return np.repeat(values[run][None], count, axis=0)
 
     constant, resistance, coulomb, damping, zero = (
         spread(name)
@@ -110,21 +110,21 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], cut: Stretches, points:
     dies = bool(np.any(dead))
     high = of_runs(runs.limit)
     low = -high
-    begins, ends, place = points.at(sets, count)
+    begins, ends, profile_index = points.at(sets, count)
     limited, ways = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
-    at = np.minimum(cut.samples, runs.angle.shape[1] - 1)
+    at = np.minimum(stretches.samples, runs.angle.shape[1] - 1)
     # a row a sample, its lanes next to each other
-    moves = of_lanes(ends - begins, own, at, place) if limited else None
-    begins = of_lanes(begins, own, at, place)
-    enabled, switched = runs.enabled[own[:, None], at].T.copy(), bool(np.any(runs.enabled < 1.0))
-    angle = np.repeat(cut.angle[None], count, axis=0)
-    speed = np.repeat(cut.speed[None], count, axis=0)
+    moves = of_lanes(ends - begins, run, at, profile_index) if limited else None
+    begins = of_lanes(begins, run, at, profile_index)
+    enabled, switched = runs.enabled[run[:, None], at].T.copy(), bool(np.any(runs.enabled < 1.0))
+    angle = np.repeat(stretches.angle[None], count, axis=0)
+    speed = np.repeat(stretches.speed[None], count, axis=0)
     push, friction, other, held, asked = (np.zeros_like(angle) for _ in range(5))
-    out = np.empty((cut.length, *angle.shape))
+    out = np.empty((stretches.length, *angle.shape))
     share = 1.0 / resistance
     emf, hasty, before = constant.copy(), np.zeros_like(angle), begins[0]
     # a few hundred numbers at a time: what counts is how often numpy is called and not how much it does
-    for sample in range(cut.length):
+    for sample in range(stretches.length):
         out[sample] = angle
         wanted = begins[sample]
         if switched:
@@ -194,43 +194,46 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], cut: Stretches, points:
             speed += push
             np.multiply(speed, step, out=push)
             angle += push
-    return gathered(out, cut, runs)
+    return gathered(out, stretches, runs)
 
 
 def voltages(runs: ServoRuns, sets: Mapping[str, Array], points: SetPoints) -> Array:
-    """Voltages (sets, runs, samples) that a controller gives for the angles that were measured.
+    """Return the controller's voltages (sets, runs, samples) for the measured angles.
 
-    They ask nothing of the motor: what they leave of the logged ones tells the drive by itself.
+    They do not depend on the motor, so their residuals show effects of the drive alone.
     """
     count = len(next(iter(sets.values())))
-    begins, _, place = points.at(sets, count, "voltage_delay")
-    error = begins[place] - runs.angle
+    begins, _, profile_index = points.at(sets, count, "voltage_delay")
+    error = begins[profile_index] - runs.angle
     band = sets.get("servo_dead_band.band", np.zeros(count))[:, None, None]
     deaf = _deafness(band, max(EDGE * runs.encoder_resolution, FINEST))
     if deaf is not None:
         deaf(error, np.empty_like(error))
     volts = runs.gain[:, None] * error
     if np.any(runs.rate_gain):
-        haste = np.gradient(begins, runs.interval, axis=2)[place] - np.gradient(runs.angle, runs.interval, axis=1)
+        reference_rate = np.gradient(begins, runs.interval, axis=2)[profile_index]
+        haste = reference_rate - np.gradient(runs.angle, runs.interval, axis=1)
         volts += runs.rate_gain[:, None] * haste
     limit = runs.limit[:, None]
     return np.asarray(np.clip(volts, -limit, limit) * runs.enabled, np.float64)
 
 
-def of_lanes(values: Array, own: Index, at: Index, place: Index) -> Array:
-    """Values (some, runs, samples) as the lanes have them, (samples, sets, stretches)."""
-    return np.take(np.ascontiguousarray(np.moveaxis(values[:, own[:, None], at], 2, 0)), place, axis=1)
+def of_lanes(values: Array, run: Index, at: Index, profile_index: Index) -> Array:
+    """Rearrange values (profiles, runs, samples) by lane, (samples, sets, stretches)."""
+    return np.take(np.ascontiguousarray(np.moveaxis(values[:, run[:, None], at], 2, 0)), profile_index, axis=1)
 
 
-def gathered(values: Array, cut: Stretches, runs: ServoRuns) -> Array:
+def gathered(values: Array, stretches: Stretches, runs: ServoRuns) -> Array:
     """Scored parts of stretches (samples, sets, stretches), put together to whole runs (sets, runs, samples)."""
     moved = np.moveaxis(values, 0, 2)
     samples = runs.angle.shape[1]
-    if cut.length == samples:
+    if stretches.length == samples:
         return moved
     whole = np.empty((moved.shape[0], len(runs.gain), samples))
-    for stretch, (run, first, scored_from) in enumerate(zip(cut.run, cut.first, cut.scored_from, strict=True)):
-        end = min(first + cut.length, samples)
+    for stretch, (run, first, scored_from) in enumerate(
+        zip(stretches.run, stretches.first, stretches.scored_from, strict=True)
+    ):
+        end = min(first + stretches.length, samples)
         whole[:, run, scored_from:end] = moved[:, stretch, scored_from - first : end - first]
     return whole
 

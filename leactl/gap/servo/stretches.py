@@ -13,7 +13,7 @@ from leactl.gap.servo.runs import ServoRuns
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-REACH = 4  # samples, that a speed is taken over
+SPEED_SPAN = 4  # samples over which the speed at the beginning of a stretch is taken
 LEAST_SCORED = 2.0  # times as long as it takes to forget, that a stretch is scored for at least
 
 
@@ -51,7 +51,8 @@ def cut(runs: ServoRuns) -> Stretches:
     scored_from = np.tile(long * np.arange(count), len(runs.gain))
     run = np.repeat(np.arange(len(runs.gain)), count)
     first = np.maximum(scored_from - forgets, 0)
-    ends = np.minimum(first + REACH, samples - 1)
-    angle, speed = runs.angle[run, first], (runs.angle[run, ends] - runs.angle[run, first]) / (REACH * runs.interval)
+    ends = np.minimum(first + SPEED_SPAN, samples - 1)
+    angle = runs.angle[run, first]
+    speed = (runs.angle[run, ends] - angle) / (SPEED_SPAN * runs.interval)
     begin = first == 0
     return Stretches(run, first, scored_from, long + forgets, angle, np.where(begin, runs.speed[run], speed))

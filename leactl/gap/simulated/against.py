@@ -10,15 +10,15 @@ from leactl.gap.replay.stretches import read_records
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.comparing import (
-    by_free_runs,
+    compared_parameters,
     of_another_machine,
-    parameters,
-    settled,
     shared_faults,
     side_by_side,
+    side_by_side_in_free_runs,
     simulator_effects,
+    without_shared_causes,
 )
-from leactl.gap.simulated.known import without
+from leactl.gap.simulated.known import records_without
 from leactl.gap.simulated.nominal import NominalOfSimulator, nominal_of
 from leactl.gap.simulated.pairing import paired
 
@@ -47,19 +47,19 @@ def read_simulated_case(
     pairs = paired(list(dict.fromkeys([*runs, *held_out])), list(dict.fromkeys(simulated)))
     kinds = {record.path: record.kind for record in (*case.fitted, *case.held_out)}
     real_of = {Path(pair.simulated): Path(pair.real) for pair in pairs}
-    found = read_records(list(real_of), case.model.bench)
-    records = [replace(r, kind=kinds[real]) for path, real in real_of.items() for r in found[path]]
+    records_by_path = read_records(list(real_of), case.model.bench)
+    records = [replace(r, kind=kinds[real]) for path, real in real_of.items() for r in records_by_path[path]]
     unused = [str(path) for path in dict.fromkeys(simulated) if path not in real_of]
     notes = (f"simulated runs that belong to no real run: {', '.join(unused)}",) if unused else ()
     return SimulatedCase(case, pairs, *split(records), notes)
 
 
 def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -> DiagnosisResult:
-    """Answer what real runs have beyond a simulator.
+    """Diagnose what real runs have beyond a simulator.
 
-    The simulated runs are diagnosed against the plain form of the model. Their parameters and effects are the nominal,
-    what they leave over joins the floors. An effect that both have is not named, unless the sizes differ beyond both
-    errors: then the real runs are diagnosed again without it in the nominal.
+    The simulated runs are diagnosed first, against the model without effects. Their parameters and effects make the
+    nominal, and what it leaves of them is added to the floors. An effect that both sides have is not named, unless its
+    sizes differ beyond both errors: then the real runs are diagnosed again without it in the nominal.
 
     Raises
     ------
@@ -75,16 +75,16 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
     if nominal.by_free_runs and nominal.causes:
         progress("looking without the simulator's effects")
         alone = _beyond(mended, nominal, [cause.effect for cause in nominal.causes], (), progress)
-        both = by_free_runs(nominal, alone)
+        both = side_by_side_in_free_runs(nominal, alone)
     else:
         both = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
     if other := both.differing:
         progress(f"looking again without the simulator's {', '.join(other)}")
         answer = _beyond(mended, nominal, other, fresh, progress)
-    beside = parameters(nominal, answer.calibration)
-    answer = settled(answer, both, any(item.differs for item in beside))
+    beside = compared_parameters(nominal, answer.calibration)
+    answer = without_shared_causes(answer, both, any(item.differs for item in beside))
     notes = (*case.notes, *of_another_machine(answer.calibration), *shared_faults(nominal, faults))
-    told = SimulatorAnswer(
+    simulator = SimulatorAnswer(
         nominal.answer.verdict,
         nominal.answer.unexplained_probability,
         case.pairs,
@@ -93,7 +93,7 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
         nominal.floors,
         nominal.answer.notes,
     )
-    return replace(answer, notes=(*notes, *answer.notes), simulator=told)
+    return replace(answer, notes=(*notes, *answer.notes), simulator=simulator)
 
 
 def _labelled(label: str, progress: Progress) -> Progress:
@@ -107,9 +107,9 @@ def _beyond(
     kept = [effect for effect in nominal.effects if effect.name not in other]
     case = Case(
         nominal.without(other),
-        without(mended.fitted, kept),
-        without(mended.held_out, kept),
-        without(nominal.records, nominal.effects),
+        records_without(mended.fitted, kept),
+        records_without(mended.held_out, kept),
+        records_without(nominal.records, nominal.effects),
         nominal.unexplained,
         nominal.model,
     )

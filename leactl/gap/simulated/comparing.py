@@ -19,12 +19,12 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.search.sets import ENTRY, FORM_ERROR
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
-from leactl.gap.simulated.known import KnownEffect, known_effects, without
+from leactl.gap.simulated.known import KnownEffect, known_effects, records_without
 from leactl.gap.simulated.nominal import NominalOfSimulator
 from leactl.gap.verdict.decision import NAMED, verdict_of
 
-ANOTHER = 3.0  # priors, from which on a parameter is that of another machine
-DISTINCT = 0.02  # of a parameter, that an effect's freedom within its form moves it by where nothing differs
+MOST_PRIORS_OFF = 3.0  # of a prior; a parameter that is farther off is that of another machine
+LEAST_DIFFERENCE = 0.02  # of a parameter; the freedom of an effect's form moves it by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +56,10 @@ class SideBySide:
 
 def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: Sequence[Candidate]) -> SideBySide:
     """Fit the simulator's effects to real runs, together with what was named beyond them."""
-    own = [effect.candidate for effect in nominal.effects]
-    names = {name for name, _ in own}
+    known = [effect.candidate for effect in nominal.effects]
+    names = {name for name, _ in known}
     beyond = [candidate for candidate in named if candidate[0] not in names]
-    hypothesis = [*own, *beyond]
+    hypothesis = [*known, *beyond]
     evidence = Evidence(records, nominal.plain, only=hypothesis)
     if not hypothesis or not evidence.stack.rows:
         return SideBySide({}, ())
@@ -77,10 +77,10 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
     return SideBySide(sizes, tuple(shown))
 
 
-def by_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideBySide:
-    """The simulator's effects beside those of a servo's real runs that are diagnosed against its plain form.
+def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideBySide:
+    """Compare the simulator's effects with those of a servo's real runs, by the first parameter of each.
 
-    Sizes are compared by the first parameter of each effect.
+    The real runs were diagnosed against the simulator's parameters without its effects.
     """
     real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED}
     sizes = {}
@@ -98,9 +98,9 @@ def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -
     """What the simulated runs make of some forms of effects beyond those that the simulator is known to contain."""
     if not candidates:
         return {}
-    evidence = Evidence(without(nominal.records, nominal.effects), nominal.model, only=candidates)
-    found = known_effects(evidence, evidence.settle(candidates), candidates) if evidence.stack.rows else ()
-    return {effect.name: effect for effect in found}
+    evidence = Evidence(records_without(nominal.records, nominal.effects), nominal.model, only=candidates)
+    effects = known_effects(evidence, evidence.settle(candidates), candidates) if evidence.stack.rows else ()
+    return {effect.name: effect for effect in effects}
 
 
 def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
@@ -108,20 +108,22 @@ def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
     return not simulated.shows or real.size > ENTRY * simulated.size
 
 
-def settled(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) -> DiagnosisResult:
-    """The answer without causes that the simulator has as well, and its verdict.
+def without_shared_causes(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) -> DiagnosisResult:
+    """Return the answer without the causes that the simulator shares, and with the verdict that follows.
 
-    Where nothing is named, calibration has to change what differs beyond both errors: a parameter, or the size of an
-    effect of the simulator.
+    If no cause is named, a parameter or a size of a simulator's effect that differs beyond both errors asks for
+    calibration.
     """
     causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
     verdict = verdict_of(causes, answer.unexplained_probability, parameters_differ or bool(both.differing))
-    told = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
-    return replace(answer, causes=causes, verdict=verdict, notes=(*told, *answer.notes))
+    notes = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
+    return replace(answer, causes=causes, verdict=verdict, notes=(*notes, *answer.notes))
 
 
-def parameters(nominal: NominalOfSimulator, real: Sequence[CalibratedParameter]) -> tuple[EffectiveParameter, ...]:
-    """Parameters of the simulator beside those of the real runs."""
+def compared_parameters(
+    nominal: NominalOfSimulator, real: Sequence[CalibratedParameter]
+) -> tuple[EffectiveParameter, ...]:
+    """Return each parameter of the simulator beside its value in the real runs."""
     fitted = {item.parameter: item for item in real}
     return tuple(_parameter(nominal, item, fitted.get(item.parameter)) for item in nominal.parameters)
 
@@ -132,7 +134,7 @@ def _parameter(
     start = nominal_value(nominal.start, simulated.parameter)
     differs = False
     if real is not None and not (real.not_told_by_these_runs or simulated.not_told_by_these_runs):
-        doubt = max(ENTRY * math.hypot(real.std, simulated.std), DISTINCT * abs(simulated.fitted))
+        doubt = max(ENTRY * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
         differs = abs(real.fitted - simulated.fitted) > doubt
     return EffectiveParameter(
         simulated.parameter,
@@ -151,7 +153,7 @@ def simulator_effects(
 ) -> tuple[SimulatorEffect, ...]:
     """What the simulator contains, and how the real runs have it; faults of its set-up first."""
     keys = {(fault.name, fault.key) for fault in faults}
-    found = [
+    effects = [
         SimulatorEffect(
             fault.name, "alike" if (fault.name, fault.key) in keys else "absent", _sizes(fault.parameters), fault.peers
         )
@@ -160,8 +162,8 @@ def simulator_effects(
     for cause in nominal.causes:
         size = both.of_simulator.get(cause.effect)
         sizes = _sizes(cause.parameters, size.parameters if size is not None else ())
-        found.append(SimulatorEffect(cause.effect, _presence(size), sizes, cause.indistinguishable_from))
-    return tuple(found)
+        effects.append(SimulatorEffect(cause.effect, _presence(size), sizes, cause.indistinguishable_from))
+    return tuple(effects)
 
 
 def _presence(size: SizeInReal | None) -> Presence:
@@ -199,6 +201,6 @@ def of_another_machine(calibration: Sequence[CalibratedParameter]) -> tuple[str,
         for item in calibration
         if item.parameter in PRIORS
         and item.has_ratio
-        and abs(item.fitted / item.nominal - 1.0) > ANOTHER * PRIORS[item.parameter]
+        and abs(item.fitted / item.nominal - 1.0) > MOST_PRIORS_OFF * PRIORS[item.parameter]
     ]
     return (f"is this the same machine? {', '.join(far)}",) if far else ()

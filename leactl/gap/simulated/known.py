@@ -59,18 +59,18 @@ def known_effects(evidence: Evidence, fit: Fit, candidates: Sequence[Candidate])
 
     Covariances are widened by how far runs and equations disagree.
     """
-    normal, found = evidence.normal(), []
+    normal, effects = evidence.normal(), []
     for candidate in candidates:
         columns = evidence.columns(candidate)
-        at = [int(np.flatnonzero(fit.columns == place)[0]) for place in columns]
+        at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
         if not at:
             continue
         wider = np.array([disagreement(normal, fit, index) for index in at])
         covariance = fit.covariance[np.ix_(at, at)] * np.outer(wider, wider)
-        names = tuple(evidence.coefficient(place) for place in columns)
+        names = tuple(evidence.coefficient(column) for column in columns)
         if np.isfinite(covariance).all():
-            found.append(KnownEffect(candidate, names, fit.values[at], covariance))
-    return tuple(found)
+            effects.append(KnownEffect(candidate, names, fit.values[at], covariance))
+    return tuple(effects)
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ class Subtraction:
         return [self._without(equation) for equation in equations]
 
     def _without(self, equation: Equation) -> Equation:
-        left, shared = equation.left_over, dict(equation.shared)
+        left_over, shared = equation.left_over, dict(equation.shared)
         for effect in self.effects:
             name, form = effect.candidate
             columns = effect_in(equation, library()[name].terms(equation.signals, form))
             stds = np.sqrt(np.diag(effect.covariance) + FORM_ERROR * effect.values**2)
             for coefficient, value, std in zip(effect.coefficients, effect.values, stds, strict=True):
                 if coefficient in columns:
-                    left = left - value * columns[coefficient]
+                    left_over = left_over - value * columns[coefficient]
                     shared[f"{name} {coefficient}"] = columns[coefficient], float(std)
-        return replace(equation, left_over=left, shared=shared)
+        return replace(equation, left_over=left_over, shared=shared)
 
 
-def without(records: Sequence[Record], effects: Sequence[KnownEffect]) -> list[Record]:
-    """The runs, with these effects taken from their equations."""
+def records_without(records: Sequence[Record], effects: Sequence[KnownEffect]) -> list[Record]:
+    """Return the runs, with these effects subtracted from their equations."""
     taken = Subtraction(tuple(effects)) if effects else None
     return [replace(record, nominal_effects=taken) for record in records]

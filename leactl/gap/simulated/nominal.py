@@ -23,7 +23,7 @@ from leactl.gap.simulated.known import KnownEffect, known_effects
 from leactl.gap.verdict.decision import NAMED
 from leactl.model.nominal import Model
 
-ROUNDS = 4  # of fits from a start that is far off; a parameter that is off by ten times is met in three
+MOST_FITS = 4  # from a start that is far off; three fits reach a parameter that is off by ten times
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
     InputError : a parameter ends at a bound: the runs are those of another machine.
     """
     begin = model
-    for _ in range(ROUNDS):
+    for _ in range(MOST_FITS):
         evidence = Evidence(records, model, only=[])
         if not evidence.stack.rows:
             return begin
@@ -133,8 +133,8 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
         for i in fitted
     )
     if bounded := [item for item in ends if at_bound(item)]:
-        told = ", ".join(f"{item.parameter} fits at {item.fitted:.4g} {item.units}" for item in bounded)
-        raise InputError(f"simulated runs: of another machine than the model {begin.name}: {told}")
+        values = ", ".join(f"{item.parameter} fits at {item.fitted:.4g} {item.units}" for item in bounded)
+        raise InputError(f"simulated runs: of another machine than the model {begin.name}: {values}")
     return model
 
 

@@ -32,15 +32,15 @@ def paired(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[SimulatedRu
     with ExitStack() as opened:
         ours, theirs = ({path: opened.enter_context(Run.open(path)) for path in side} for side in (real, simulated))
         pairing = _Pairing(ours, theirs)
-        found, faults = [], list[str]()
+        pairs, faults = [], list[str]()
         for path in ours:
             try:
-                found.append(pairing.of(path))
+                pairs.append(pairing.of(path))
             except InputError as error:
                 faults += error.faults
         if faults:
             raise InputError(faults)
-    return tuple(found)
+    return tuple(pairs)
 
 
 def kind_of(run: Run) -> Kind:
@@ -99,5 +99,5 @@ class _Pairing:
         return "its experiment (" + ", ".join(str(word) for word in words if word) + ")"
 
 
-def _share(found: Mismatch | None) -> float:
-    return 0.0 if found is None else found.share
+def _share(difference: Mismatch | None) -> float:
+    return 0.0 if difference is None else difference.share

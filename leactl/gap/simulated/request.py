@@ -10,7 +10,7 @@ from leactl.gap.diagnosis import DiagnosisResult
 from leactl.gap.simulated.against import diagnose_against, read_simulated_case
 from leactl.runfile.read.reader import Run
 
-CARRIED = "model"  # source of a run file, as `leactl gap simulate` writes it
+MODEL_SOURCE = "model"  # source of a run file that holds its model, as `leactl gap simulate` writes it
 
 
 def answer_of(
@@ -54,7 +54,7 @@ def carried_model(simulated: Sequence[Path]) -> str:
     faults = []
     for path in simulated:
         with Run.open(path) as run:
-            text = run.source(CARRIED)
+            text = run.source(MODEL_SOURCE)
         if text is None:
             faults.append(f"{path}: carries no model; give the file of one that its fit begins with (--model)")
         else:
