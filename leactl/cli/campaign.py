@@ -155,9 +155,9 @@ def run(
         typer.echo(json.dumps(body | {"runs": rows}) if as_json else plan_text(campaign.title, body | {"runs": rows}))
         return
     attended = sys.stdin is not None and sys.stdin.isatty()
-    manner = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
+    options = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
     with to_the_end():
-        ended = conduct(campaign, entries, folder, manner)
+        ended = conduct(campaign, entries, folder, options)
     done = len(ended.journal.finished)
     files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ended.journal.finished.items()}
     if as_json:
@@ -187,11 +187,11 @@ def _read(
     buses: Sequence[str] = (),
 ) -> "tuple[Campaign, Path, list[CampaignEntry]]":
     from leactl.runner.campaign.campaignfile import load
-    from leactl.runner.campaign.entries import Conditions, entries_of
+    from leactl.runner.campaign.entries import EntryOptions, entries_of
 
     campaign = load(name, variant, seed)
     folder = out or Path("runs") / "-".join(filter(None, (campaign.name, variant)))
-    return campaign, folder, entries_of(campaign, Conditions(folder, operator, realtime, served, buses))
+    return campaign, folder, entries_of(campaign, EntryOptions(folder, operator, realtime, served, buses))
 
 
 def _about(entry: "CampaignEntry") -> dict[str, Any]:
@@ -205,7 +205,7 @@ def _about(entry: "CampaignEntry") -> dict[str, Any]:
         "actuator": cell.actuator,
         "condition": cell.condition,
         "repeat": cell.repeat,
-        "prompt": "" if request.bench.emulated is not None else entry.asks,
+        "prompt": "" if request.bench.emulated is not None else entry.mounting_prompt,
     }
 
 

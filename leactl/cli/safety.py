@@ -76,7 +76,7 @@ def drill(
     if report is not None:
         _write(report, PAGE.format(bench=drilled.bench, command=_command(bench, only, report)) + markdown(drilled))
     if as_json:
-        typer.echo(json.dumps(drilled.told()))
+        typer.echo(json.dumps(drilled.as_json()))
     else:
         print_drill(drilled)
     wrong = [finding for finding in drilled.findings if not finding.held]

@@ -1,4 +1,4 @@
-"""What follows from a motor sheet: figures that compare actuators whatever their winding, None where it lacks some."""
+"""Quantities computed from a motor sheet, to compare actuators; None if the sheet lacks what a quantity needs."""
 
 import math
 from dataclasses import dataclass
@@ -8,41 +8,42 @@ from leactl.model.winding import Electrical, voltage_ceiling
 
 
 def electrical(motor: MotorSheet) -> Electrical:
-    """The electrical figures in the winding's own frame."""
+    """Return the electrical parameters of the motor in the frame of its winding, wye or delta."""
     return Electrical(motor.winding, motor.phase_resistance, motor.phase_inductance, motor.torque_constant)
 
 
 def motor_constant(motor: MotorSheet) -> float | None:
-    """Torque per square root of Joule heat, Kt / sqrt(R) [N*m/sqrt(W)]."""
+    """Return the torque per square root of Joule heat, Kt / sqrt(R) [N*m/sqrt(W)]."""
     if motor.torque_constant is None or motor.phase_resistance is None:
         return None
     return motor.torque_constant / math.sqrt(motor.phase_resistance)
 
 
 def network_current(motor: MotorSheet, ambient: float) -> float | None:
-    """Current that takes the winding to its limit in the end by the two-node network [A]; ambient in degC.
+    """Return the current [A] that takes the winding to its limit at steady state by the two-node network.
 
-    Heat alike in all phases and none of friction, as the paper has it.
+    `ambient` is in degC. All phases are heated equally, and friction adds no heat, as in the paper.
     """
     limit, thermal = motor.limits.winding_temperature, motor.thermal
-    outwards = thermal.to_ambient if thermal is not None else None
-    hot = resistance_at(motor, limit) if limit is not None else None
-    if limit is None or outwards is None or hot is None:
+    thermal_resistance = thermal.to_ambient if thermal is not None else None
+    hot_resistance = resistance_at(motor, limit) if limit is not None else None
+    if limit is None or thermal_resistance is None or hot_resistance is None:
         return None
-    return math.sqrt(max(limit - ambient, 0.0) / (outwards * hot))
+    return math.sqrt(max(limit - ambient, 0.0) / (thermal_resistance * hot_resistance))
 
 
 def resistance_at(motor: MotorSheet, temperature: float) -> float | None:
-    """Phase resistance at a winding temperature [ohm]."""
-    cold, slope, reference = motor.phase_resistance, motor.resistance_coefficient, motor.reference_temperature
-    if cold is None or slope is None or reference is None:
+    """Return the phase resistance [ohm] at a winding temperature in degC."""
+    resistance, coefficient = motor.phase_resistance, motor.resistance_coefficient
+    reference = motor.reference_temperature
+    if resistance is None or coefficient is None or reference is None:
         return None
-    return cold * (1.0 + slope * (temperature - reference))
+    return resistance * (1.0 + coefficient * (temperature - reference))
 
 
 @dataclass(frozen=True)
-class Torques:
-    """What an actuator holds for ever, by the current that its source states and by its own network."""
+class ContinuousTorques:
+    """Continuous torque of an actuator, from the current that its source states and from its thermal network."""
 
     stated: float | None  # N*m
     network: float | None  # N*m
@@ -50,24 +51,24 @@ class Torques:
     network_density: float | None  # N*m/kg
 
 
-def continuous_torques(motor: MotorSheet, ambient: float) -> Torques:
-    """Continuous torque and its density; ambient in degC."""
+def continuous_torques(motor: MotorSheet, ambient: float) -> ContinuousTorques:
+    """Return the continuous torques and their densities; ambient in degC."""
     constant, mass = motor.torque_constant, motor.body.mass
-    held = [
+    torques = [
         None if current is None or constant is None else constant * current
         for current in (motor.continuous_current, network_current(motor, ambient))
     ]
-    dense = [None if torque is None or mass is None else torque / mass for torque in held]
-    return Torques(held[0], held[1], dense[0], dense[1])
+    densities = [None if torque is None or mass is None else torque / mass for torque in torques]
+    return ContinuousTorques(torques[0], torques[1], densities[0], densities[1])
 
 
 def fields_missing_for_friction(motor: MotorSheet) -> list[str]:
-    """The fields that a motor file lacks for `no_load_speed` to include friction."""
+    """Return the fields that `no_load_speed` needs to include friction and that the motor file lacks."""
     return motor.missing("torque_constant", "phase_resistance", "viscous_damping", "coulomb_friction")
 
 
 def no_load_speed(motor: MotorSheet, bus_voltage: float) -> float | None:
-    """Speed at which the back-EMF, and the current that friction takes, leave nothing of the bus [rad/s].
+    """Return the speed at which back-EMF and the resistive drop of the friction current use up the bus voltage [rad/s].
 
     The root of R i + Kb w = V at i = (f + b w) / Kt, cold; V / Kb where `fields_missing_for_friction` names any.
     """
@@ -78,5 +79,5 @@ def no_load_speed(motor: MotorSheet, bus_voltage: float) -> float | None:
     damping, friction = motor.viscous_damping, motor.coulomb_friction
     if constant is None or resistance is None or damping is None or friction is None:
         return voltage / motor.back_emf_constant
-    left = voltage - resistance * friction / constant
-    return max(left, 0.0) / (motor.back_emf_constant + resistance * damping / constant)
+    remaining_voltage = voltage - resistance * friction / constant
+    return max(remaining_voltage, 0.0) / (motor.back_emf_constant + resistance * damping / constant)

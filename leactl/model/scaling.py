@@ -1,4 +1,4 @@
-"""A motor of another air-gap radius, from one that is known: how the torque constant of the LEA was foreseen.
+"""Scale a known motor to another air-gap radius: how the torque constant of the LEA was predicted.
 
 Rotor and stator keep their radial thickness, their length and their materials; slots, poles and turns are as many a
 millimetre of circumference as before, all of a phase in series (paper, section "Frameless motor", after Seok, Wang,
@@ -21,7 +21,7 @@ RADIUS_EXPONENTS = {
     "mass": 1.0,
 }
 """Exponent of the radius for each figure; at equal current, Joule heat and cooling area both grow with the radius."""
-SMALLEST, LARGEST = 1e-3, 10.0  # m; a radius told in metres lies below
+SMALLEST_RADIUS, LARGEST_RADIUS = 1e-3, 10.0  # m; a radius that was given in m instead of mm is below
 UNITS = {
     "torque_constant": "N*m/A",
     "phase_resistance": "ohm",
@@ -37,51 +37,52 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Scaled:
-    """One figure before and after; None where the known motor's is not known."""
+class ScaledFigure:
+    """One figure of the known and of the scaled motor; both are None if the known motor lacks it."""
 
     name: str
-    power: float
+    power: float  # exponent of the radius
     known: float | None
     scaled: float | None
 
     @property
     def units(self) -> str:
-        """Unit of both."""
+        """Unit of both figures."""
         return UNITS[self.name]
 
 
-def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) -> list[Scaled]:
-    """Figures of a motor of an air-gap radius [m] after one that is known.
+def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) -> list[ScaledFigure]:
+    """Return the figures of a known motor, scaled to another air-gap radius [m].
 
     Parameters
     ----------
-    known_radius : of the known motor [m], where its file has none or another is meant.
+    known_radius : air-gap radius of the known motor [m]; by default the one in its file.
 
     Raises
     ------
-    InputError : a radius below a millimetre or above 10 m, or none of the known motor.
+    InputError : a radius below a millimetre or above 10 m, or no radius of the known motor.
     """
-    before = known_radius if known_radius is not None else motor.air_gap_radius
-    if before is None:
+    reference_radius = known_radius if known_radius is not None else motor.air_gap_radius
+    if reference_radius is None:
         raise InputError(f"motor '{motor.name}' has no air_gap_radius; give it with --known-radius, in mm")
-    for what, value in (("air-gap radius", radius), (f"air-gap radius of {motor.name}", before)):
-        if not SMALLEST <= value <= LARGEST:
-            expected = f"{1e3 * SMALLEST:g} to {1e3 * LARGEST:g} mm"
-            raise InputError(f"{what} {1e3 * value:g} mm: a length of {expected} was expected")
-    values = {name: getattr(motor, name) for name in RADIUS_EXPONENTS if name != "mass"} | {"mass": motor.body.mass}
-    held = _product(motor.continuous_current, motor.torque_constant)
+    for name, value in (("air-gap radius", radius), (f"air-gap radius of {motor.name}", reference_radius)):
+        if not SMALLEST_RADIUS <= value <= LARGEST_RADIUS:
+            expected = f"{1e3 * SMALLEST_RADIUS:g} to {1e3 * LARGEST_RADIUS:g} mm"
+            raise InputError(f"{name} {1e3 * value:g} mm: a length of {expected} was expected")
+    mass = motor.body.mass
+    values = {name: getattr(motor, name) for name in RADIUS_EXPONENTS if name != "mass"} | {"mass": mass}
+    continuous_torque = _product(motor.continuous_current, motor.torque_constant)
     derived: dict[str, tuple[float, float | None]] = {
         "motor_constant": (1.5, motor_constant(motor)),
         "torque_per_line_ampere": (2.0, electrical(motor).per_line_amplitude()),
-        "continuous_torque": (2.0, held),
-        "torque_density": (1.0, _product(held, None if motor.body.mass is None else 1.0 / motor.body.mass)),
+        "continuous_torque": (2.0, continuous_torque),
+        "torque_density": (1.0, _product(continuous_torque, None if mass is None else 1.0 / mass)),
     }
-    every = {name: (power, values[name]) for name, power in RADIUS_EXPONENTS.items()} | derived
-    ratio = radius / before
+    figures = {name: (power, values[name]) for name, power in RADIUS_EXPONENTS.items()} | derived
+    ratio = radius / reference_radius
     return [
-        Scaled(name, power, value, None if value is None else value * ratio**power)
-        for name, (power, value) in every.items()
+        ScaledFigure(name, power, value, None if value is None else value * ratio**power)
+        for name, (power, value) in figures.items()
     ]
 
 

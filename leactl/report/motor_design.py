@@ -8,7 +8,7 @@ from leactl.model.cycle import Cycle
 from leactl.model.energy import Stride
 from leactl.model.flexures import Preload, Reading
 from leactl.model.motor_schema import Bearings, MotorSheet
-from leactl.model.scaling import Scaled
+from leactl.model.scaling import ScaledFigure
 from leactl.report.motors import cell
 from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 
@@ -25,7 +25,7 @@ ENERGIES = {
 }
 
 
-def scaled_text(motor: MotorSheet, figures: Sequence[Scaled], radius: float) -> str:
+def scaled_text(motor: MotorSheet, figures: Sequence[ScaledFigure], radius: float) -> str:
     """Return the figures of a motor that was scaled to another air-gap radius [m], beside the original's."""
     table = [
         (f"{figure.name} [{figure.units}]", cell(figure.known), cell(figure.scaled), f"r^{figure.power:g}")

@@ -3,7 +3,7 @@
 import textwrap
 
 from leactl.analysis.estimate import Plot, Series
-from leactl.analysis.statistics.control_chart import FEWEST, ON_ONE_SIDE
+from leactl.analysis.statistics.control_chart import FEWEST_BASELINE_VALUES, ROW_LENGTH
 from leactl.analysis.trend import Trend
 from leactl.report.plot import draw
 from leactl.report.terminal import TEXT_WIDTH, aligned, number, shows_all, value_text, wrapped
@@ -20,7 +20,7 @@ def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
         (
             point.created[:16].replace("T", " "),
             value_text(point.value),
-            "beyond the limits" if index in beyond else f"{ON_ONE_SIDE} on one side" if index in shifted else "",
+            "beyond the limits" if index in beyond else f"{ROW_LENGTH} on one side" if index in shifted else "",
             point.run.name,
         )
         for index, point in enumerate(trend.points)
@@ -35,7 +35,7 @@ def change_sentence(trend: Trend) -> str:
     """Return one sentence that says whether the runs show a change of the result."""
     chart, count = trend.chart, len(trend.points)
     if chart is None:
-        return f"{count} run{'s' if count != 1 else ''}; limits need {FEWEST}"
+        return f"{count} run{'s' if count != 1 else ''}; limits need {FEWEST_BASELINE_VALUES}"
     std = (chart.high - chart.low) / 6.0
     limits = f"{number(chart.low, std)} .. {number(chart.high, std)} by {chart.baseline} runs"
     if not chart.changed:

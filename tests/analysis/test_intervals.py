@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_of
+from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_std
 
 
 @pytest.mark.parametrize(
@@ -34,8 +34,8 @@ def test_a_level_that_stays_within_a_step_leaves_half_of_it_and_a_ramp_hardly_an
 def test_noise_of_half_a_step_leaves_nothing_of_its_rounding():
     rng = np.random.default_rng(1)
     still, noisy = (np.round(3.3 + rng.normal(0.0, std, 400)) for std in (0.0, 0.6))
-    assert rounding_of(still, 1.0) == pytest.approx(1 / math.sqrt(12))
-    assert rounding_of(noisy, 1.0) < 0.01
+    assert rounding_std(still, 1.0) == pytest.approx(1 / math.sqrt(12))
+    assert rounding_std(noisy, 1.0) < 0.01
 
 
 def test_a_step_is_what_all_readings_are_multiples_apart():

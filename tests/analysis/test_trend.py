@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl import run_protocol
-from leactl.analysis.statistics.control_chart import FEWEST, ON_ONE_SIDE, control_chart
+from leactl.analysis.statistics.control_chart import FEWEST_BASELINE_VALUES, ROW_LENGTH, control_chart
 from tests.cli.terminal import leactl
 
 WITHIN = np.array([0.1, -0.1] * 10)
@@ -28,19 +28,23 @@ def test_a_leap_is_beyond_the_limits_of_the_runs_before_it():
 
 
 def test_a_small_shift_shows_by_nine_on_one_side():
-    shifted = np.concatenate([5.0 + WITHIN, 5.05 + 0.01 * WITHIN[:ON_ONE_SIDE]])
+    shifted = np.concatenate([5.0 + WITHIN, 5.05 + 0.01 * WITHIN[:ROW_LENGTH]])
     chart = control_chart(shifted, baseline=20)
     assert chart.beyond == ()
-    assert chart.shifted == (20 + ON_ONE_SIDE - 1,)
+    assert chart.shifted == (20 + ROW_LENGTH - 1,)
     assert control_chart(shifted[:-1], baseline=20).shifted == ()
 
 
 def test_too_few_runs_have_no_limits():
-    assert control_chart(np.ones(FEWEST - 1)) is None
-    assert control_chart(np.arange(20.0), baseline=FEWEST - 1) is None
+    assert control_chart(np.ones(FEWEST_BASELINE_VALUES - 1)) is None
+    assert control_chart(np.arange(20.0), baseline=FEWEST_BASELINE_VALUES - 1) is None
 
 
-@given(st.lists(st.floats(-1.0, 1.0), min_size=FEWEST, max_size=30), st.floats(0.1, 10.0), st.floats(-100.0, 100.0))
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=FEWEST_BASELINE_VALUES, max_size=30),
+    st.floats(0.1, 10.0),
+    st.floats(-100.0, 100.0),
+)
 def test_units_and_zero_change_no_answer(values, scale, zero):
     values = np.round(np.array(values), 3)
     one, other = control_chart(values), control_chart(scale * values + zero)

@@ -16,7 +16,7 @@ import numpy as np
 from leactl.analysis.efficiency.balance import Balance, PowerCalibration, balance
 from leactl.analysis.efficiency.operating_points import OperatingPoints
 from leactl.analysis.estimate import NAN, Estimate, listed
-from leactl.analysis.statistics.regression import POOLED_ABOVE, Array, t_quantile
+from leactl.analysis.statistics.regression import POOLING_P_VALUE, Array, t_quantile
 
 
 class MapMeans:
@@ -158,6 +158,6 @@ class MapMeans:
         from scipy.special import chdtrc
 
         dof, variance = len(means) - 1, float(np.var(means, ddof=1)) / len(means)
-        if variance <= explained or (explained > 0.0 and chdtrc(dof, dof * variance / explained) > POOLED_ABOVE):
+        if variance <= explained or (explained > 0.0 and chdtrc(dof, dof * variance / explained) > POOLING_P_VALUE):
             return explained, math.inf
         return variance, dof

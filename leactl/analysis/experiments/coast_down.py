@@ -18,7 +18,7 @@ from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.signals.levels import HoldSelector, settled_mean, span
-from leactl.analysis.statistics.intervals import quantisation_step, rounding_of
+from leactl.analysis.statistics.intervals import quantisation_step, rounding_std
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, least_squares
 from leactl.analysis.statistics.trial_means import TrialLabel, mean_of
@@ -195,7 +195,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
         raise NotIdentifiable("the rotor was faster than in the hold before it")
     fitted, fit = fit_of(time - time[0], along)
     held_current = current.values[span(current, before[-1].start, before[-1].stop)]
-    rounding = rounding_of(held_current, quantisation_step(current.values)) / abs(drive.value)
+    rounding = rounding_std(held_current, quantisation_step(current.values)) / abs(drive.value)
     along_motion = side * drive.value
     run_out = RunOut(
         TrialLabel(number, side), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit

@@ -23,7 +23,7 @@ from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, group
 from leactl.analysis.signals.drag import VELOCITY
 from leactl.analysis.signals.levels import CURRENT_HOLDS, HoldMeans, gather_means
 from leactl.analysis.statistics.intervals import quantisation_step
-from leactl.analysis.statistics.linefit import DRIFTS_BELOW, paths_of, setup_notes
+from leactl.analysis.statistics.linefit import DRIFT_P_VALUE, paths_of, setup_notes
 from leactl.analysis.statistics.regression import (
     Array,
     indicator_columns,
@@ -277,7 +277,7 @@ def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
     shift = (speed + current / fall) * holds.setpoint / mean
-    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.p_value > DRIFTS_BELOW:
+    if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.p_value > DRIFT_P_VALUE:
         return []
     moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
     if abs(moved) < corner.high - corner.low:

@@ -16,7 +16,7 @@ from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_c
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of, positive
-from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_of
+from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_std
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
@@ -157,7 +157,7 @@ def heating_of(run: Run) -> HeatedResistance:
         )
     begun = float(time[longest.start - SKIPPED_READINGS])
     mean = abs(float(np.mean(amperes[longest])))
-    of_current = rounding_of(amperes[longest], quantisation_step(amperes[longest])) / mean
+    of_current = rounding_std(amperes[longest], quantisation_step(amperes[longest])) / mean
     return HeatedResistance(
         time[longest] - begun, resistance, quantisation_step(volts[longest]) / mean, of_current, begun
     )

@@ -62,7 +62,7 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
     blurred = math.hypot(error, curve.quantum / math.sqrt(12.0))
     steady = 100.0 * rounding_limit_of(curve.noise, curve.quantum)
     if above[top] < LEAST_OVERSHOOT_ERRORS * blurred:
-        return TrialFigure(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
+        return TrialFigure(0.0, per_level=(steady, max(steady, 100.0 * float(above[top]))))
     calm = _averaged(curve, TOP_NOISE * float(above[top])) - 1.0
     top = int(np.argmax(calm))
     for part in TOP_PARTS:
@@ -73,7 +73,7 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
         rounded = 100.0 * rounding_limit(fitted, curve.quantum if steady else 0.0, weights)
         moving = float(np.std(np.diff(above[begin:end]))) / math.sqrt(2.0)  # noise, that may be louder there
         if residual_std <= (1.0 + MOST_RESIDUAL_STDS / math.sqrt(2.0 * (end - begin))) * max(blurred, moving):
-            return TrialFigure(100.0 * highest, own=(steady, rounded))
+            return TrialFigure(100.0 * highest, per_level=(steady, rounded))
     if end - begin >= FEWEST_BINS:  # no curve that they lie on: how far they are off the last one is a limit
         return TrialFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * residual_std,), (steady, rounded))
     # too few for a curve: the highest, and what may lie between it and its neighbours

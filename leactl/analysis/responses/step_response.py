@@ -63,7 +63,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
         values = [_level_value(trials, metric) for trials in levels]
         results.append(mean_of_levels(name, unit, values))
         shown = ", ".join(
-            f"{value.reading.value:.4g} {unit} at {trials[0]} {units}"
+            f"{value.figure.value:.4g} {unit} at {trials[0]} {units}"
             for value, trials in zip(values, levels, strict=True)
         )
         notes.append(f"{name} by level: {shown}")
@@ -86,7 +86,7 @@ def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
     rounding = 100.0 * max(rounding_limit_of(trial.noise, trial.quantum) for trial in trials)
     return over_trials(
         len(trials),
-        lambda kept: TrialFigure(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(rounding,)),
+        lambda kept: TrialFigure(100.0 * float(np.mean([trials[k].steady_error for k in kept])), per_level=(rounding,)),
     )
 
 

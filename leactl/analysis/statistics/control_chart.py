@@ -1,4 +1,4 @@
-"""A result over many runs: limits within which it stays by chance, and what speaks for a change.
+"""Control chart of one result over many runs: limits of chance, and the values that indicate a change.
 
 Individuals and moving ranges: ISO 7870-2:2013. Nine in a row on one side: Nelson, "The Shewhart control chart: tests
 for special causes", Journal of Quality Technology 16 (1984), test 2.
@@ -11,20 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-RANGES_TO_SIGMA = 1.128  # d2 of two values: mean moving range over standard deviation
-WIDTH = 3.0  # standard deviations from the centre to a limit
-FEWEST = 8  # values for limits: from fewer the moving range is known to no better than a third
-ON_ONE_SIDE = 9  # in a row, once in 256 by chance
+MOVING_RANGE_OVER_STD = 1.128  # d2 of two values: mean moving range over standard deviation
+LIMIT_STDS = 3.0  # standard deviations from the centre to a limit
+FEWEST_BASELINE_VALUES = 8  # fewer give the mean moving range no better than to a third
+ROW_LENGTH = 9  # values in a row on one side of the centre: nine have a chance of 1 in 256
 
 
 @dataclass(frozen=True)
 class ControlChart:
-    """Centre line and limits from the values of a baseline, and the indices of the values that speak for a change."""
+    """Centre line and limits from the values of a baseline, and the indices of the values that indicate a change."""
 
     centre: float
     low: float
     high: float
-    baseline: int  # number of values, from the first on, that centre and limits rest on
+    baseline: int  # number of first values that centre and limits are computed from
     beyond: tuple[int, ...]  # indices of the values outside the limits
     shifted: tuple[int, ...]  # indices at which a row of nine on one side of the centre is complete
 
@@ -47,24 +47,24 @@ class ControlChart:
 
 
 def control_chart(values: Array, baseline: int | None = None) -> ControlChart | None:
-    """Compute centre and limits of values in the order of time; None where the baseline has fewer than eight values.
+    """Compute centre and limits of a series of values; return None where the baseline has fewer than eight values.
 
     Parameters
     ----------
-    values : (n,), finite.
-    baseline : how many of the first ones the limits rest on; by default all.
+    values : shape (n,), finite, in the order of time.
+    baseline : number of first values that the limits are computed from; by default all.
     """
     count = len(values) if baseline is None else min(baseline, len(values))
-    if count < FEWEST:
+    if count < FEWEST_BASELINE_VALUES:
         return None
     first = values[:count]
     centre = float(np.mean(first))
-    half_width = WIDTH * float(np.mean(np.abs(np.diff(first)))) / RANGES_TO_SIGMA
+    half_width = LIMIT_STDS * float(np.mean(np.abs(np.diff(first)))) / MOVING_RANGE_OVER_STD
     beyond = np.flatnonzero(np.abs(values - centre) > half_width)
     sides = np.sign(values - centre)
     shifted = [
         index
-        for index in range(ON_ONE_SIDE - 1, len(values))
-        if abs(float(np.sum(sides[index - ON_ONE_SIDE + 1 : index + 1]))) == ON_ONE_SIDE
+        for index in range(ROW_LENGTH - 1, len(values))
+        if abs(float(np.sum(sides[index - ROW_LENGTH + 1 : index + 1]))) == ROW_LENGTH
     ]
     return ControlChart(centre, centre - half_width, centre + half_width, count, tuple(beyond.tolist()), tuple(shifted))

@@ -1,7 +1,7 @@
-"""Mean over levels of a figure that all trials of a level give together, with its interval from leaving trials out.
+"""Jackknife of a figure over the trials of each level, and the mean of the figure over the levels.
 
-Efron & Tibshirani, An Introduction to the Bootstrap (1993), chapter 11: standard error. The bias that
-it estimates is not taken out: with few trials that scatters by more than the bias there is.
+Efron & Tibshirani, An Introduction to the Bootstrap (1993), chapter 11: standard error. The jackknife's estimate of
+the bias is not subtracted: with few trials it scatters by more than the bias itself.
 """
 
 import math
@@ -23,15 +23,15 @@ class TrialFigure(NamedTuple):
 
     value: float
     shared: tuple[float, ...] = ()  # the same in every level, such as the position of the samples on the response
-    own: tuple[float, ...] = ()  # of this level alone, such as the rounding of its readings
+    per_level: tuple[float, ...] = ()  # of this level alone, such as the rounding of its readings
 
 
 @dataclass(frozen=True)
 class LevelValue:
     """A figure of one level with its standard error."""
 
-    reading: TrialFigure
-    standard_error: float  # of the figure, from the trials; NaN with one
+    figure: TrialFigure
+    standard_error: float  # of the figure, from the scatter of the trials; NaN with one trial
     dof: int
 
 
@@ -45,11 +45,13 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> 
         return LevelValue(of_all_trials, NAN, trials - 1)
     leave_one_out = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
-    rounding_square = sum(limit**2 for limit in of_all_trials.own)
+    rounding_square = sum(limit**2 for limit in of_all_trials.per_level)
     covered = COVERED_ROUNDING * 3.0 * trials * scatter**2
     remaining = math.sqrt(max(1.0 - covered / rounding_square, 0.0)) if rounding_square else 0.0
     return LevelValue(
-        of_all_trials._replace(own=tuple(remaining * limit for limit in of_all_trials.own)), scatter, trials - 1
+        of_all_trials._replace(per_level=tuple(remaining * limit for limit in of_all_trials.per_level)),
+        scatter,
+        trials - 1,
     )
 
 
@@ -59,13 +61,13 @@ def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estim
     There is no interval where a level has one trial.
     """
     count = len(levels)
-    value = sum(level.reading.value for level in levels) / count
+    value = sum(level.figure.value for level in levels) / count
     variances = [(level.standard_error / count) ** 2 for level in levels]
     limits = [
         sum(level_limits) / count
-        for level_limits in zip_longest(*(level.reading.shared for level in levels), fillvalue=0.0)
+        for level_limits in zip_longest(*(level.figure.shared for level in levels), fillvalue=0.0)
     ]
-    limits += [limit / count for level in levels for limit in level.reading.own]
+    limits += [limit / count for level in levels for limit in level.figure.per_level]
     scatter_std = math.sqrt(sum(variances))
     if not math.isfinite(scatter_std):
         return Estimate(name, value, NAN, NAN, NAN, units)

@@ -1,14 +1,14 @@
-"""Lines through level means, and what a reader must know of them: lack of fit, unexplained scatter, runs that differ.
+"""Lines through level means, with notes on lack of fit, unexplained scatter, drift and runs that differ.
 
 Every hold is one point at the same weight. The standard error comes from the scatter of the points about the fit, not
 from the noise within a hold: friction that sticks differently each time, drift and temperature move a level as a whole,
-and a standard error of the mean, autocorrelation or not, knows nothing of what was constant during that hold. What
-noise does explain is only compared with the scatter. Runs are pooled: they share slopes, and each has its own
-intercept, since a sensor's zero moves between runs.
+and a standard error of the mean within a hold, even with autocorrelation, does not include what is constant during
+that hold. The noise within holds is only compared with the scatter. Runs are pooled: they share slopes, and each has
+its own intercept, since a sensor's zero moves between runs.
 
-What the first slope belongs to is measured and may carry errors that also move the response: friction that is higher
-in one hold makes the rotor slower in it. Least squares would take a part of that scatter for slope, 7 % of the damping
-at the paper's r squared of 0.93. The setpoint of the current is free of such errors and serves as instrument.
+The first column is measured, and its errors may also move the response: friction that is higher in one hold makes the
+rotor slower in it. Ordinary least squares would bias the slope by that scatter, by 7 % of the damping at the paper's
+r squared of 0.93. The setpoint of the current is free of such errors and serves as instrument.
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ from leactl.analysis.statistics.regression import (
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-DRIFTS_BELOW = 1e-3  # probability under which residuals follow time by more than chance
-TIME_ALONE = 0.3  # of its spread, that time must keep beside the levels for a drift to be identifiable
-WORTH = 0.002  # of the response's range: a smaller drift gets no note
-FOLLOWS_BELOW = 1e-3  # probability under which a regressor follows the setpoints by more than chance
+DRIFT_P_VALUE = 1e-3  # probability under which residuals follow time by more than chance
+LEAST_UNEXPLAINED_TIME = 0.3  # of the spread of time; with less, drift and slope cannot be told apart
+LEAST_NOTED_DRIFT = 0.002  # of the response's range
+FOLLOWING_P_VALUE = 1e-3  # probability under which a regressor follows the setpoints by more than chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class LineFit:
     @property
     def mean_intercept(self) -> Array:
         """Weights of the coefficients for the mean intercept of the runs, shape (coefficients,)."""
-        return np.array([0.0] * len(self.slopes) + [1.0 / self._intercepts] * self._intercepts)
+        return np.array([0.0] * len(self.slopes) + [1.0 / self._intercept_count] * self._intercept_count)
 
     def slope(self, name: str) -> float:
         """Return the value of one slope."""
@@ -69,7 +69,7 @@ class LineFit:
         try:
             design = np.hstack([column, *(runs * other for other in others), runs])
             common = least_squares(design, self.fit.explained, design, slope)
-        except NotIdentifiable:  # a run that cannot tell the others by itself shares them
+        except NotIdentifiable:  # a run does not determine the other slopes alone: all runs share them
             design = np.hstack([column, *others, runs])
             common = least_squares(design, self.fit.explained, design, slope)
         widened = widened_by(
@@ -83,11 +83,11 @@ class LineFit:
         return partial_f_test(self.fit.projected, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
 
     @property
-    def _intercepts(self) -> int:
+    def _intercept_count(self) -> int:
         return len(self.fit.coefficients) - len(self.slopes)
 
 
-def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, place: str) -> LineFit:
+def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
     """Fit response = sum(slope * column) + intercept of the run; lack of fit widens the uncertainty.
 
     The first column is measured, with the setpoint as its instrument; the others are free of error.
@@ -99,24 +99,24 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, pla
     run_columns = indicator_columns(levels.run)
     design = np.column_stack([*columns.values(), run_columns])
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
-    fit = least_squares(design, response, instruments, place)
+    fit = least_squares(design, response, instruments, error_prefix)
     follows_setpoints = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
-    if follows_setpoints is not None and follows_setpoints.p_value > FOLLOWS_BELOW:
+    if follows_setpoints is not None and follows_setpoints.p_value > FOLLOWING_P_VALUE:
         raise NotIdentifiable(
-            f"{place}: the means of {len(levels)} holds do not follow their setpoints by more than chance; levels "
-            "further apart are needed"
+            f"{error_prefix}: the means of {len(levels)} holds do not follow their setpoints by more than chance; "
+            "levels further apart are needed"
         )
-    unjudged = LineFit(fit, tuple(columns), levels)
-    return replace(unjudged, fit=widened_by(fit, unjudged.lack_of_fit))
+    unwidened = LineFit(fit, tuple(columns), levels)
+    return replace(unwidened, fit=widened_by(fit, unwidened.lack_of_fit))
 
 
-def fit_notes(line: LineFit, expected: Array, units: str) -> list[str]:
+def fit_notes(line: LineFit, point_stds: Array, units: str) -> list[str]:
     """Return notes on excess scatter, drift, lack of fit and runs that differ.
 
-    `expected` are the standard errors of the points by noise alone, shape (holds,).
+    `point_stds` are the standard errors of the points by noise alone, shape (holds,).
     """
     notes = []
-    if ratio := scatter_over_noise(line.fit, expected):
+    if ratio := scatter_over_noise(line.fit, point_stds):
         notes.append(
             f"levels scatter about the fit {ratio:.1f} times as much as the noise within them explains: "
             "something other than noise moves them, such as sticking friction"
@@ -126,7 +126,7 @@ def fit_notes(line: LineFit, expected: Array, units: str) -> list[str]:
     if lack is not None and lack.clear:
         notes.append(
             "level means depart from the fit by more than their repeats scatter "
-            f"(most: {_furthest(line.fit, line.levels)} {units}); uncertainties are those of the level means, "
+            f"(most: {_largest_departure(line.fit, line.levels)} {units}); uncertainties are those of the level means, "
             f"{lack.dof:g} degrees of freedom"
         )
     for slope in line.slopes:
@@ -148,7 +148,7 @@ def drift_notes(line: LineFit, units: str) -> list[str]:
         time = np.where(in_run, start - start[in_run].mean(), 0.0)
         unexplained_time = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
         of_run = f" of run {number + 1}" if len(np.unique(levels.run)) > 1 else ""
-        if np.std(unexplained_time) < TIME_ALONE * np.std(time):
+        if np.std(unexplained_time) < LEAST_UNEXPLAINED_TIME * np.std(time):
             notes.append(f"levels{of_run} were visited in the order of time: a drift cannot be told from the slope")
             continue
         drift_test = partial_f_test(design, line.fit.explained, time[:, np.newaxis])
@@ -159,8 +159,8 @@ def drift_notes(line: LineFit, units: str) -> list[str]:
         )
         if (
             drift_test is None
-            or drift_test.p_value > DRIFTS_BELOW
-            or abs(drift) < WORTH * float(np.ptp(line.fit.explained))
+            or drift_test.p_value > DRIFT_P_VALUE
+            or abs(drift) < LEAST_NOTED_DRIFT * float(np.ptp(line.fit.explained))
         ):
             continue
         notes.append(
@@ -190,7 +190,7 @@ def setup_notes(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[st
     return [f"{run.path}: setup is '{run.mechanical}', {' or '.join(setups)} was expected: {why}" for run in unexpected]
 
 
-def _furthest(fit: LeastSquaresFit, levels: HoldMeans) -> str:
+def _largest_departure(fit: LeastSquaresFit, levels: HoldMeans) -> str:
     groups = setpoint_groups(levels)
     means = np.bincount(groups, fit.residuals) / np.bincount(groups)
     worst_group = int(np.argmax(np.abs(means)))

@@ -17,9 +17,9 @@ Array = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95
 RANK_TOLERANCE = 1e-9  # of the largest singular value, columns scaled to length one
-DEPARTS_BELOW = 0.01  # probability under which groups depart from the fit by more than scatter
-POOLED_ABOVE = 0.25  # probability above which group differences count as scatter (Bancroft & Han 1983 advise this much)
-EXACT = 1e-24  # share of the response's sum of squares that rounding leaves
+DEPARTURE_P_VALUE = 0.01  # probability under which groups depart from the fit by more than scatter
+POOLING_P_VALUE = 0.25  # probability above which group differences count as scatter (as Bancroft & Han 1983 advise)
+EXACT_FIT_SHARE = 1e-24  # of the response's sum of squares: rounding leaves so much in an exact fit
 
 
 def t_quantile(dof: float) -> float:
@@ -33,12 +33,12 @@ def t_quantile(dof: float) -> float:
 class LeastSquaresFit:
     """A least-squares fit: response = design @ coefficients + residuals."""
 
-    coefficients: Array
-    unscaled_covariance: Array  # covariance of the coefficients at unit variance
+    coefficients: Array  # shape (unknowns,)
+    unscaled_covariance: Array  # covariance of the coefficients at unit variance, shape (unknowns, unknowns)
     projected: Array  # the part of the design that its instruments explain; the residuals are orthogonal to it
     residuals: Array
     variance: float  # of one point, in the response's unit squared
-    dof: float  # that the variance rests on
+    dof: float  # degrees of freedom of the variance
     r_squared: float
 
     @property
@@ -47,12 +47,12 @@ class LeastSquaresFit:
         return self.projected @ self.coefficients + self.residuals
 
     def combined(self, weights: Array) -> tuple[float, float]:
-        """Value and standard error of a linear combination of the coefficients."""
+        """Return value and standard error of a linear combination of the coefficients."""
         variance = self.variance * float(weights @ self.unscaled_covariance @ weights)
         return float(weights @ self.coefficients), math.sqrt(max(variance, 0.0))
 
     def estimate(self, name: str, units: str, weights: Array, relative_std: float = 0.0) -> Estimate:
-        """A linear combination of the coefficients with its 95 % interval.
+        """Return a linear combination of the coefficients with its 95 % interval.
 
         `relative_std` is the relative standard uncertainty of a factor on the value that the residuals do not show; it
         adds in squares, at the effective degrees of freedom of Welch and Satterthwaite (GUM, G.4.1).
@@ -60,8 +60,8 @@ class LeastSquaresFit:
         value, fit_std = self.combined(weights)
         std = math.hypot(fit_std, relative_std * value)
         dof = self.dof * (std / fit_std) ** 4 if fit_std > 1e-9 * std else math.inf
-        half = t_quantile(dof) * std
-        return Estimate(name, value, std, value - half, value + half, units)
+        half_width = t_quantile(dof) * std
+        return Estimate(name, value, std, value - half_width, value + half_width, units)
 
 
 @dataclass(frozen=True)
@@ -70,16 +70,16 @@ class PartialFTest:
 
     p_value: float  # probability that scatter alone explains as much
     mean_square: float  # of the response that the extra columns explain, per degree of freedom
-    dof: float
+    dof: float  # of the extra columns
 
     @property
     def clear(self) -> bool:
         """Whether the extra columns explain more than scatter does."""
-        return self.p_value < DEPARTS_BELOW
+        return self.p_value < DEPARTURE_P_VALUE
 
 
-def least_squares(design: Array, response: Array, instruments: Array, place: str) -> LeastSquaresFit:
-    """Fit in two stages with every point at the same weight; `place` opens the message of a failure.
+def least_squares(design: Array, response: Array, instruments: Array, error_prefix: str) -> LeastSquaresFit:
+    """Fit in two stages with every point at the same weight; `error_prefix` begins the message of a failure.
 
     `instruments` has a column for each of the design's: the column itself where it is free of error, else one that is
     correlated with it but not with its errors. Shapes: design and instruments (points, unknowns), response (points,).
@@ -91,14 +91,16 @@ def least_squares(design: Array, response: Array, instruments: Array, place: str
     points, unknowns = design.shape
     if points <= unknowns:
         raise NotIdentifiable(
-            f"{place}: {points} points for {unknowns} unknowns leave no degree of freedom; "
+            f"{error_prefix}: {points} points for {unknowns} unknowns leave no degree of freedom; "
             f"{unknowns + 1} points or more are needed"
         )
     projected = instruments @ np.linalg.lstsq(instruments, design, rcond=RANK_TOLERANCE)[0]
-    length = _lengths(projected)
+    length = _column_lengths(projected)
     scaled = projected / length
     if _rank(scaled) < unknowns:
-        raise NotIdentifiable(f"{place}: {points} points do not tell {unknowns} unknowns apart; more levels are needed")
+        raise NotIdentifiable(
+            f"{error_prefix}: {points} points do not tell {unknowns} unknowns apart; more levels are needed"
+        )
     q, r = np.linalg.qr(scaled)
     inverse = np.linalg.inv(r) / length[:, np.newaxis]
     coefficients = inverse @ (q.T @ response)
@@ -119,12 +121,13 @@ def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest
     """
     points, unknowns = design.shape
     full = np.hstack([design, extra])
-    full = full / _lengths(full)
+    full = full / _column_lengths(full)
     rank = _rank(full)
     if rank <= unknowns or rank >= points:
         return None
-    square_without, square_with = _rest(design / _lengths(design), response), _rest(full, response)
-    if square_without <= EXACT * float(response @ response):
+    square_without = _residual_square(design / _column_lengths(design), response)
+    square_with = _residual_square(full, response)
+    if square_without <= EXACT_FIT_SHARE * float(response @ response):
         return None
     from scipy.special import fdtrc
 
@@ -141,13 +144,13 @@ def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquare
     what belongs to a run is the same in all its levels: more repeats do not average it out. The fit stays as it is
     where the groups plainly show mere scatter.
     """
-    if groups is None or groups.p_value > POOLED_ABOVE or groups.mean_square <= fit.variance:
+    if groups is None or groups.p_value > POOLING_P_VALUE or groups.mean_square <= fit.variance:
         return fit
     return replace(fit, variance=groups.mean_square, dof=groups.dof)
 
 
 def scatter_over_noise(fit: LeastSquaresFit, point_stds: Array) -> float:
-    """Ratio of the scatter about the fit to the standard errors of the points; 0 unless it is clearly above one.
+    """Return the scatter about the fit over the standard errors of the points; 0 unless it is clearly above one.
 
     Clearly: more than twice, and with a probability under 0.001 by chi squared.
     """
@@ -167,7 +170,7 @@ def indicator_columns(labels: npt.NDArray[np.generic]) -> Array:
     return columns
 
 
-def _lengths(columns: Array) -> Array:
+def _column_lengths(columns: Array) -> Array:
     length: Array = np.sqrt(np.sum(columns**2, axis=0))
     length[length == 0.0] = 1.0
     return length
@@ -178,6 +181,6 @@ def _rank(scaled: Array) -> int:
     return int(np.sum(singular > RANK_TOLERANCE * singular[0]))
 
 
-def _rest(scaled: Array, response: Array) -> float:
+def _residual_square(scaled: Array, response: Array) -> float:
     solution = np.linalg.lstsq(scaled, response, rcond=RANK_TOLERANCE)[0]
     return float(np.sum((response - scaled @ solution) ** 2))

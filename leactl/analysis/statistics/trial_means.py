@@ -41,7 +41,9 @@ def mean_of(
     return fit.estimate(name, units, weights, relative_std)
 
 
-def fit_sides(values: Sequence[float], trials: Sequence[TrialLabel], place: str) -> tuple[LeastSquaresFit, np.ndarray]:
+def fit_sides(
+    values: Sequence[float], trials: Sequence[TrialLabel], error_prefix: str
+) -> tuple[LeastSquaresFit, np.ndarray]:
     """Fit one constant for each side; return the fit and the weights of the coefficients in their mean.
 
     Where the runs differ by more than scatter, the uncertainty is that of the runs' means.
@@ -49,6 +51,6 @@ def fit_sides(values: Sequence[float], trials: Sequence[TrialLabel], place: str)
     response = np.asarray(values, np.float64)
     sides = indicator_columns(np.array([trial.side for trial in trials]))
     run_sides = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
-    fit = least_squares(sides, response, sides, place)
+    fit = least_squares(sides, response, sides, error_prefix)
     widened = widened_by(fit, partial_f_test(sides, response, indicator_columns(run_sides)))
     return widened, np.full(sides.shape[1], 1.0 / sides.shape[1])

@@ -9,7 +9,7 @@ import numpy as np
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.signals.levels import standard_error
 from leactl.analysis.statistics.intervals import half_width
-from leactl.analysis.statistics.regression import POOLED_ABOVE
+from leactl.analysis.statistics.regression import POOLING_P_VALUE
 from leactl.analysis.voltage_waves.waves import Array
 
 CLEAR = 5.0  # standard errors, above which a drift is one
@@ -76,7 +76,7 @@ def pooled(series: Sequence[Array]) -> tuple[float, float, float]:
 
     between = float(np.std(means, ddof=1)) / math.sqrt(count)
     probability = float(chdtrc(count - 1, float(np.sum(((means - means.mean()) / errors) ** 2))))
-    if probability > POOLED_ABOVE or between <= within:
+    if probability > POOLING_P_VALUE or between <= within:
         return float(means.mean()), within, dof
     return float(means.mean()), between, count - 1.0
 

@@ -32,26 +32,26 @@ from pydantic import Field, ValidationError
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.protocol.schema import Seed
-from leactl.runner.campaign.order import USUAL, Cell, Level, arranged
+from leactl.runner.campaign.order import DEFAULT_ORDER, Cell, Level, arranged
 from leactl.yamlblock import Block
 from leactl.yamlfile import Location
 
 MOST_RUNS = 10_000
-OWN_COMMANDS = ("list", "run", "show", "status")  # of `leactl campaign`; no shipped campaign has such a name
+COMMANDS = ("list", "run", "show", "status")  # of `leactl campaign`; no shipped campaign may have such a name
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=60)]
 Labels = Annotated[tuple[Label, ...], Field(min_length=1)]
 Repeats = Annotated[int, Field(strict=True, ge=1, le=1000)]
-Place = Annotated[str, Field(min_length=1, max_length=1000)]
+NameOrPath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class StepEntry(Block):
     """One protocol, under every condition and on every actuator of the campaign where it names none of its own."""
 
     name: Name
-    protocol: Place | None = None
-    bench: Place | None = None
+    protocol: NameOrPath | None = None
+    bench: NameOrPath | None = None
     actuators: Labels | None = None
     conditions: Labels | None = None
     repeats: Repeats = 1
@@ -74,10 +74,10 @@ class CampaignFile(Block):
 
     name: Name
     title: Annotated[str, Field(max_length=200)] = ""
-    bench: Place
+    bench: NameOrPath
     actuators: Labels | None = None
     conditions: Labels | None = None
-    order: tuple[Level, ...] = USUAL
+    order: tuple[Level, ...] = DEFAULT_ORDER
     shuffle: tuple[Level, ...] = ()
     seed: Seed = 1
     steps: Annotated[tuple[StepEntry, ...], Field(min_length=1)]
@@ -86,36 +86,39 @@ class CampaignFile(Block):
 
 @dataclass(frozen=True)
 class CampaignStep:
-    """A step as it is to be made, in one variant of the campaign."""
+    """A step of the campaign after the defaults of the campaign and one variant are applied."""
 
     name: str
-    document: yamlfile.Document  # the campaign's
-    place: Location  # in it
+    document: yamlfile.Document  # of the campaign
+    location: Location  # of the step in the document
     protocol: str
     bench: str
     actuators: Sequence[str]
-    conditions: Mapping[str, Location]  # labels, and where each is written
+    conditions: Mapping[str, Location]  # label: its location in the document
     repeats: int
-    settings: Mapping[str, Location]  # `name=value`, as on the command line, and where each is written
+    settings: Mapping[str, Location]  # `name=value` as after `--set`: its location in the document
     prompt: str
     insert_cooldown: bool
 
-    def fault(self, condition: str, told: str) -> str:
-        """A fault of a run of it with its place: that of the setting or condition that it is of, or of the step."""
-        found = self.place
-        if condition and told.startswith(f"condition '{condition}' "):
-            found = self.conditions[condition]
-        for setting, place in self.settings.items():
-            # before a fault of the value itself, and behind one of the protocol's line that takes it
-            shorter = told.removeprefix(f"--set {setting}: ").replace(f" from --set {setting}", "")
-            if shorter != told:
-                found, told = place, shorter
-        return self.document.fault(found, told)
+    def fault(self, condition: str, message: str) -> str:
+        """Return the message of a run's fault, preceded by its location in the campaign file.
+
+        The location is that of the setting or condition that the message names, or else that of the step.
+        """
+        fault_location = self.location
+        if condition and message.startswith(f"condition '{condition}' "):
+            fault_location = self.conditions[condition]
+        for setting, setting_location in self.settings.items():
+            # `--set` precedes the message on a wrong value, and is within that on a protocol line that takes the value
+            shorter = message.removeprefix(f"--set {setting}: ").replace(f" from --set {setting}", "")
+            if shorter != message:
+                fault_location, message = setting_location, shorter
+        return self.document.fault(fault_location, message)
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """A checked campaign: its steps, and its runs in the order in which they are to be made."""
+    """A checked campaign: its steps, and the cells of its runs in the order of execution."""
 
     name: str
     title: str
@@ -127,12 +130,12 @@ class Campaign:
 
 
 def names() -> list[str]:
-    """Names of the campaigns that ship with leactl."""
+    """Return the names of the campaigns that ship with leactl."""
     return sorted(path.stem for path in _shipped().glob("*.yaml"))
 
 
 def locate(name_or_path: str) -> Path:
-    """The file of a shipped campaign, or the path itself.
+    """Return the path of a campaign file, given the name of a shipped campaign or the path itself.
 
     Raises
     ------
@@ -171,13 +174,13 @@ def load(name_or_path: str, variant: str = "", seed: int | None = None) -> Campa
         raise InputError(faults)
     steps = {entry.name: _step(document, file, index, path.parent) for index, entry in enumerate(file.steps)}
     for name, change in file.variants.get(variant, {}).items():
-        steps[name] = _varied(steps[name], change, ("variants", variant, name))
+        steps[name] = _with_variation(steps[name], change, ("variants", variant, name))
     count = sum(len(step.actuators) * len(step.conditions) * step.repeats for step in steps.values())
     if count > MOST_RUNS:
         raise InputError(document.fault(("steps",), f"{count} runs; at most {MOST_RUNS} were expected"))
-    number = file.seed if seed is None else seed
-    cells = _in_order(file, steps, number)
-    return Campaign(file.name, file.title, variant, number, steps, cells, document.text)
+    effective_seed = file.seed if seed is None else seed
+    cells = _ordered_cells(file, steps, effective_seed)
+    return Campaign(file.name, file.title, variant, effective_seed, steps, cells, document.text)
 
 
 def _shipped() -> Path:
@@ -192,85 +195,89 @@ def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
             line = document.places["steps", first, "name"][0]
             yield document.fault(("steps", index, "name"), f"'{step.name}' is the name of the step in line {line} too")
         yield from _faults_of_block(document, step, ("steps", index))
-    yield from _doubled(document, ("actuators",), file.actuators or ())
-    yield from _doubled(document, ("conditions",), file.conditions or ())
-    yield from _doubled(document, ("shuffle",), file.shuffle)
-    if sorted(file.order) != sorted(USUAL):
-        yield document.fault(("order",), f"each of {', '.join(USUAL)} was expected once")
+    yield from _repeated_items(document, ("actuators",), file.actuators or ())
+    yield from _repeated_items(document, ("conditions",), file.conditions or ())
+    yield from _repeated_items(document, ("shuffle",), file.shuffle)
+    if sorted(file.order) != sorted(DEFAULT_ORDER):
+        yield document.fault(("order",), f"each of {', '.join(DEFAULT_ORDER)} was expected once")
     for name, changes in file.variants.items():
         for step_name, change in changes.items():
-            place = ("variants", name, step_name)
+            location = ("variants", name, step_name)
             if step_name not in seen:
-                yield document.fault(place, f"there is no such step; there are: {', '.join(seen)}")
-            yield from _faults_of_block(document, change, place)
+                yield document.fault(location, f"there is no such step; there are: {', '.join(seen)}")
+            yield from _faults_of_block(document, change, location)
 
 
-def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, place: Location) -> Iterator[str]:
-    yield from _doubled(document, (*place, "actuators"), block.actuators or ())
-    yield from _doubled(document, (*place, "conditions"), block.conditions or ())
+def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, location: Location) -> Iterator[str]:
+    yield from _repeated_items(document, (*location, "actuators"), block.actuators or ())
+    yield from _repeated_items(document, (*location, "conditions"), block.conditions or ())
     if "seed" in block.set:
-        yield document.fault((*place, "set", "seed"), "the campaign has its own seed, which each run draws its from")
+        yield document.fault((*location, "set", "seed"), "the campaign has its own seed, which each run draws its from")
     for name, value in block.set.items():
         if isinstance(value, dict) or value is None:
-            yield document.fault((*place, "set", name), "a number, a text or a list of these was expected")
+            yield document.fault((*location, "set", name), "a number, a text or a list of these was expected")
 
 
-def _doubled(document: yamlfile.Document, place: Location, items: Sequence[str]) -> Iterator[str]:
+def _repeated_items(document: yamlfile.Document, location: Location, items: Sequence[str]) -> Iterator[str]:
     for index, item in enumerate(items):
         if item in items[:index]:
-            yield document.fault((*place, index), f"'{item}' stands twice")
+            yield document.fault((*location, index), f"'{item}' stands twice")
 
 
 def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> CampaignStep:
-    entry, place = file.steps[index], ("steps", index)
+    entry, location = file.steps[index], ("steps", index)
     return CampaignStep(
         name=entry.name,
         document=document,
-        place=place,
-        protocol=_from(folder, entry.protocol or entry.name),
-        bench=_from(folder, entry.bench or file.bench),
+        location=location,
+        protocol=_resolved(folder, entry.protocol or entry.name),
+        bench=_resolved(folder, entry.bench or file.bench),
         actuators=entry.actuators or file.actuators or ("",),
-        conditions=_conditions(entry.conditions, place) or _conditions(file.conditions, ()) or {"": place},
+        conditions=_conditions(entry.conditions, location) or _conditions(file.conditions, ()) or {"": location},
         repeats=entry.repeats,
-        settings=_settings(entry.set, place),
+        settings=_settings(entry.set, location),
         prompt=entry.prompt,
         insert_cooldown=entry.insert_cooldown,
     )
 
 
-def _varied(step: CampaignStep, change: Variation, place: Location) -> CampaignStep:
-    kept = {setting: at for setting, at in step.settings.items() if setting.partition("=")[0] not in change.set}
+def _with_variation(step: CampaignStep, change: Variation, location: Location) -> CampaignStep:
+    kept = {
+        setting: location for setting, location in step.settings.items() if setting.partition("=")[0] not in change.set
+    }
     return replace(
         step,
         actuators=change.actuators or step.actuators,
-        conditions=_conditions(change.conditions, place) or step.conditions,
+        conditions=_conditions(change.conditions, location) or step.conditions,
         repeats=change.repeats or step.repeats,
-        settings=kept | _settings(change.set, place),
+        settings=kept | _settings(change.set, location),
     )
 
 
-def _conditions(labels: Labels | None, place: Location) -> dict[str, Location]:
-    return {label: (*place, "conditions", index) for index, label in enumerate(labels or ())}
+def _conditions(labels: Labels | None, location: Location) -> dict[str, Location]:
+    return {label: (*location, "conditions", index) for index, label in enumerate(labels or ())}
 
 
-def _settings(values: Mapping[str, Any], place: Location) -> dict[str, Location]:
-    return {f"{name}={_word(value)}": (*place, "set", name) for name, value in values.items()}
+def _settings(values: Mapping[str, Any], location: Location) -> dict[str, Location]:
+    return {f"{name}={_setting_text(value)}": (*location, "set", name) for name, value in values.items()}
 
 
-def _word(value: Any) -> str:
-    """A value as it would stand after `--set name=`; a text in a list is quoted there, for it may hold a comma."""
+def _setting_text(value: Any) -> str:
+    """Return a value as the text after `--set name=`; a text in a list is quoted, because it may contain a comma."""
     if isinstance(value, list):
-        quoted = ["'{}'".format(item.replace("'", "''")) if isinstance(item, str) else _word(item) for item in value]
+        quoted = [
+            "'{}'".format(item.replace("'", "''")) if isinstance(item, str) else _setting_text(item) for item in value
+        ]
         return f"[{', '.join(quoted)}]"
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _from(folder: Path, name: str) -> str:
-    """A name as it is, a path from the campaign's folder."""
+def _resolved(folder: Path, name: str) -> str:
+    """Return a path resolved from the campaign's folder, and the name of a shipped file unchanged."""
     return str(folder / name) if name.endswith((".yaml", ".yml")) else name
 
 
-def _in_order(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) -> list[Cell]:
+def _ordered_cells(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) -> list[Cell]:
     cells = [
         Cell(step.name, actuator, condition, repeat)
         for step in steps.values()
@@ -278,10 +285,10 @@ def _in_order(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) 
         for condition in step.conditions
         for repeat in range(1, step.repeats + 1)
     ]
-    written: dict[Level, list[str | int]] = {
+    level_values: dict[Level, list[str | int]] = {
         "actuators": list(dict.fromkeys([*(file.actuators or ()), *(cell.actuator for cell in cells)])),
         "conditions": list(dict.fromkeys([*(file.conditions or ()), *(cell.condition for cell in cells)])),
         "steps": list(steps),
         "repeats": list(range(1, max(step.repeats for step in steps.values()) + 1)),
     }
-    return arranged(cells, file.order, written, file.shuffle, seed)
+    return arranged(cells, file.order, level_values, file.shuffle, seed)

@@ -1,4 +1,4 @@
-"""The runs of a campaign as requests, every fault of theirs found before the first one begins."""
+"""The runs of a campaign as requests; all faults of all runs are reported before the first run begins."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -10,12 +10,12 @@ from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError
 from leactl.protocol.plan import Prompt
 from leactl.runner.campaign.campaignfile import Campaign, CampaignStep
-from leactl.runner.campaign.order import Cell, drawn
+from leactl.runner.campaign.order import Cell, hashed_number
 from leactl.runner.dry_run import Preview, preview
 from leactl.runner.request import Request, prepare
 from leactl.safety.disk import COPIES, check_room, free_bytes
 
-DIGITS = 16  # of a digest
+DIGEST_DIGITS = 16  # hexadecimal
 
 
 @dataclass(frozen=True)
@@ -24,33 +24,35 @@ class CampaignEntry:
 
     cell: Cell
     request: Request
-    digest: str  # of all that determines what the run is
+    digest: str  # of everything that determines the run: key, protocol, parameters, bench, cooldown and seed
     step: CampaignStep
 
     @property
-    def mounted(self) -> tuple[str, ...]:
-        """What a person has to see to before it; the next run with the same needs nobody."""
+    def mounting(self) -> tuple[str, ...]:
+        """Bench, set-up, actuator, condition and prompt; a person has to act only if they change from run to run."""
         request = self.request
         return request.bench.name, request.plan.setup, self.cell.actuator, self.cell.condition, self.step.prompt
 
     @property
-    def asks(self) -> str:
-        """What the operator is asked for when it is not mounted."""
+    def mounting_prompt(self) -> str:
+        """Text that tells the operator what to mount for this run."""
         actuator = f"actuator '{self.cell.actuator}', " if self.cell.actuator else ""
         condition = f"condition '{self.cell.condition}', " if self.cell.condition else ""
-        own = f": {self.step.prompt}" if self.step.prompt else ""
+        step_prompt = f": {self.step.prompt}" if self.step.prompt else ""
         bench = self.request.bench.name
-        return f"bench '{bench}': {actuator}{condition}set-up {self.request.plan.setup}, for {self.cell.step}{own}"
+        return (
+            f"bench '{bench}': {actuator}{condition}set-up {self.request.plan.setup}, for {self.cell.step}{step_prompt}"
+        )
 
     @property
-    def asks_within(self) -> bool:
-        """Whether its protocol asks the operator too."""
+    def protocol_has_prompts(self) -> bool:
+        """Whether the protocol itself asks the operator for something during the run."""
         return any(isinstance(action, Prompt) for action in self.request.plan.actions)
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """What holds for every run of a campaign, as options of `leactl run`."""
+class EntryOptions:
+    """Options of `leactl run` that are the same for every run of a campaign."""
 
     folder: Path
     operator: str = ""
@@ -59,19 +61,19 @@ class Conditions:
     buses: Sequence[str] = ()
 
 
-def entries_of(campaign: Campaign, conditions: Conditions) -> list[CampaignEntry]:
-    """Every run of a campaign in its order, checked as `leactl run` checks it.
+def entries_of(campaign: Campaign, options: EntryOptions) -> list[CampaignEntry]:
+    """Return every run of a campaign in its order, checked as `leactl run` checks it.
 
     Raises
     ------
-    InputError : faults of protocols, benches and settings, each with its place in the campaign.
+    InputError : faults of protocols, benches and settings, each with its location in the campaign.
     """
     faults: list[str] = []
     prepared: dict[tuple[str, str], Request] = {}
     for step in campaign.steps.values():
         for condition in step.conditions:
             try:
-                prepared[step.name, condition] = _prepared(step, condition, conditions)
+                prepared[step.name, condition] = _prepared(step, condition, options)
             except InputError as error:
                 faults += [step.fault(condition, fault) for fault in error.faults]
     if faults:
@@ -82,26 +84,26 @@ def entries_of(campaign: Campaign, conditions: Conditions) -> list[CampaignEntry
     ]
 
 
-def _prepared(step: CampaignStep, condition: str, told: Conditions) -> Request:
-    made = prepare(
+def _prepared(step: CampaignStep, condition: str, options: EntryOptions) -> Request:
+    request = prepare(
         step.protocol,
         step.bench,
         list(step.settings),
         "",
         condition,
-        told.operator,
-        told.folder,
-        told.realtime,
-        told.served,
-        told.buses,
+        options.operator,
+        options.folder,
+        options.realtime,
+        options.served,
+        options.buses,
     )
-    return replace(made, insert_cooldown=step.insert_cooldown)
+    return replace(request, insert_cooldown=step.insert_cooldown)
 
 
 def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep) -> CampaignEntry:
     # repeats on an emulated bench would otherwise be the same to the last digit
-    seed = drawn(f"{campaign.seed}/{cell.key}") if prepared.in_process else None
-    determines = {
+    seed = hashed_number(f"{campaign.seed}/{cell.key}") if prepared.in_process else None
+    digest_inputs = {
         "key": cell.key,
         "protocol": prepared.plan.text,
         "parameters": dict(prepared.plan.parameters),
@@ -109,7 +111,7 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep
         "insert_cooldown": step.insert_cooldown,
         "seed": seed,
     }
-    digest = sha256(json.dumps(determines, sort_keys=True).encode()).hexdigest()[:DIGITS]
+    digest = sha256(json.dumps(digest_inputs, sort_keys=True).encode()).hexdigest()[:DIGEST_DIGITS]
     part_of = {
         "name": campaign.name,
         "variant": campaign.variant,
@@ -124,42 +126,42 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep
 def previews(
     entries: Sequence[CampaignEntry], check: Callable[[], None] = lambda: None
 ) -> Mapping[tuple[str, str], Preview]:
-    """What each step takes under each condition: everything that `leactl run` would refuse is refused here.
+    """Return a preview for each pair of step and condition, and refuse everything that `leactl run` would refuse.
 
     Parameters
     ----------
-    check : called before each; what it raises ends them.
+    check : called before each preview; an exception from it is passed on.
 
     Raises
     ------
-    InputError : a run that its bench does not allow, windings that would grow too hot from ambient, with its place in
-        the campaign; too small a disk.
+    InputError : a run that its bench does not allow, windings that would grow too hot from ambient, with its location
+        in the campaign; too small a disk.
     SafetyTrip : a bench is latched.
     DeviceError : what a device needs is not on this machine.
     """
-    by_step: dict[tuple[str, str], Preview] = {}
+    preview_of: dict[tuple[str, str], Preview] = {}
     faults: dict[str, None] = {}
-    first: dict[tuple[str, str], CampaignEntry] = {}
+    first_entries: dict[tuple[str, str], CampaignEntry] = {}
     for entry in entries:
-        first.setdefault((entry.cell.step, entry.cell.condition), entry)
-    for place, entry in first.items():
+        first_entries.setdefault((entry.cell.step, entry.cell.condition), entry)
+    for step_and_condition, entry in first_entries.items():
         check()
         try:
-            by_step[place] = preview(entry.request)
+            preview_of[step_and_condition] = preview(entry.request)
         except InputError as error:
             faults |= dict.fromkeys(entry.step.fault(entry.cell.condition, fault) for fault in error.faults)
     if faults:
         raise InputError(list(faults))
-    _check_disk(entries, by_step)
-    return by_step
+    _check_disk(entries, preview_of)
+    return preview_of
 
 
-def _check_disk(entries: Sequence[CampaignEntry], by_step: Mapping[tuple[str, str], Preview]) -> None:
-    """Room for every run, once, and for the second copy of the largest while it is closed."""
+def _check_disk(entries: Sequence[CampaignEntry], preview_of: Mapping[tuple[str, str], Preview]) -> None:
+    """Refuse a disk without room for one copy of every run, and a second one of the largest run while it is closed."""
     if not entries:
         return
-    needs = [by_step[entry.cell.step, entry.cell.condition].planned_bytes / COPIES for entry in entries]
+    run_bytes = [preview_of[entry.cell.step, entry.cell.condition].planned_bytes / COPIES for entry in entries]
     benches: list[BenchFile] = [entry.request.bench for entry in entries]
     strictest = max((bench.interlocks.disk_space for bench in benches), key=lambda space: space.trip_MB)
-    planned = sum(needs) + (COPIES - 1) * max(needs)
+    planned = sum(run_bytes) + (COPIES - 1) * max(run_bytes)
     check_room(strictest, free_bytes(entries[0].request.directory), planned, "the campaign")

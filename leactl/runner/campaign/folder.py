@@ -1,4 +1,4 @@
-"""The folder of a campaign: held by one process at a time, and put in order before anything is added to it."""
+"""The folder of a campaign: one process at a time holds it, and checks its run files before it adds any."""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,11 +10,11 @@ from leactl.runfile.publish import move_without_overwriting
 from leactl.runner import locks
 from leactl.runner.campaign.campaignfile import Campaign
 from leactl.runner.campaign.entries import CampaignEntry
-from leactl.runner.campaign.journal import NAME, Journal, fresh, read
-from leactl.runner.campaign.standing import UNFINISHED, CampaignProgress, RunFile, files_in, standing
+from leactl.runner.campaign.journal import JOURNAL_FILE, Journal, new_journal, read
+from leactl.runner.campaign.standing import UNFINISHED_FOLDER, CampaignProgress, RunFile, campaign_progress, files_in
 
-LOCK = ".campaign.lock"
-MOST_NAMED = 3
+LOCK_FILE = ".campaign.lock"
+MOST_LISTED_KEYS = 3  # in a message
 
 
 @contextmanager
@@ -30,8 +30,8 @@ def held(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror or error}; choose another --out") from None
-    with locks.locked(folder / LOCK, f"{folder}: the campaign is conducted already"):
-        for remnant in folder.glob(f".{NAME}.*.tmp"):  # of a kill while the journal was replaced
+    with locks.locked(folder / LOCK_FILE, f"{folder}: the campaign is conducted already"):
+        for remnant in folder.glob(f".{JOURNAL_FILE}.*.tmp"):  # from a process killed while it replaced the journal
             remnant.unlink()
         yield
 
@@ -41,7 +41,7 @@ def busy(folder: Path) -> bool:
     try:
         import fcntl
 
-        descriptor = os.open(folder / LOCK, os.O_RDONLY)
+        descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY)
     except (OSError, ImportError):  # nobody can hold it on a system without locks
         return False
     try:
@@ -63,8 +63,8 @@ def journal_and_progress(
     InputError : a journal that is damaged, or not of this campaign.
     """
     runs = {entry.cell.key: entry.digest for entry in entries}
-    journal = read(folder, campaign) or fresh(campaign, runs)
-    return journal, standing(campaign.name, runs, journal, files_in(folder))
+    journal = read(folder, campaign) or new_journal(campaign, runs)
+    return journal, campaign_progress(campaign.name, runs, journal, files_in(folder))
 
 
 def resumable(
@@ -86,29 +86,29 @@ def resumable(
 def refuse_changed(
     campaign: Campaign, journal: Journal, progress: CampaignProgress, runs: Mapping[str, str], accept: bool
 ) -> None:
-    """Refuse to go on with another campaign than the one that was begun.
+    """Refuse to go on with a campaign whose runs were changed since it began.
 
     Parameters
     ----------
     runs : digests by key, as the campaign is now.
-    accept : go on where only runs are changed that are not finished yet.
+    accept : allow changes of runs that are not finished yet.
 
     Raises
     ------
-    InputError : with what was changed.
+    InputError : a finished run was changed, or an unfinished one without `accept`.
     """
     if progress.changed:
         raise InputError(
-            f"campaign '{campaign.name}': {_named(progress.changed)} finished, and campaign, protocol or bench now say"
+            f"campaign '{campaign.name}': {_listed(progress.changed)} finished, and campaign, protocol or bench now say"
             " otherwise; change them back, or choose another --out"
         )
-    begun = journal.runs
+    runs_at_start = journal.runs
     changes = {
-        "added": runs.keys() - begun.keys(),
-        "taken out": begun.keys() - runs.keys(),
-        "changed": {key for key in runs.keys() & begun.keys() if runs[key] != begun[key]},
+        "added": runs.keys() - runs_at_start.keys(),
+        "taken out": runs_at_start.keys() - runs.keys(),
+        "changed": {key for key in runs.keys() & runs_at_start.keys() if runs[key] != runs_at_start[key]},
     }
-    counts = [f"{len(keys)} {how}" for how, keys in changes.items() if keys]
+    counts = [f"{len(keys)} {change}" for change, keys in changes.items() if keys]
     if counts and not accept:
         raise InputError(
             f"campaign '{campaign.name}' was changed after its start: {', '.join(counts)} of {len(runs)} runs, none of"
@@ -121,7 +121,7 @@ def refuse_lost(progress: CampaignProgress) -> None:
 
     Raises
     ------
-    InputError : one line for each.
+    InputError : one line for each lost file.
     """
     if progress.lost:
         raise InputError(
@@ -133,16 +133,16 @@ def refuse_lost(progress: CampaignProgress) -> None:
 
 
 def put_aside(files: Sequence[RunFile], folder: Path) -> list[Path]:
-    """Move runs that were cut off to a folder of their own: what stays is what the analyses are to take."""
+    """Move run files to the subfolder `unfinished`, where analyses do not take them; return their new paths."""
     moved = []
     for file in files:
-        target = folder / UNFINISHED / file.path.name
+        target = folder / UNFINISHED_FOLDER / file.path.name
         target.parent.mkdir(exist_ok=True)
         move_without_overwriting(file.path, target)
         moved.append(target)
     return moved
 
 
-def _named(keys: Sequence[str]) -> str:
-    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
-    return f"{', '.join(keys[:MOST_NAMED])}{more} {'is' if len(keys) == 1 else 'are'}"
+def _listed(keys: Sequence[str]) -> str:
+    more = f" and {len(keys) - MOST_LISTED_KEYS} more" if len(keys) > MOST_LISTED_KEYS else ""
+    return f"{', '.join(keys[:MOST_LISTED_KEYS])}{more} {'is' if len(keys) == 1 else 'are'}"

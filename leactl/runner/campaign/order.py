@@ -1,4 +1,4 @@
-"""In which order the runs of a campaign are made: one level inside the other, shuffled where statistics want it."""
+"""The order of a campaign's runs: nested loops over the levels, each in the order of the file or shuffled."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,13 @@ from hashlib import sha256
 from typing import Literal
 
 Level = Literal["actuators", "conditions", "steps", "repeats"]
-USUAL: tuple[Level, ...] = ("actuators", "conditions", "steps", "repeats")  # the dearest change outermost
+# outermost first: what takes a person longest to change is changed least often
+DEFAULT_ORDER: tuple[Level, ...] = ("actuators", "conditions", "steps", "repeats")
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run of a campaign, by what sets it apart from the others."""
+    """One run of a campaign, identified by its step, actuator, condition and repeat."""
 
     step: str
     actuator: str
@@ -20,11 +21,11 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """Its name in journal and run file."""
+        """Name of the run in the journal and in its run file."""
         return f"{self.step}/{self.actuator}/{self.condition}/{self.repeat}"
 
     def at(self, level: Level) -> str | int:
-        """What it is at one level."""
+        """Return the cell's name at one level, or its number for repeats."""
         values: dict[Level, str | int] = {
             "actuators": self.actuator,
             "conditions": self.condition,
@@ -40,27 +41,29 @@ class Cell:
 def arranged(
     cells: Sequence[Cell],
     order: Sequence[Level],
-    written: Mapping[Level, Sequence[str | int]],
+    level_values: Mapping[Level, Sequence[str | int]],
     shuffled: Collection[Level],
     seed: int,
 ) -> list[Cell]:
-    """The cells level by level, outermost first.
+    """Return the cells sorted level by level.
 
     Parameters
     ----------
-    written : what there is at each level, in the order of the file.
+    order : the levels, outermost first.
+    level_values : all names or numbers of each level, in the order of the file.
     shuffled : levels whose order is drawn anew within each block of the levels outside it. It is drawn by SHA-256 of
-        seed and place, so that it is the same on every machine and adding a run leaves the others as they were.
+        the seed and the names of these levels, so that it is the same on every machine, and an added run does not
+        change the order of the others.
     """
-    return _arranged(cells, tuple(order), written, shuffled, str(seed))
+    return _arranged(cells, tuple(order), level_values, shuffled, str(seed))
 
 
 def _arranged(
     cells: Sequence[Cell],
     order: tuple[Level, ...],
-    written: Mapping[Level, Sequence[str | int]],
+    level_values: Mapping[Level, Sequence[str | int]],
     shuffled: Collection[Level],
-    place: str,
+    block_path: str,  # the seed, then the names of the outer levels
 ) -> list[Cell]:
     if not order:
         return list(cells)
@@ -68,14 +71,16 @@ def _arranged(
     blocks: dict[str | int, list[Cell]] = {}
     for cell in cells:
         blocks.setdefault(cell.at(level), []).append(cell)
-    names = [name for name in written[level] if name in blocks]
+    names = [name for name in level_values[level] if name in blocks]
     if level in shuffled:
-        names.sort(key=lambda name: drawn(f"{place}/{name}"))
+        names.sort(key=lambda name: hashed_number(f"{block_path}/{name}"))
     return [
-        cell for name in names for cell in _arranged(blocks[name], tuple(inner), written, shuffled, f"{place}/{name}")
+        cell
+        for name in names
+        for cell in _arranged(blocks[name], tuple(inner), level_values, shuffled, f"{block_path}/{name}")
     ]
 
 
-def drawn(text: str) -> int:
-    """A number of 63 bits that only the text determines."""
+def hashed_number(text: str) -> int:
+    """Return a number of 63 bits from the SHA-256 of a text."""
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1

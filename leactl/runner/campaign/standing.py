@@ -1,7 +1,7 @@
-"""How far a campaign is: the runs that are to be made, its journal and the run files of its folder, put together.
+"""The progress of a campaign, from its planned runs, its journal and the run files in its folder.
 
-A run is finished where its file says that it is complete and holds what was recorded; whatever the journal says, no
-other file counts. What the journal says beyond that is which files should be there.
+A run is finished if its file says that it is complete and passes all checks, whatever the journal says. The journal
+adds which files should be there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,8 +13,8 @@ from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runner.campaign.journal import Journal
 
-SOURCE = "campaign"  # of the events by which a run tells what it is part of
-UNFINISHED = "unfinished"  # folder of runs that were cut off, beside the finished ones
+EVENT_SOURCE = "campaign"  # source of the events in a run file that name its campaign and run
+UNFINISHED_FOLDER = "unfinished"  # subfolder for files of runs that were cut off, and for damaged files
 
 
 @dataclass(frozen=True)
@@ -24,43 +24,45 @@ class RunFile:
     path: Path
     run_id: str
     status: str = ""
-    part_of: Mapping[str, str] = field(default_factory=dict)
+    part_of: Mapping[str, str] = field(default_factory=dict)  # campaign name, key of the run, digest and more
     faults: Sequence[str] = ()
 
     @property
     def whole(self) -> bool:
-        """Whether the run came to its end and its file holds what was recorded."""
+        """Whether the run is complete and its file passed all checks."""
         return self.status == "complete" and not self.faults
 
     @property
     def key(self) -> str:
-        """The run of the campaign that it is; empty where it says nothing."""
+        """Key of the run in its campaign; empty if the file belongs to none."""
         return self.part_of.get("run", "")
 
 
 @dataclass(frozen=True)
 class CampaignProgress:
-    """How far a campaign is."""
+    """The finished, lost, unfinished and changed runs of a campaign."""
 
     finished: Mapping[str, RunFile]  # by key
-    lost: Mapping[str, str]  # key: what has become of the file of a run that was finished
-    damaged: Sequence[RunFile]  # what is left of those
-    unfinished: Sequence[RunFile]  # of runs that were cut off
-    changed: Sequence[str]  # keys of finished runs that were made of something else than the campaign now asks for
+    lost: Mapping[str, str]  # key: what is wrong with the file of a run that the journal lists as finished
+    damaged: Sequence[RunFile]  # files of lost runs that are in the folder and fail their checks
+    unfinished: Sequence[RunFile]  # files of runs that were cut off
+    changed: Sequence[str]  # keys of finished runs whose digest is not the one that the campaign has now
 
     def unjournaled(self, journal: Journal) -> list[str]:
-        """Keys of finished runs whose files the journal does not know."""
-        known = {key: one.run_id for key, one in journal.finished.items()}
+        """Return the keys of finished runs whose files the journal does not list."""
+        known = {key: run.run_id for key, run in journal.finished.items()}
         return [key for key, file in self.finished.items() if known.get(key) != file.run_id]
 
 
-def standing(name: str, runs: Mapping[str, str], journal: Journal, files: Sequence[RunFile]) -> CampaignProgress:
-    """Judge the files of a folder by the journal and by what is to be made.
+def campaign_progress(
+    name: str, runs: Mapping[str, str], journal: Journal, files: Sequence[RunFile]
+) -> CampaignProgress:
+    """Sort the run files of a folder into finished, damaged and unfinished ones.
 
     Parameters
     ----------
-    name : of the campaign; files of another are left alone.
-    runs : digests by key, in order.
+    name : of the campaign; files of other campaigns are ignored.
+    runs : digests by key of the planned runs, in order.
     """
     ours = [file for file in files if file.part_of.get("name") == name]
     by_id = {file.run_id: file for file in files}
@@ -70,25 +72,25 @@ def standing(name: str, runs: Mapping[str, str], journal: Journal, files: Sequen
         if file is not None and file.whole and file in ours and file.key == key:
             finished[key] = file
         else:
-            lost[key] = f"{entry.run_id}.h5: {_fate(file, key)}"
-    for file in ours:  # closed in order by a process that died before it could tell the journal
+            lost[key] = f"{entry.run_id}.h5: {_reason_lost(file, key)}"
+    for file in ours:  # complete, but the process died before it wrote the journal
         if file.whole and file.key not in finished:
             finished[file.key] = file
             lost.pop(file.key, None)
     changed = [key for key, file in finished.items() if runs.get(key) != file.part_of.get("digest")]
-    begun = journal.underway.run_id if journal.underway else ""
-    counted = {file.run_id for file in finished.values()}
-    promised = {entry.run_id for entry in journal.finished.values()}
-    damaged = [file for file in files if file.run_id in promised - counted and not file.whole]
+    underway_id = journal.underway.run_id if journal.underway else ""
+    finished_ids = {file.run_id for file in finished.values()}
+    journaled_ids = {entry.run_id for entry in journal.finished.values()}
+    damaged = [file for file in files if file.run_id in journaled_ids - finished_ids and not file.whole]
     unfinished = [
         file
         for file in files
-        if file.run_id not in promised and not file.whole and (file in ours or file.run_id == begun)
+        if file.run_id not in journaled_ids and not file.whole and (file in ours or file.run_id == underway_id)
     ]
     return CampaignProgress(finished, lost, damaged, unfinished, changed)
 
 
-def _fate(file: RunFile | None, key: str) -> str:
+def _reason_lost(file: RunFile | None, key: str) -> str:
     if file is None:
         return "is missing"
     if file.faults:
@@ -97,19 +99,19 @@ def _fate(file: RunFile | None, key: str) -> str:
 
 
 def files_in(folder: Path) -> list[RunFile]:
-    """Every run file of a folder; those that claim to be complete are checked throughout."""
-    return [look(path) for path in sorted(folder.glob("*.h5"))]
+    """Read every run file of a folder; see `read_run_file`."""
+    return [read_run_file(path) for path in sorted(folder.glob("*.h5"))]
 
 
-def look(path: Path) -> RunFile:
-    """Read what a run file is part of."""
+def read_run_file(path: Path) -> RunFile:
+    """Read status and campaign of a run file; a complete one of a campaign is also checked throughout."""
     try:
         with Run.open(path) as run:
             run_id = str(run.attributes.get("run_id", "")) or path.stem
-            told = [event.message.partition(" = ") for event in run.events if event.source == SOURCE]
+            entries = [event.message.partition(" = ") for event in run.events if event.source == EVENT_SOURCE]
             status = "recording" if run.unfinished else run.status
     except InputError as fault:
         return RunFile(path, path.stem, faults=tuple(fault.faults))
-    part_of = {name: value for name, _, value in told}
+    part_of = {name: value for name, _, value in entries}
     faults = verify(path) if part_of and status == "complete" else []
     return RunFile(path, run_id, status, part_of, tuple(faults))

@@ -1,7 +1,7 @@
-"""Rehearses the catalogue of faults on an emulated bench, a short run each, and judges by the plant itself.
+"""Rehearse the catalogue of faults on an emulated bench, one short run each, and judge by the emulated plant itself.
 
-The runs go the way of every run. Their latches and locks are in a state directory of their own, so that those of the
-person who drills are left alone.
+The runs are executed as any other run. Their latches and locks are in a temporary state directory, so that those of the
+user are neither read nor changed.
 """
 
 import os
@@ -24,14 +24,14 @@ from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.finding import (
-    CAUGHT,
+    CAUGHT_STATUSES,
     DeviceEnd,
     Drilled,
     DrillFinding,
     PlannedDrill,
     PlannedRehearsal,
     Tell,
-    of_the_end,
+    end_faults,
 )
 from leactl.runner.drill.power_watch import DrivePowerWatch
 from leactl.runner.dry_run import dry_run
@@ -41,21 +41,22 @@ from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import execute
 from leactl.runner.signals import between_runs
 
-MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits
-BEFORE_S, AFTER_S = 0.3, 0.2  # of the held step, before the fault and beyond the latest moment to notice it
+MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits if that is less
+HELD_BEFORE_S = 0.3  # from the start of the held step to the fault
+HELD_AFTER_S = 0.2  # that the held step lasts beyond the latest allowed reaction to the fault
 CYCLE_S = 1 / by_hand.RATE_HZ
-NOTHING, STOP = "no_fault", "stop"
-STOPPED = "stopped by the drill"
+NO_FAULT, STOP = "no_fault", "stop"  # names of the two rehearsals without a fault of the catalogue
+STOP_REASON = "stopped by the drill"
 
 
 @dataclass(frozen=True)
-class _Ended:
-    """One run and what its plant shows."""
+class _RehearsedRun:
+    """The run of one rehearsal, and what the emulated plant shows of it."""
 
     outcome: Outcome
-    plant: DrivePowerWatch
+    power_watch: DrivePowerWatch
     ends: Mapping[str, DeviceEnd]
-    file_faults: list[str]
+    file_faults: list[str]  # of the run file
 
 
 class EmulatedDrill:
@@ -71,7 +72,7 @@ class EmulatedDrill:
         self._file, devices, self._document = benchfile.load(bench)
         if self._file.emulated is None:
             raise InputError(f"bench '{self._file.name}' is not emulated: no fault can be put into it")
-        faults = [name for name in only if name not in (NOTHING, STOP)]
+        faults = [name for name in only if name not in (NO_FAULT, STOP)]
         self._rehearsals, self._left_out = ([], {}) if only and not faults else rehearsals(self._file, devices, faults)
         self._stops = not only or STOP in only
         self._directory, self._tell = directory, tell
@@ -83,7 +84,7 @@ class EmulatedDrill:
             self._roles.values(),
             min(MOST_VELOCITY_RAD_S, 0.25 * self._file.limits.velocity_rad_s),
             min(MOST_CURRENT_A, 0.25 * self._file.limits.current_A),
-            round(BEFORE_S + longest + AFTER_S, 3),
+            round(HELD_BEFORE_S + longest + HELD_AFTER_S, 3),
         )
 
     def planned(self) -> PlannedDrill:
@@ -94,9 +95,9 @@ class EmulatedDrill:
         InputError, SafetyTrip : plan and bench do not fit, or the bench is latched.
         """
         request = prepare_by_hand("drill", self._steps, self._document.name, self._setup, self._directory, False)
-        with _own_state():
+        with _temporary_state():
             plan = dry_run(request).plan
-        rehearsed = [(NOTHING, "", "nothing goes wrong")]
+        rehearsed = [(NO_FAULT, "", "nothing goes wrong")]
         rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
         rehearsed += [(item.fault, item.on, f"ought to be ended by: {item.drill.by}") for item in self._rehearsals]
         planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
@@ -104,64 +105,64 @@ class EmulatedDrill:
         return PlannedDrill(self._file.name, True, devices, planned, self._left_out)
 
     def run(self) -> Drilled:
-        """Rehearse one after the other.
+        """Make all rehearsals one after the other.
 
         Raises
         ------
-        Stopped : a person stopped it; what was rehearsed until then is lost.
-        DeviceError, RecordingFailed : as of any run.
+        Stopped : a person stopped the drill; the findings until then are lost.
+        DeviceError, RecordingFailed : as for any run.
         """
         count = 1 + self._stops + len(self._rehearsals)
         with between_runs() as check:
-            self._tell(NOTHING, 0, count)
-            first, moment = self._without_fault()
-            if not first.held:
+            self._tell(NO_FAULT, 0, count)
+            no_fault, fault_time = self._rehearse_no_fault()
+            if not no_fault.held:
                 untried = dict.fromkeys((item.fault for item in self._rehearsals), "a run without a fault did not pass")
-                return Drilled(self._file.name, True, [first], untried)
-            findings = [first]
+                return Drilled(self._file.name, True, [no_fault], untried)
+            findings = [no_fault]
             if self._stops:
                 check()
                 self._tell(STOP, 1, count)
-                findings.append(self._stopped(moment))
+                findings.append(self._rehearse_stop(fault_time))
             for item in self._rehearsals:
                 check()
                 self._tell(" ".join(filter(None, (item.fault, item.on))), len(findings), count)
-                findings.append(self._rehearsed(item, moment, len(findings)))
+                findings.append(self._rehearse_fault(item, fault_time, len(findings)))
             check()
         return Drilled(self._file.name, True, findings, self._left_out)
 
-    def _without_fault(self) -> tuple[DrillFinding, float]:
-        """A run in which nothing goes wrong, and the moment of the bench's time at which something may."""
-        ended = self._run(NOTHING, [])
-        faults = [*of_the_end(ended.outcome, ["complete"], ended.ends), *ended.file_faults]
-        moment = 0.0
+    def _rehearse_no_fault(self) -> tuple[DrillFinding, float]:
+        """Make a run without a fault; return its finding, and the bench time [s] of the fault or stop in later runs."""
+        rehearsed = self._run(NO_FAULT, [])
+        faults = [*end_faults(rehearsed.outcome, ["complete"], rehearsed.ends), *rehearsed.file_faults]
+        fault_time = 0.0
         if not faults:
-            with Run.open(ended.outcome.path) as run:
+            with Run.open(rehearsed.outcome.path) as run:
                 held = next(step for step in run.steps if step.name == by_hand.HELD)
-            # amid a cycle: the one after it is the first that can notice
-            moment = round(ended.plant.began + held.start + BEFORE_S + 0.5 * CYCLE_S, 6)
-        return self._finding(NOTHING, "", {}, "nothing", None, ended, None, faults), moment
+            # in the middle of a cycle: the next cycle is the first that can notice
+            fault_time = round(rehearsed.power_watch.run_start + held.start + HELD_BEFORE_S + 0.5 * CYCLE_S, 6)
+        return self._finding(NO_FAULT, "", {}, "nothing", None, rehearsed, None, faults), fault_time
 
-    def _stopped(self, moment: float) -> DrillFinding:
-        ended = self._run(STOP, [], stop_at=moment)
-        faults = [*of_the_end(ended.outcome, ["stopped"], ended.ends), *ended.file_faults]
-        return self._finding(STOP, "", {}, "the stop request", CYCLE_S, ended, moment, faults)
+    def _rehearse_stop(self, stop_time: float) -> DrillFinding:
+        rehearsed = self._run(STOP, [], stop_at=stop_time)
+        faults = [*end_faults(rehearsed.outcome, ["stopped"], rehearsed.ends), *rehearsed.file_faults]
+        return self._finding(STOP, "", {}, "the stop request", CYCLE_S, rehearsed, stop_time, faults)
 
-    def _rehearsed(self, item: FaultRehearsal, moment: float, number: int) -> DrillFinding:
-        ended = self._run(f"{number:02d}-{item.fault}", [dict(item.entry) | {"at_s": moment}])
+    def _rehearse_fault(self, item: FaultRehearsal, fault_time: float, number: int) -> DrillFinding:
+        rehearsed = self._run(f"{number:02d}-{item.fault}", [dict(item.entry) | {"at_s": fault_time}])
         drill = item.drill
-        faults = of_the_end(ended.outcome, CAUGHT, ended.ends, item.on if drill.stays_on else "")
-        late = ended.plant.cycle - moment
-        if ended.outcome.status in CAUGHT and late > drill.within_s:
-            faults.append(f"caught after {late:.2f} s; {drill.within_s:g} s were expected")
-        faults += ended.file_faults
+        faults = end_faults(rehearsed.outcome, CAUGHT_STATUSES, rehearsed.ends, item.on if drill.stays_on else "")
+        reaction_s = rehearsed.power_watch.last_cycle - fault_time
+        if rehearsed.outcome.status in CAUGHT_STATUSES and reaction_s > drill.within_s:
+            faults.append(f"caught after {reaction_s:.2f} s; {drill.within_s:g} s were expected")
+        faults += rehearsed.file_faults
         notes = [
             f"{name} keeps its power until its supply is switched off, as was told"
-            for name, end in ended.ends.items()
+            for name, end in rehearsed.ends.items()
             if drill.stays_on and end.without_power is False and not end.confirmed
         ]
         return self._finding(
-            item.fault, item.on, item.parameters, drill.by, drill.within_s, ended, moment, faults, notes
+            item.fault, item.on, item.parameters, drill.by, drill.within_s, rehearsed, fault_time, faults, notes
         )
 
     def _finding(
@@ -171,15 +172,15 @@ class EmulatedDrill:
         parameters: Mapping[str, Any],
         ought: str,
         within_s: float | None,
-        ended: _Ended,
-        moment: float | None,
+        rehearsed: _RehearsedRun,
+        event_time: float | None,  # of the fault or stop, s on the bench's clock
         faults: list[str],
         notes: list[str] | None = None,
     ) -> DrillFinding:
-        outcome, plant = ended.outcome, ended.plant
-        noticed = moment is not None and outcome.status != "complete"
-        since = moment or 0.0
-        zero = plant.unpowered_since
+        outcome, power_watch = rehearsed.outcome, rehearsed.power_watch
+        noticed = event_time is not None and outcome.status != "complete"
+        start = event_time or 0.0
+        unpowered_since = power_watch.unpowered_since
         return DrillFinding(
             name,
             on,
@@ -188,73 +189,73 @@ class EmulatedDrill:
             within_s,
             outcome.status,
             outcome.reason,
-            round(plant.cycle - since, 6) if noticed else None,
-            round(zero - since, 6) if noticed and zero is not None else None,
-            ended.ends,
+            round(power_watch.last_cycle - start, 6) if noticed else None,
+            round(unpowered_since - start, 6) if noticed and unpowered_since is not None else None,
+            rehearsed.ends,
             faults,
             notes or [],
             str(outcome.path),
         )
 
-    def _run(self, name: str, faults: list[dict[str, Any]], stop_at: float | None = None) -> _Ended:
-        """One run of the bench file with these faults instead of its own; the file is kept beside the run's."""
-        written = self._directory / f"{name}.yaml"
+    def _run(self, name: str, faults: list[dict[str, Any]], stop_at: float | None = None) -> _RehearsedRun:
+        """Make one run with these faults instead of the bench file's; the changed bench file is kept beside the run."""
+        bench_path = self._directory / f"{name}.yaml"
         data = self._document.data
         data = data | {"emulated": {**data["emulated"], "faults": faults}}
-        written.write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True), encoding="utf-8")
-        request = prepare_by_hand("drill", self._steps, str(written), self._setup, self._directory, realtime=False)
-        plant = DrivePowerWatch()
+        bench_path.write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        request = prepare_by_hand("drill", self._steps, str(bench_path), self._setup, self._directory, realtime=False)
+        power_watch = DrivePowerWatch()
 
         def begin(_progress: object) -> nullcontext[None]:
-            plant.began = plant.bench.time.now()
+            power_watch.run_start = power_watch.bench.time.now()
             return nullcontext()
 
         def each_cycle() -> str:
-            plant.cycle = plant.bench.time.now()
-            return STOPPED if stop_at is not None and plant.cycle >= stop_at else ""
+            power_watch.last_cycle = power_watch.bench.time.now()
+            return STOP_REASON if stop_at is not None and power_watch.last_cycle >= stop_at else ""
 
-        with _own_state(), observed(plant.see):
+        with _temporary_state(), observed(power_watch.see):
             outcome = execute(request, granted, begin, [each_cycle])
-        if isinstance(outcome.error, Stopped) and outcome.reason != STOPPED:
+        if isinstance(outcome.error, Stopped) and outcome.reason != STOP_REASON:
             raise outcome.error
-        plant.end()
+        power_watch.end()
         ends = {
             name: DeviceEnd(
                 confirmation.safe,
                 confirmation.detail,
-                not plant.powered(self._roles[name]) if name in self._roles else None,
+                not power_watch.powered(self._roles[name]) if name in self._roles else None,
             )
             for name, confirmation in outcome.safe.items()
         }
-        return _Ended(outcome, plant, ends, [f"run file: {text}" for text in verify(outcome.path)])
+        return _RehearsedRun(outcome, power_watch, ends, [f"run file: {text}" for text in verify(outcome.path)])
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes what `leactl.yamlfile` reads: no anchors."""
+    """Writes YAML without anchors, since `leactl.yamlfile` reads none."""
 
     def ignore_aliases(self, _data: Any) -> bool:
-        """Whatever stands twice is written twice."""
+        """Return True: an object that occurs twice is written twice."""
         return True
 
 
 def drives(devices: Collection[CheckedDevice]) -> dict[str, str]:
-    """Names of the drives of a bench and their roles."""
+    """Return the role of each drive of a bench by its name."""
     return {
         device.name: device.entry.role for device in devices if hasattr(registry.load(device.entry.driver), "engage")
     }
 
 
 def setup_of(file: BenchFile, roles: Mapping[str, str]) -> str:
-    """The bench's own set-up; where it names none, coupled if there is a drive at either end."""
+    """Return the set-up that the bench file names, or else `coupled` for two drives and `free` for fewer."""
     return file.setup or ("coupled" if len(roles) > 1 else "free")
 
 
 @contextmanager
-def _own_state() -> Iterator[None]:
-    """Have latches, locks and runs under way kept apart until the block is left."""
+def _temporary_state() -> Iterator[None]:
+    """Keep latches, locks and the list of runs under way in a temporary directory until the block is left."""
     before = os.environ.get("LEACTL_STATE")
-    with tempfile.TemporaryDirectory(prefix="leactl-drill-") as place:
-        os.environ["LEACTL_STATE"] = place
+    with tempfile.TemporaryDirectory(prefix="leactl-drill-") as directory:
+        os.environ["LEACTL_STATE"] = directory
         try:
             yield
         finally:

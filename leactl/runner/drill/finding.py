@@ -1,4 +1,4 @@
-"""What a drill would do, and what it found: of each rehearsal how it was noticed, how fast, how the bench ended."""
+"""The plan and the result of a drill: for each rehearsal what ended its run, how fast, and how each device ended."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -7,10 +7,10 @@ from typing import Any
 from leactl.protocol.plan import Plan
 from leactl.runner.outcome import Outcome
 
-CAUGHT = ("tripped", "failed")
+CAUGHT_STATUSES = ("tripped", "failed")  # of a run that a fault has ended
 
 Tell = Callable[[str, int, int], None]
-"""Takes what is rehearsed next, how many have been, and how many there are."""
+"""Shows progress: the name of the next rehearsal, the number of those done, and the number of all."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class PlannedRehearsal:
 
 @dataclass(frozen=True)
 class PlannedDrill:
-    """A whole drill that nothing has been moved for."""
+    """The plan of a whole drill, made without moving anything."""
 
     bench: str
     emulated: bool
@@ -45,31 +45,32 @@ class DeviceEnd:
 
 @dataclass(frozen=True)
 class DrillFinding:
-    """One rehearsal."""
+    """The result of one rehearsal."""
 
     name: str  # of the fault, or of what a person does
     on: str  # device or bus
     parameters: Mapping[str, Any]
     ought: str  # what ought to end the run
-    within_s: float | None  # from its beginning
+    within_s: float | None  # longest allowed time from the fault or stop
     status: str  # of the run
     reason: str
-    ended_s: float | None  # from its beginning to the cycle that ended the run
-    zero_torque_s: float | None  # to no torque at any emulated drive; None: unknown, or never
+    # time from the fault or stop to the cycle that ended the run, on a real bench to the safe state; None: not known
+    ended_s: float | None
+    zero_torque_s: float | None  # time from the fault to no power at any emulated drive; None: unknown, or never
     devices: Mapping[str, DeviceEnd]
     faults: Sequence[str]  # what was not as it ought to be
     notes: Sequence[str] = ()
-    run: str = ""  # its file, where it is kept
+    run: str = ""  # path of the run file; empty if the file is not kept
 
     @property
     def held(self) -> bool:
-        """Whether all was as it ought to be."""
+        """Whether the rehearsal has no fault."""
         return not self.faults
 
 
 @dataclass(frozen=True)
 class Drilled:
-    """A whole drill."""
+    """The result of a whole drill."""
 
     bench: str
     emulated: bool
@@ -78,11 +79,11 @@ class Drilled:
 
     @property
     def held(self) -> bool:
-        """Whether everything that ought to be caught was, and every end was safe."""
+        """Whether no rehearsal has a fault."""
         return all(finding.held for finding in self.findings)
 
-    def told(self) -> dict[str, Any]:
-        """As `--json` tells it."""
+    def as_json(self) -> dict[str, Any]:
+        """Return the drill as the JSON object that `--json` prints."""
         findings = [asdict(finding) | {"held": finding.held} for finding in self.findings]
         left_out = [{"name": name, "why": why} for name, why in self.left_out.items()]
         return {
@@ -94,16 +95,18 @@ class Drilled:
         }
 
 
-def of_the_end(outcome: Outcome, wanted: Sequence[str], ends: Mapping[str, DeviceEnd], stays_on: str = "") -> list[str]:
-    """What of the end of a run was not as it ought to be.
+def end_faults(
+    outcome: Outcome, allowed_statuses: Sequence[str], ends: Mapping[str, DeviceEnd], stays_on: str = ""
+) -> list[str]:
+    """Return the faults of a run's end: a wrong status, and devices that have power or are not confirmed safe.
 
     Parameters
     ----------
-    wanted : the statuses that it may have.
-    stays_on : a device that nothing but its supply takes the power from.
+    allowed_statuses : the statuses that the run may end with.
+    stays_on : name of a drive that only its supply can switch off: its power is a fault only if it is confirmed safe.
     """
     faults = []
-    if outcome.status not in wanted:
+    if outcome.status not in allowed_statuses:
         faults.append("not caught" if outcome.status == "complete" else f"{outcome.status}: {outcome.reason}")
     for name, end in ends.items():
         if end.without_power is False and end.confirmed:

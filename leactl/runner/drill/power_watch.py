@@ -7,35 +7,35 @@ if TYPE_CHECKING:
 
 
 class DrivePowerWatch:
-    """The emulated bench of one run: when each cycle began, and since when no drive has had power."""
+    """Watches since when no drive of an emulated bench has had power, during one run."""
 
     def __init__(self) -> None:
-        self.began = self.cycle = 0.0  # on the bench's own clock [s], of the run and of its last cycle
+        self.run_start = self.last_cycle = 0.0  # s on the bench's clock; whoever runs the bench sets both
         self.unpowered_since: float | None = None  # s on the bench's clock; None while any drive has power
         self._bench: EmulatedBench | None = None
 
     @property
     def bench(self) -> "EmulatedBench":
-        """The bench itself."""
+        """The bench that is watched."""
         assert self._bench is not None
         return self._bench
 
     def see(self, bench: "EmulatedBench") -> None:
-        """Watch a bench that has just been made."""
+        """Begin to watch a bench; call once, before its time passes."""
         self._bench = bench
-        bench.time.follow(self._look)
+        bench.time.follow(self._update)
 
     def powered(self, role: str) -> bool:
-        """Whether a drive lets current flow."""
+        """Return whether the drive of a role is switched on or current flows in its motor."""
         actuator = self.bench.rig.actuators[role]
         return actuator.mode != "off" or actuator.current_true != 0.0
 
-    def _look(self, now: float) -> None:
+    def _update(self, now: float) -> None:
         if any(self.powered(role) for role in self.bench.rig.actuators):
             self.unpowered_since = None
         elif self.unpowered_since is None:
             self.unpowered_since = now
 
     def end(self) -> None:
-        """The run is over, no time has passed since the last device was made safe."""
-        self._look(self.bench.time.now())
+        """Update once more after the run, because the clock calls `_update` only when time passes."""
+        self._update(self.bench.time.now())

@@ -1,7 +1,7 @@
-"""Rehearses on a real bench what needs no fault put into it: stops, and a sensor that a person unplugs.
+"""Rehearse on a real bench what needs no injected fault: stops, and a sensor that a person unplugs.
 
-Setpoints are harmless, everything is explained and asked for before, and the runs go the way of every run: locks, latch
-and watchdog are those of the bench.
+Setpoints are small, and a person agrees to each rehearsal before it begins. The runs are executed as any other run,
+with the locks, latch and watchdog of the bench.
 """
 
 import time
@@ -19,15 +19,15 @@ from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
 from leactl.runfile.verify.integrity import verify
 from leactl.runner import latch
-from leactl.runner.drill.emulated import STOPPED, drives, setup_of
+from leactl.runner.drill.emulated import STOP_REASON, drives, setup_of
 from leactl.runner.drill.finding import (
-    CAUGHT,
+    CAUGHT_STATUSES,
     DeviceEnd,
     Drilled,
     DrillFinding,
     PlannedDrill,
     PlannedRehearsal,
-    of_the_end,
+    end_faults,
 )
 from leactl.runner.dry_run import dry_run
 from leactl.runner.operators import granted, keyboard
@@ -35,28 +35,29 @@ from leactl.runner.outcome import Outcome
 from leactl.runner.request import Request, prepare_by_hand
 from leactl.runner.session import execute
 
-MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits
-STOP_AFTER_S, PATIENCE_S = 1.0, 30.0
-KEY_PRESSED = "stopped by the operator: key"
+MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits if that is less
+STOP_AFTER_S = 1.0  # from the first cycle to the stop request
+TIME_TO_ACT_S = 30.0  # that a person has to press the key or to unplug the sensor
+KEY_REASON = "stopped by the operator: key"  # how the reason of such a run begins
 STOP, KEY, UNPLUGGED, DEAD_MAN = "stop", "operator_stop", "sensor_unplugged", "dead_man"
-NAMES = (STOP, KEY, UNPLUGGED, DEAD_MAN)
+EXERCISE_NAMES = (STOP, KEY, UNPLUGGED, DEAD_MAN)
 
 
 @dataclass(frozen=True)
 class Person:
-    """Who stands at the bench."""
+    """How the drill asks and tells the person at the bench."""
 
     agrees: Callable[[str], bool]
     tell: Callable[[str], None]
-    present: bool  # at a terminal, to press and to unplug
+    present: bool  # at a terminal, so that they can press a key and unplug a sensor
 
 
 class _Exercise(NamedTuple):
-    """What is rehearsed by one run."""
+    """One rehearsal that this drill can make, by one run."""
 
     name: str
     explained: str
-    by_a_person: bool
+    needs_person: bool
     steps: Sequence[str]  # of its run
     rehearse: Callable[[], DrillFinding]
 
@@ -77,34 +78,34 @@ class RealDrill:
 
         Raises
         ------
-        InputError : no such bench, a name that is none of these rehearsals', or no drive that could be moved.
+        InputError : no such bench, a name in `only` that is not in EXERCISE_NAMES, or no drive that could be moved.
         """
         self._file, devices, _document = benchfile.load(bench)
-        unknown = [name for name in only if name not in NAMES]
+        unknown = [name for name in only if name not in EXERCISE_NAMES]
         if unknown:
-            known = f"known on a real bench: {', '.join(NAMES)}"
+            known = f"known on a real bench: {', '.join(EXERCISE_NAMES)}"
             raise InputError([f"--only {name}: no fault can be put into a real bench; {known}" for name in unknown])
         self._bench, self._directory, self._person = bench, directory, person
         self._served, self._buses = served, buses
-        self._only = set(only) or set(NAMES)
+        self._only = set(only) or set(EXERCISE_NAMES)
         roles = drives(devices)
         self._setup = setup_of(self._file, roles)
         limits = self._file.limits
         self._velocity = min(MOST_VELOCITY_RAD_S, 0.05 * limits.velocity_rad_s)
         self._current = min(MOST_CURRENT_A, 0.05 * limits.current_A)
         self._roles = roles.values()
-        self._moving(PATIENCE_S)  # refused here where nothing could be moved
-        measuring = (device.name for device in devices if hasattr(registry.load(device.entry.driver), "tare"))
-        self._sensor = next(measuring, "")
+        self._moving(TIME_TO_ACT_S)  # raises InputError if no drive could be moved
+        sensors = (device.name for device in devices if hasattr(registry.load(device.entry.driver), "tare"))
+        self._sensor = next(sensors, "")
         silences = benchfile.host_silences(devices)
         self._silence_s = max((silence for silence in silences.values() if silence), default=0.0)
 
     def run(self) -> Drilled:
-        """Rehearse one after the other; the one that latches the bench comes last.
+        """Make the rehearsals one after the other; the one that latches the bench comes last.
 
         Raises
         ------
-        Stopped, SafetyTrip, DeviceError, RecordingFailed : as of any run.
+        Stopped, SafetyTrip, DeviceError, RecordingFailed : as for any run.
         """
         findings: list[DrillFinding] = []
         left_out = self._left_out()
@@ -115,14 +116,14 @@ class RealDrill:
                 findings.append(exercise.rehearse())
             else:
                 left_out[exercise.name] = "not agreed to"
-        return Drilled(self._file.name, False, findings, left_out | self._catalogue)
+        return Drilled(self._file.name, False, findings, left_out | self._faults_left_out)
 
     def planned(self) -> PlannedDrill:
         """Return what `run` would rehearse if a person agreed to all of it; no device is opened.
 
         Raises
         ------
-        InputError, SafetyTrip, DeviceError : as of any run, before a device is opened.
+        InputError, SafetyTrip, DeviceError : as for any run, before a device is opened.
         """
         left_out = self._left_out()
         planned = []
@@ -134,39 +135,39 @@ class RealDrill:
                 plan = dry_run(request).plan
                 on = self._sensor if exercise.name == UNPLUGGED else ""
                 planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
-        return PlannedDrill(self._file.name, False, devices, planned, left_out | self._catalogue)
+        return PlannedDrill(self._file.name, False, devices, planned, left_out | self._faults_left_out)
 
     def _exercises(self) -> list[_Exercise]:
-        """What was chosen; the one that latches the bench comes last."""
+        """Return the chosen rehearsals; the one that latches the bench comes last."""
         motion = f"at {self._velocity:g} rad/s and {self._current:g} A at the most; keep clear of the shaft"
         stopped = f"The drives move for {STOP_AFTER_S:g} s and are stopped, {motion}."
         pressed = f"The drives move until you press space or q, {motion}."
         unplugged = f"Drives off; you unplug {self._sensor} and the bench has to trip. It stays latched afterwards."
         every = (
-            _Exercise(STOP, stopped, False, self._moving(STOP_AFTER_S + PATIENCE_S), self._stop),
-            _Exercise(KEY, pressed, True, self._moving(PATIENCE_S), self._key),
-            _Exercise(UNPLUGGED, unplugged, True, by_hand.reading_steps(PATIENCE_S), self._unplugged),
+            _Exercise(STOP, stopped, False, self._moving(STOP_AFTER_S + TIME_TO_ACT_S), self._rehearse_stop),
+            _Exercise(KEY, pressed, True, self._moving(TIME_TO_ACT_S), self._rehearse_key),
+            _Exercise(UNPLUGGED, unplugged, True, by_hand.reading_steps(TIME_TO_ACT_S), self._rehearse_unplugging),
         )
         return [exercise for exercise in every if exercise.name in self._only]
 
     def _left_out(self) -> dict[str, str]:
-        """What of the exercises cannot be rehearsed here, and why."""
-        left_out = {DEAD_MAN: self._by_hand} if DEAD_MAN in self._only else {}
+        """Return the names of the chosen rehearsals that cannot be made here, and why."""
+        left_out = {DEAD_MAN: self._dead_man_instructions} if DEAD_MAN in self._only else {}
         for exercise in self._exercises():
             if exercise.name == UNPLUGGED and not self._sensor:
                 left_out[exercise.name] = "no sensor on an analogue input"
-            elif exercise.by_a_person and not self._person.present:
+            elif exercise.needs_person and not self._person.present:
                 left_out[exercise.name] = "it takes a person at a terminal"
         return left_out
 
     @property
-    def _catalogue(self) -> dict[str, str]:
-        """Why no fault is rehearsed."""
+    def _faults_left_out(self) -> dict[str, str]:
+        """Why the faults of the catalogue are not rehearsed."""
         return {f"{len(known_faults())} faults of the catalogue": "no fault can be put into a real bench"}
 
     @property
-    def _by_hand(self) -> str:
-        """How a person tries the dead-man: no part of a run can let a drive starve, and none should."""
+    def _dead_man_instructions(self) -> str:
+        """How a person tests the dead-man by hand: a run cannot and should not stop sending to a drive."""
         return (
             f"nothing here lets a drive starve; by hand: `leactl bench jog {self._bench} --current 0 --for 20`,"
             f" `kill -9` of its process, and the drive's own display: out of operation within {self._silence_s:g} s"
@@ -175,53 +176,57 @@ class RealDrill:
     def _moving(self, hold_s: float) -> list[str]:
         return by_hand.motion_steps(self._setup, self._roles, self._velocity, self._current, hold_s)
 
-    def _stop(self) -> DrillFinding:
-        cycles: list[float] = []
-        asked: list[float] = []
+    def _rehearse_stop(self) -> DrillFinding:
+        cycle_times: list[float] = []
+        stop_times: list[float] = []
 
-        def source() -> str:
-            cycles.append(time.monotonic())
-            if cycles[-1] - cycles[0] < STOP_AFTER_S:
+        def stop_after_delay() -> str:
+            cycle_times.append(time.monotonic())
+            if cycle_times[-1] - cycle_times[0] < STOP_AFTER_S:
                 return ""
-            asked.append(cycles[-1])
-            return STOPPED
+            stop_times.append(cycle_times[-1])
+            return STOP_REASON
 
-        outcome, safe_at = self._run(self._moving(STOP_AFTER_S + PATIENCE_S), [source], cause=STOPPED)
-        took = safe_at - asked[0] if asked else None
-        return self._finding(STOP, "", "the stop request", SAFE_STATE_S, outcome, ["stopped"], took)
+        outcome, safe_at = self._run(
+            self._moving(STOP_AFTER_S + TIME_TO_ACT_S), [stop_after_delay], expected_reason=STOP_REASON
+        )
+        reaction_s = safe_at - stop_times[0] if stop_times else None
+        return self._finding(STOP, "", "the stop request", SAFE_STATE_S, outcome, ["stopped"], reaction_s)
 
-    def _key(self) -> DrillFinding:
+    def _rehearse_key(self) -> DrillFinding:
         with keyboard(shown=True) as keys:
-            what = f"Press space or q now: {PATIENCE_S:g} s are left."
-            outcome, _safe_at = self._run(self._moving(PATIENCE_S), [keys.pressed], what, KEY_PRESSED)
+            instruction = f"Press space or q now: {TIME_TO_ACT_S:g} s are left."
+            outcome, _safe_at = self._run(self._moving(TIME_TO_ACT_S), [keys.pressed], instruction, KEY_REASON)
         return self._finding(KEY, "", "the operator's key", None, outcome, ["stopped"], None)
 
-    def _unplugged(self) -> DrillFinding:
-        what = f"Unplug {self._sensor} now: {PATIENCE_S:g} s are left."
-        outcome, _safe_at = self._run(by_hand.reading_steps(PATIENCE_S), [], what)
-        return self._finding(UNPLUGGED, self._sensor, "an interlock or the device itself", None, outcome, CAUGHT, None)
+    def _rehearse_unplugging(self) -> DrillFinding:
+        instruction = f"Unplug {self._sensor} now: {TIME_TO_ACT_S:g} s are left."
+        outcome, _safe_at = self._run(by_hand.reading_steps(TIME_TO_ACT_S), [], instruction)
+        return self._finding(
+            UNPLUGGED, self._sensor, "an interlock or the device itself", None, outcome, CAUGHT_STATUSES, None
+        )
 
     def _run(
-        self, steps: Sequence[str], stops: Sequence[Callable[[], str]], asked: str = "", cause: str = ""
+        self, steps: Sequence[str], stops: Sequence[Callable[[], str]], instruction: str = "", expected_reason: str = ""
     ) -> tuple[Outcome, float]:
-        """One run, and when its devices had been made safe by `time.monotonic`.
+        """Make one run; return its outcome and the `time.monotonic` at which its devices were safe [s].
 
         Raises
         ------
-        Stopped : it was stopped by another cause than this.
+        Stopped : the run was stopped, and its reason does not begin with `expected_reason`.
         """
         request = self._request(steps)
         safe_at: list[float] = []
 
         @contextmanager
         def watch(_progress: object) -> Iterator[None]:
-            if asked:
-                self._person.tell(asked)
+            if instruction:
+                self._person.tell(instruction)
             yield
             safe_at.append(time.monotonic())
 
         outcome = execute(request, granted, watch, stops)
-        if isinstance(outcome.error, Stopped) and not (cause and outcome.reason.startswith(cause)):
+        if isinstance(outcome.error, Stopped) and not (expected_reason and outcome.reason.startswith(expected_reason)):
             raise outcome.error
         return outcome, safe_at[0]
 
@@ -237,18 +242,18 @@ class RealDrill:
         ought: str,
         within_s: float | None,
         outcome: Outcome,
-        wanted: Sequence[str],
-        took: float | None,
+        allowed_statuses: Sequence[str],
+        reaction_s: float | None,
     ) -> DrillFinding:
         ends = {device: DeviceEnd(end.safe, end.detail, None) for device, end in outcome.safe.items()}
-        if name == UNPLUGGED:  # which cannot confirm anything, and has no power to take away
+        if name == UNPLUGGED:  # an unplugged sensor cannot confirm anything, and has no power
             ends.pop(on, None)
-        faults = of_the_end(outcome, wanted, ends)
-        if took is not None and within_s is not None and took > within_s:
-            faults.append(f"safe after {took:.2f} s; {within_s:g} s were expected")
+        faults = end_faults(outcome, allowed_statuses, ends)
+        if reaction_s is not None and within_s is not None and reaction_s > within_s:
+            faults.append(f"safe after {reaction_s:.2f} s; {within_s:g} s were expected")
         faults += [f"run file: {text}" for text in verify(outcome.path)]
-        held = latch.tripped(self._bench)
-        notes = [f"the bench is latched: leactl bench reset {self._bench}"] if held else []
+        latched = latch.tripped(self._bench)
+        notes = [f"the bench is latched: leactl bench reset {self._bench}"] if latched else []
         return DrillFinding(
             name,
             on,
@@ -257,7 +262,7 @@ class RealDrill:
             within_s,
             outcome.status,
             outcome.reason,
-            took,
+            reaction_s,
             None,
             ends,
             faults,

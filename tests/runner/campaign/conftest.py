@@ -7,7 +7,7 @@ import pytest
 
 from leactl.runner.campaign.campaignfile import load
 from leactl.runner.campaign.conduct import CampaignOptions, conduct
-from leactl.runner.campaign.entries import Conditions, entries_of
+from leactl.runner.campaign.entries import EntryOptions, entries_of
 from leactl.runner.operators import granted
 from leactl.runner.session import execute
 
@@ -48,13 +48,13 @@ class Bench:
     def __init__(self, here):
         self.folder, self.begun, self.told = here / "out", [], []
 
-    def conduct(self, text=None, *, stop_at=None, seed=None, **manner):
+    def conduct(self, text=None, *, stop_at=None, seed=None, **options):
         """Conduct small.yaml, with another text where one is given; stop in the run of this place."""
         file = self.folder.parent / "small.yaml"
         if text is not None:
             file.write_text(text)
         campaign = load(str(file), seed=seed)
-        entries = entries_of(campaign, Conditions(self.folder))
+        entries = entries_of(campaign, EntryOptions(self.folder))
 
         def perform(request, _heading):
             self.begun.append(request.part_of["run"])
@@ -62,7 +62,7 @@ class Bench:
             return execute(request, granted, lambda _progress: nullcontext(), [lambda: "enough" if last else ""])
 
         return conduct(
-            campaign, entries, self.folder, CampaignOptions(perform, self.told.append, attended=False, **manner)
+            campaign, entries, self.folder, CampaignOptions(perform, self.told.append, attended=False, **options)
         )
 
     def file_of(self, key):

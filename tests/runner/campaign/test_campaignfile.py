@@ -11,9 +11,9 @@ from leactl.analysis.heating.resistance import LEAST_ON_S
 from leactl.errors import InputError
 from leactl.protocol.protocolfile import locate as protocol
 from leactl.protocol.shipped import names as protocols
-from leactl.runner.campaign.campaignfile import OWN_COMMANDS, load, names
-from leactl.runner.campaign.entries import Conditions, entries_of, previews
-from leactl.runner.campaign.order import USUAL, Cell, arranged
+from leactl.runner.campaign.campaignfile import COMMANDS, load, names
+from leactl.runner.campaign.entries import EntryOptions, entries_of, previews
+from leactl.runner.campaign.order import DEFAULT_ORDER, Cell, arranged
 
 HEAD = "name: small\nbench: emulated\nconditions: [a, b]\nactuators: [x, y]\n"
 ONE = "steps:\n  - {name: one, protocol: friction}\n"
@@ -104,7 +104,7 @@ def test_a_variant_goes_over_its_steps_key_by_key(written):
 def test_a_fault_of_what_is_set_has_its_place_in_the_campaign(written, tmp_path, steps, words):
     text = HEAD.replace("[a, b]", "[design, loaded]") + "steps:\n" + steps + "\n"
     with pytest.raises(InputError) as refused:
-        entries_of(load(written(text), "v" if "variants" in text else ""), Conditions(tmp_path / "out"))
+        entries_of(load(written(text), "v" if "variants" in text else ""), EntryOptions(tmp_path / "out"))
     (fault,) = refused.value.faults
     folder = f"{protocol('friction').parent}/"
     assert fault.startswith(f"{tmp_path / 'small.yaml'}:{words.format(folder)}")
@@ -120,7 +120,7 @@ def test_a_fault_that_a_bench_finds_has_its_place_in_the_campaign(written, tmp_p
         "  - {name: torque-pulses, conditions: [design], set: {levels_A: [40]}}\n"
     )
     with pytest.raises(InputError) as refused:
-        previews(entries_of(load(written(text)), Conditions(tmp_path / "out")))
+        previews(entries_of(load(written(text)), EntryOptions(tmp_path / "out")))
     file = tmp_path / "small.yaml"
     known = "is not one of the emulated bench's: unloaded, design, loaded"
     assert sorted(refused.value.faults) == [
@@ -139,7 +139,7 @@ def test_lists_and_texts_reach_a_protocol_as_they_are_written(written, tmp_path)
         "steps:\n  - {name: one, protocol: own.yaml,"
         " set: {levels_A: [0.25, -1e-7], texts: ['b, c', \"it's\"], small: 1e-7, count: 3}}\n"
     )
-    entries = entries_of(load(written(text)), Conditions(tmp_path / "out"))
+    entries = entries_of(load(written(text)), EntryOptions(tmp_path / "out"))
     parameters = entries[0].request.plan.parameters
     assert parameters == {"levels_A": [0.25, -1e-7], "texts": ["b, c", "it's"], "small": 1e-7, "count": 3}
 
@@ -163,7 +163,12 @@ CELLS = st.lists(
 WRITTEN = {"steps": "pqr", "actuators": "xy", "conditions": "abc", "repeats": (1, 2, 3)}
 
 
-@given(cells=CELLS, order=st.permutations(USUAL), shuffled=st.sets(st.sampled_from(USUAL)), seed=st.integers(0, 99))
+@given(
+    cells=CELLS,
+    order=st.permutations(DEFAULT_ORDER),
+    shuffled=st.sets(st.sampled_from(DEFAULT_ORDER)),
+    seed=st.integers(0, 99),
+)
 @settings(max_examples=60)
 def test_an_order_holds_every_run_once_and_its_outer_levels_together(cells, order, shuffled, seed):
     found = arranged(cells, order, WRITTEN, shuffled, seed)
@@ -178,7 +183,7 @@ def test_a_shuffled_level_takes_every_order_and_each_block_its_own():
     drawn = Counter()
     alike = 0
     for seed in range(600):
-        found = "".join(cell.condition for cell in arranged(cells, USUAL, WRITTEN, {"conditions"}, seed))
+        found = "".join(cell.condition for cell in arranged(cells, DEFAULT_ORDER, WRITTEN, {"conditions"}, seed))
         drawn[found[:3]] += 1
         alike += found[:3] == found[3:]
     assert len(drawn) == 6
@@ -189,19 +194,19 @@ def test_a_shuffled_level_takes_every_order_and_each_block_its_own():
 def test_adding_a_run_leaves_the_shuffled_order_of_the_others():
     cells = [Cell("p", "x", condition, 1) for condition in "abcdefg"]
     written = WRITTEN | {"conditions": "abcdefgh"}
-    before = arranged(cells, USUAL, written, {"conditions"}, 5)
-    after = arranged([*cells, Cell("p", "x", "h", 1)], USUAL, written, {"conditions"}, 5)
+    before = arranged(cells, DEFAULT_ORDER, written, {"conditions"}, 5)
+    after = arranged([*cells, Cell("p", "x", "h", 1)], DEFAULT_ORDER, written, {"conditions"}, 5)
     assert [cell for cell in after if cell.condition != "h"] == before
 
 
 @pytest.mark.parametrize("name", names())
 def test_a_shipped_campaign_is_whole_and_every_run_of_it_may_be_made(name, tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
-    assert name not in OWN_COMMANDS
+    assert name not in COMMANDS
     whole = load(name)
     assert {step.protocol for step in whole.steps.values()} <= set(protocols())
     for variant in ("", "short"):
-        entries = entries_of(load(name, variant), Conditions(tmp_path / "out"))
+        entries = entries_of(load(name, variant), EntryOptions(tmp_path / "out"))
         each = list({entry.cell.step: entry for entry in entries}.values())  # windings forget the preload
         assert len(previews(each)) == len(each)
 

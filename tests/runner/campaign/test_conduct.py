@@ -9,7 +9,7 @@ from leactl.errors import DeviceError, InputError, Stopped
 from leactl.protocol.protocolfile import load
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
-from leactl.runner.campaign import folder as place
+from leactl.runner.campaign import folder as campaign_folder
 from tests.runner.campaign.conftest import SMALL, SPIN
 
 EVERY = ["slow//unloaded/1", "fast//unloaded/1", "slow//design/1", "fast//design/1"]
@@ -179,11 +179,11 @@ def test_an_acceptance_limit_that_is_not_met_does_not_end_a_campaign_and_is_not_
 
 
 def test_a_folder_is_held_by_one_process(bench):
-    with place.held(bench.folder):
-        assert place.busy(bench.folder)
+    with campaign_folder.held(bench.folder):
+        assert campaign_folder.busy(bench.folder)
         with pytest.raises(DeviceError, match="is conducted already, process"):
             bench.conduct()
-    assert not place.busy(bench.folder)
+    assert not campaign_folder.busy(bench.folder)
 
 
 def test_runs_of_others_in_the_folder_are_left_alone(bench):

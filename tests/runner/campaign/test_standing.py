@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from leactl.runner.campaign.journal import Finished, Journal
-from leactl.runner.campaign.standing import RunFile, standing
+from leactl.runner.campaign.standing import RunFile, campaign_progress
 
 NAME = "any"
 
@@ -28,7 +28,7 @@ class Campaign(RuleBasedStateMachine):
 
     def look(self):
         journal = self.disk or Journal(campaign=NAME, variant="", seed=1, runs=self.runs)
-        return journal, standing(NAME, self.runs, journal, list(self.files.values()))
+        return journal, campaign_progress(NAME, self.runs, journal, list(self.files.values()))
 
     def save(self, journal):
         self.disk = Journal.model_validate(json.loads(json.dumps(journal.model_dump())))
