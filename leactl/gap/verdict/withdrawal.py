@@ -28,7 +28,7 @@ Refit = Callable[[Sequence[Cause]], FittedEffects]
 """Fits some of the effects that were named, without the others."""
 
 
-class Trial(NamedTuple):
+class HeldOutTrial(NamedTuple):
     """Effects that are tried on held-out runs."""
 
     fitted: FittedEffects
@@ -38,7 +38,7 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trials:
+class HeldOutTrials:
     """How effects are tried on held-out runs; the fields are those of `apply`."""
 
     model: Model
@@ -47,7 +47,7 @@ class Trials:
     bounded_fit: bool
     borne_out_by_equations: Collection[str]
 
-    def beside(self, kept: FittedEffects, before: Model, stage: Sequence[Cause]) -> Trial:
+    def beside(self, kept: FittedEffects, before: Model, stage: Sequence[Cause]) -> HeldOutTrial:
         """Try effects beside those that are kept; `before` is the model with these alone.
 
         Where the calibration that is fitted beside the effects lets a gap grow elsewhere, the kept one may serve.
@@ -59,18 +59,18 @@ class Trials:
             trial = self._of(fitted._replace(calibration=kept.calibration), before, bool(kept.causes), by_equations)
         return trial
 
-    def is_needed(self, stage: Sequence[Cause], whole: Trial) -> bool:
+    def is_needed(self, stage: Sequence[Cause], whole: HeldOutTrial) -> bool:
         """Whether effects close a gap beside all others of a trial."""
         dropped = {cause.effect for cause in stage}
         without = self.refit([cause for cause in whole.fitted.causes if cause.effect not in dropped])
         comparison = self.simulate(with_fitted(self.model, without), whole.model)
         return not refusal(comparison, [], beside_others=True, by_equations=False)
 
-    def _of(self, fitted: FittedEffects, before: Model, beside_others: bool, by_equations: bool) -> Trial:
+    def _of(self, fitted: FittedEffects, before: Model, beside_others: bool, by_equations: bool) -> HeldOutTrial:
         after = with_fitted(self.model, fitted)
         comparison = self.simulate(before, after)
         bounds = at_bounds(fitted.calibration) if self.bounded_fit else []
-        return Trial(fitted, after, comparison, refusal(comparison, bounds, beside_others, by_equations))
+        return HeldOutTrial(fitted, after, comparison, refusal(comparison, bounds, beside_others, by_equations))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def apply(
     bounded_fit : whether a parameter that ends at its bound counts against a trial; not so in the free runs of a servo,
         which tell some parameters by their ratio only.
     """
-    trials = Trials(model, refit, simulate, bounded_fit, borne_out_by_equations)
+    trials = HeldOutTrials(model, refit, simulate, bounded_fit, borne_out_by_equations)
     fitted, calibrated = FittedEffects((), tuple(without_effects)), with_calibration(model, without_effects)
     augmented, shrunk = calibrated, None
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
