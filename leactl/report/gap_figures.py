@@ -11,9 +11,9 @@ from leactl.gap.verdict.where import Profile
 from leactl.report.chart import AxisRange, Bins, CaptionedChart, Layer, LineMarks, chart
 from leactl.report.gap_words import (
     NEAR_FLOOR,
+    after_calibration,
     bare_units,
     channel_label,
-    multiple_of_floor,
     open_gap,
     picture_words,
     region_text,
@@ -54,7 +54,7 @@ def channel_cards(answer: DiagnosisResult) -> list[Card]:
         figures = [trace_figure(traces[key])]
         if key in profiles and len(profiles[key].low):
             figures.append(profile_figure(profiles[key], channel))
-        remark = f"{multiple_of_floor(channel)} its practical floor after calibration"
+        remark = after_calibration(channel, "practical floor")
         cards.append(Card(channel_label(channel, answer.where), remark, figures))
     return cards[:MOST_CARDS]
 

@@ -17,6 +17,7 @@ from leactl.report.gap_words import (
     CLOSES_NOTHING,
     MENDED_FIRST,
     PRESENT_FROM,
+    after_calibration,
     bare_units,
     calibration_rows,
     channel_label,
@@ -184,9 +185,7 @@ def channel_bars(
         positive = math.isfinite(value) and value > 0.0
         share = (math.log(value / bar_unit(channel)) - low) / (high - low) if positive else 0.0
         bars.append((name, f"{100 * share:.4g}%", f"{three_digits(value)} {bare_units(channel.units)}"))
-    remark = (
-        f"closed {closed_text(channel)}" if effects else f"{multiple_of_floor(channel)} its floor after calibration"
-    )
+    remark = f"closed {closed_text(channel)}" if effects else after_calibration(channel, "floor")
     return {"label": channel_label(channel, channels), "remark": remark, "bars": bars}
 
 

@@ -212,6 +212,11 @@ def multiple_of_floor(channel: Channel) -> str:
     return f"{three_digits(channel.calibrated_rms / channel.floor_rms)} x" if channel.floor_rms > 0.0 else "no floor"
 
 
+def after_calibration(channel: Channel, floor: str) -> str:
+    """Return how far the calibrated model stands off a channel, as a multiple of a floor of this name."""
+    return f"{multiple_of_floor(channel)} its {floor} after calibration" if channel.floor_rms > 0.0 else "no floor"
+
+
 def region_text(region: Region | None, share: float) -> str:
     """Return the region that holds most of a gap, and its share of the gap."""
     if region is None:

@@ -206,6 +206,13 @@ def test_without_an_effect_the_page_compares_before_and_after_calibration():
     assert "after (augmented)" not in said
 
 
+@pytest.mark.parametrize(("floor", "remark"), [(0.01, "5.00 x its floor after calibration"), (0.0, "no floor")])
+def test_a_channel_without_a_floor_is_no_multiple_of_it(floor, remark):
+    line = replace(answer().shrinkage[0], calibrated_rms=0.05, augmented_rms=0.05, floor_rms=floor)
+    said = page(DiagnosisResult("calibration", 0.0, shrinkage=(line,)))
+    assert f">{remark}<" in said
+
+
 @pytest.mark.parametrize(
     "diagnosis",
     [
