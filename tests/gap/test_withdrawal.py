@@ -89,6 +89,20 @@ def test_an_effect_that_closes_one_channel_and_opens_another_farther_is_taken_ba
     assert applied.notes == ("not named though it fits: saturation; with it the gap of held-out runs grows",)
 
 
+@pytest.mark.parametrize(("before", "after", "named"), [(0.9, 1.05, True), (1.2, 1.35, False)])
+def test_a_channel_that_stays_within_its_noise_has_no_gap_that_grows(model, before, after, named):
+    def simulate(calibrated, further):
+        temperature = after if further.effects else before
+        lines = (
+            Shrinkage("torque", "test", "free", "N*m", 1.3, 1.3, 1.25 if further.effects else 1.3, 1.0),
+            Shrinkage("temperature", "test", "free", "degC", before, before, temperature, 1.0),
+        )
+        return Shrunk(lines, (), (), (), growth(-1.0, -0.05, bool(further.effects)))
+
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate)
+    assert bool(applied.augmented.effects) is named
+
+
 def test_an_effect_is_judged_again_beside_the_calibration_that_is_applied(model):
     """Better than a calibration that took up the effect, and worse than the one that is fitted beside it."""
     alone = replace(SOUND, fitted=0.05)

@@ -28,7 +28,7 @@ SHARED_LEFT = 5e-4  # of an equation's largest part, below which a slow rest is 
 NOISE_BESIDE = 1.6  # noise of a row over that of its differences, squared, where rows overlap
 FORM_LEFT = 0.01  # of what a set explains in a channel, that its forms may leave over there
 UNREST, UNREST_SLOPE = 5.0, 2.5  # times what benches without an effect show, above which a channel is not explained
-RUN_UNREST = 25.0  # the same of one run where the middle one is at rest, and of a held-out run over the fitted ones
+RUN_UNREST = 25.0  # the same of one run whose median neighbour is at rest; of a held-out run's squares over fitted ones
 ONE_MACHINE = "are they of one machine in one state?"
 LINE, LINE_SLOPE = 1.28, 30.0  # over its neighbourhood, of a line in a spectrum as likely there as not
 
@@ -164,27 +164,27 @@ def unexplained(restless: Mapping[Channel, float], lines: Mapping[Channel, Line]
 
 
 def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
-    """Judge the run that stands farthest out where the middle one is at rest: it may be of another machine.
+    """Judge the most restless run of a channel whose median run is at rest: it may be of another machine.
 
-    A run counts by the middle one of its stretches.
+    A run counts by the median of its stretches.
     """
     candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratios in by_run.items():
         runs = {run: middle(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
         run, ratio = max(runs.items(), key=lambda item: item[1])
-        others = middle(runs.values())
-        if others < UNREST:
-            told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
-            beside = f"the middle one of {len(runs)} runs {others:.3g} times"
-            note = f"unexplained: {quantity} of {run} ({equation}) is {told}, {beside}; {ONE_MACHINE}"
+        typical = middle(runs.values())
+        if typical < UNREST:
+            ratios_told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
+            beside = f"the middle one of {len(runs)} runs {typical:.3g} times"
+            note = f"unexplained: {quantity} of {run} ({equation}) is {ratios_told}, {beside}; {ONE_MACHINE}"
             candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
     return max(candidates, key=lambda one: one.probability)
 
 
 def unlike_fitted(evidence: Evidence, standing: Sequence[Candidate], held_out: Sequence[Record]) -> Unexplained:
-    """Judge the held-out run whose equations stand farthest off the fit, over those of fitted runs of its kind.
+    """Judge the held-out run that the fit misses most, in multiples of the worst fitted run of its kind.
 
-    A held-out run of another machine, or of the same in another state, shows in no fitted run.
+    No fitted run tells that a held-out run is of another machine, or of the same machine in another state.
 
     standing : effects of the augmented model.
     """
@@ -196,21 +196,23 @@ def unlike_fitted(evidence: Evidence, standing: Sequence[Candidate], held_out: S
     fit = evidence.settle(standing)
     fitted = squares_left(evidence.stack, fit)
     for own, runs in squares_left(others.stack, transferred(others.normal(), evidence, fit)).items():
-        usual = max((left for left, _ in fitted.get(own, {}).values()), default=0.0)
-        ratios = {run: (left - noise) / usual for run, (left, noise) in runs.items() if usual > 0.0}
+        worst_fitted = max((left for left, _ in fitted.get(own, {}).values()), default=0.0)
+        ratios = {run: (left - noise) / worst_fitted for run, (left, noise) in runs.items() if worst_fitted > 0.0}
         if ratios:
             run, ratio = max(ratios.items(), key=lambda item: item[1])
             equation, quantity, mechanical, _ = own
-            told = f"{math.sqrt(max(ratio, 0.0)):.3g} times as far off the fit as in the fitted runs of its kind"
-            note = f"unexplained: {quantity} of {run} ({equation}) stands {told}; {ONE_MACHINE}"
+            times = f"{math.sqrt(max(ratio, 0.0)):.3g} times"
+            distance = f"is {times} as far off the fit as in the fitted runs of its kind"
+            note = f"unexplained: {quantity} of {run} ({equation}) {distance}; {ONE_MACHINE}"
             candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
     return max(candidates, key=lambda one: one.probability)
 
 
 def squares_left(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], dict[str, tuple[float, float]]]:
-    """Mean squares that a fit leaves in each run, and of the noise from row to row there; of stretches the middle one.
+    """Mean squares of each run's residuals, and of its noise from row to row.
 
-    Keys are equation, quantity, mechanical set-up and kind of run.
+    The keys are equation, quantity, mechanical set-up and kind of run, and below them the run. A run that is looked at
+    in stretches has the median of theirs.
     """
     left: dict[tuple[str, str, str, str], dict[str, list[tuple[float, float]]]] = {}
     for index, rows in enumerate(stacked.rows):

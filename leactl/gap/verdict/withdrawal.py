@@ -107,7 +107,7 @@ def apply(
     """
     trials = HeldOutTrials(model, refit, simulate, bounded_fit, borne_out_by_equations)
     fitted, calibrated = FittedEffects((), tuple(without_effects)), with_calibration(model, without_effects)
-    augmented, shrunk = calibrated, None
+    augmented, borne_out = calibrated, list[HeldOutTrial]()
     waiting, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(waiting):  # after each acceptance all refused ones are tried again
         index = len(refusals)
@@ -115,20 +115,21 @@ def apply(
         if trial.refused_because:
             refusals.append(trial.refused_because)
             continue
-        shrunk = trial.comparison if shrunk is None else simulate(calibrated, trial.model)
+        borne_out.append(trial)
         fitted, augmented = trial.fitted, trial.model
         accepted.append(waiting.pop(index))
         refusals.clear()
     if len(waiting) > 1:  # each may let the gap grow alone that all of them close together
         trial = trials.beside(fitted, augmented, [cause for stage in waiting for cause in stage])
         if not trial.refused_because and all(trials.is_needed(stage, trial) for stage in waiting):
-            shrunk = trial.comparison if shrunk is None else simulate(calibrated, trial.model)
+            borne_out.append(trial)
             fitted, augmented = trial.fitted, trial.model
             accepted += waiting
             waiting, refusals = [], []
     notes = [refusal_note(stage, why) for stage, why in zip(waiting, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
-    if shrunk is not None:
+    if borne_out:
+        shrunk = borne_out[0].comparison if len(borne_out) == 1 else simulate(calibrated, augmented)
         withdrawn = calibration_worse(shrunk)
         if withdrawn:  # what is fitted beside the effects is free of them
             reason = "it takes up what the effects do, and the gap grows with it"
@@ -213,9 +214,10 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equa
     """
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
-    before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
-    if shrunk.growth.effects_worse or after > GROWN * before:
+    gap_before, gap_after = (squares(shrunk, name, NEAR_FLOOR) for name in ("calibrated_rms", "augmented_rms"))
+    if shrunk.growth.effects_worse or gap_after > GROWN * gap_before:
         return GAP_GROWS
+    before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     by_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
     if shrunk.growth.closed is False and not by_equations:
         return "with it no gap of held-out runs shrinks beyond chance"
