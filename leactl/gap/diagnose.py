@@ -14,9 +14,9 @@ from leactl.gap.null import confirmed_beside_others, measure, set_floors, with_s
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.search import sets
-from leactl.gap.search.confirm import held_out_gains
+from leactl.gap.search.confirm import HeldOutGain, held_out_gains
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.parameters import about, calibrated, effect_parameters, with_calibration
+from leactl.gap.search.parameters import about, calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate, Fit, Rows
 from leactl.gap.search.ringing import Line, ringing
 from leactl.gap.search.sets import EffectSet, search
@@ -43,7 +43,8 @@ from leactl.gap.verdict.judge import (
 )
 from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.verdict.picture import pictured, pictured_by_replays
-from leactl.gap.verdict.shrinkage import shrinkage
+from leactl.gap.verdict.separation import nearest_of_classes, without_ruled_out
+from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, squares_ratio
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
 from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, at_bounds
@@ -70,6 +71,11 @@ class Case:
     unexplained: dict[Channel, float] = field(default_factory=dict)
     """Root mean square, in the channel's units, that the simulator leaves over its own floor."""
     nominal: Model | None = None  # that gaps are told from; `model` where left out
+
+    def replayed(self) -> list[Record]:
+        """Runs that are simulated again: those held out, and of kinds of which none is held out the fitted ones."""
+        kinds = {(record.kind, record.mechanical) for record in self.held_out}
+        return [*self.held_out, *(r for r in self.fitted if (r.kind, r.mechanical) not in kinds)]
 
     def of_records(self, records: Sequence[Record]) -> "Case":
         """The same case of other records: as many fitted ones, then those held out."""
@@ -221,8 +227,11 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     progress("searching effects")
     searched = confirmed_beside_others(evidence, search(evidence))
     progress("trying them on held-out runs")
-    gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
-    judged = judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
+    by_runs = servo_answer.judged_by_runs(case.model, case.fitted)
+    gains, judged = judged_on_held_out(case, evidence, searched)
+    told: tuple[str, ...] = ()
+    if any(item.peers for item in judged) and not by_runs:
+        searched, gains, judged, told = separated(case, evidence, searched, gains, judged)
     beside_sound = among_sound_noise(evidence, searched)
     by_run, lines = left_over(evidence, beside_sound)
     restless = unrest(by_run)
@@ -231,8 +240,6 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     calibrated_alone = calibrated(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
     refit: Refit = partial(fitted_again, evidence, searched)
-    by_runs = servo_answer.judged_by_runs(case.model, case.fitted)
-    told: tuple[str, ...] = ()
     if by_runs:
         progress("fitting free runs of the servo")
         free = runs_at_common_rate(case.fitted, case.model)
@@ -246,14 +253,12 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         left_out = [record for record in case.fitted if record not in free]
         told = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", left_out)
     elif outweighed(evidence, beside_sound, restless, lines):
-        told = tuple(f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged)
+        told += tuple(f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
     progress("simulating again")
-    kinds = {(record.kind, record.mechanical) for record in case.held_out}
-    replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     stamps = evidence.stamping(searched.fit)
-    replayed = [stamped(record, stamps) for record in replayed]
+    replayed = [stamped(record, stamps) for record in case.replayed()]
     if by_runs:
         replayed = servo_answer.on_time(replayed, case.model, fitted_sets.late)
     applied = apply(
@@ -323,6 +328,49 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
             "profiles": profiles(replayed, shrunk.channels, located),
         },
     )
+
+
+def judged_on_held_out(
+    case: Case, evidence: Evidence, searched: EffectSet
+) -> tuple[dict[Candidate, HeldOutGain], list[Judged]]:
+    """What each member of a set takes away on held-out runs, and what may be said of it."""
+    gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
+    return gains, judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
+
+
+def separated(
+    case: Case,
+    evidence: Evidence,
+    searched: EffectSet,
+    gains: dict[Candidate, HeldOutGain],
+    judged: list[Judged],
+) -> tuple[EffectSet, dict[Candidate, HeldOutGain], list[Judged], tuple[str, ...]]:
+    """A set whose classes lack what replays rule out, with its gains, what may be said of it, and notes."""
+    stamps = evidence.stamping(searched.fit)
+    replayed = [stamped(record, stamps) for record in case.replayed()]
+
+    def compare(first: Sequence[Candidate], second: Sequence[Candidate]) -> SquaresRatio:
+        one, other = (model_with(case.model, evidence, hypothesis) for hypothesis in (first, second))
+        return squares_ratio(shrinkage(replayed, one, one, other, unexplained=case.unexplained).channels)
+
+    hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)
+    if hypothesis != searched.hypothesis:
+        nearest = sets.describe(evidence, hypothesis)
+        if {effect for effect, _ in nearest.hypothesis} != {effect for effect, _ in hypothesis}:
+            hypothesis, ruled_out = searched.hypothesis, []  # beside the others it has no place after all
+        else:
+            searched = nearest
+            gains, judged = judged_on_held_out(case, evidence, searched)
+    evidence.settle(searched.hypothesis)
+    judged = [without_ruled_out(item, ruled_out) for item in judged]
+    return searched, gains, judged, tuple(one.note() for one in ruled_out)
+
+
+def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]) -> Model:
+    """The model with the effects of a set and the calibration beside them, as the fitted runs have them."""
+    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
+    entries = [(effect, {item.name: item.value for item in own}) for effect, own in parameters.items()]
+    return with_effects(with_calibration(model, calibration), entries)
 
 
 def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:

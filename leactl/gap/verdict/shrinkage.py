@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +62,14 @@ class Growth:
         return self.by_effects[1] > 0.0
 
 
+class SquaresRatio(NamedTuple):
+    """Squared gap with one model over that with another, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True, eq=False)
 class Shrunk:
     """The answer: a table, traces, and the channels behind them."""
@@ -116,16 +125,44 @@ def shrinkage(
             replace(one, noise=math.hypot(one.noise, unexplained.get((one.quantity, one.role, one.mechanical), 0.0)))
             for one in channels
         ]
-    grouped: dict[tuple[str, str, str], list[Compared]] = {}
-    for one in channels:
-        grouped.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    groups = grouped(channels)
     return Shrunk(
-        tuple(_shrunk(group, random) for group in grouped.values()),
-        tuple(_trace(group) for group in grouped.values()),
+        tuple(_shrunk(group, random) for group in groups),
+        tuple(_trace(group) for group in groups),
         tuple(channels),
         _notes(jobs, channels),
-        _growth(list(grouped.values()), random),
+        _growth(groups, random),
     )
+
+
+def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
+    """The runs of each channel."""
+    groups: dict[tuple[str, str, str], list[Compared]] = {}
+    for one in channels:
+        groups.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    return list(groups.values())
+
+
+def squares_ratio(channels: Sequence[Compared], seed: int = 0) -> SquaresRatio:
+    """Squared gap with the augmented model over that with the calibrated one, from blocks that are drawn again.
+
+    The squares of all channels are added up in floors, each from `NEAR_FLOOR` on; a channel without a floor does not
+    count. NaN where none does.
+    """
+    random = np.random.default_rng(seed)
+    observed, again = np.zeros(2), np.zeros((RESAMPLED, 2))
+    for counts, sums in map(_blocks, grouped(channels)):
+        floor = sums[:, 3].sum() / counts.sum()
+        if floor <= 0.0:
+            continue
+        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
+        observed += np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
+        again += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
+    if not observed.all():
+        return SquaresRatio(math.nan, math.nan, math.nan)
+    low, high = np.quantile(again[:, 1] / again[:, 0], (CHANCE, 1.0 - CHANCE))
+    return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high))
 
 
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:

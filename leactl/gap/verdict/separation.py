@@ -1,0 +1,61 @@
+"""Effects that the equations cannot tell apart, and which of them held-out runs rule out when simulated again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from leactl.gap.search.regression import Candidate
+from leactl.gap.verdict.judge import Judged
+from leactl.gap.verdict.shrinkage import SquaresRatio
+
+FARTHER = (
+    1.1  # times the squares that another effect leaves, from which a replay rules one out; its own errors are 1.05
+)
+Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
+"""Squared gap of held-out runs with the second set of effects over that with the first."""
+
+
+class RuledOut(NamedTuple):
+    """An effect that held-out runs tell from another one of its class."""
+
+    effect: str
+    by: str  # the effect that comes nearer
+    times: float  # squared gap with it, over that with the nearer one
+
+    def note(self) -> str:
+        """What an answer says of it."""
+        return (
+            f"{self.effect} is ruled out beside {self.by}: simulated again with it, the squared gap of held-out runs is"
+            f" {self.times:.3g} times as large"
+        )
+
+
+def nearest_of_classes(
+    hypothesis: Sequence[Candidate], judged: Sequence[Judged], compare: Compare
+) -> tuple[list[Candidate], list[RuledOut]]:
+    """Put the effect of each class into a set that comes nearest to held-out runs; those clearly farther are ruled out.
+
+    Equations look at each instant by itself and leave out what they cannot resolve; a replay has to follow the whole
+    course. Where neither effect is clearly nearer, the first stays, and no member is ruled out.
+    """
+    nearest, ruled_out = list(hypothesis), list[RuledOut]()
+    for item in judged:
+        first = item.finding.candidate
+        for rival, _ in item.rivals:
+            if rival.effect not in item.peers:
+                continue
+            with_rival = [rival.candidate if candidate == first else candidate for candidate in nearest]
+            ratio = compare(nearest, with_rival)
+            if ratio.low > 1.0 and ratio.value > FARTHER:
+                ruled_out.append(RuledOut(rival.effect, first[0], ratio.value))
+            elif ratio.high < 1.0 and ratio.value < 1.0 / FARTHER:
+                ruled_out.append(RuledOut(first[0], rival.effect, 1.0 / ratio.value))
+                nearest, first = with_rival, rival.candidate
+    return nearest, ruled_out
+
+
+def without_ruled_out(item: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
+    """A member of a set whose class has no effect that is ruled out."""
+    names = {one.effect for one in ruled_out}
+    rivals = tuple((rival, 0.0 if rival.effect in names else probability) for rival, probability in item.rivals)
+    return replace(item, rivals=rivals, peers=tuple(name for name in item.peers if name not in names))

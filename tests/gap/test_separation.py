@@ -1,0 +1,117 @@
+"""Effects of one class: replays of held-out runs rule out what is clearly farther, and nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+
+from leactl.emulation.blind.make import make
+from leactl.gap.diagnose import diagnose, read_case
+from leactl.gap.replay import replay
+from leactl.gap.search.sets import FurtherEffect
+from leactl.gap.verdict.judge import Judged
+from leactl.gap.verdict.separation import nearest_of_classes, without_ruled_out
+from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, squares_ratio
+from tests.gap.synthetic import INTERVAL_S, model, record
+
+LATE = ("torque_sensor_lag", "time_skew")
+SEED, CASES = 703, 12  # drawn once, never used to choose a threshold
+
+
+def finding(effect):
+    return FurtherEffect((effect, ()), 1e5, 20.0, 1.0, (20.0,), ("size",), np.eye(1), 0.0)
+
+
+def member(first, *peers):
+    rivals = tuple((finding(effect), 0.3) for effect in peers)
+    return Judged(finding(first), 1.0, 0.99, rivals, peers)
+
+
+def by_squares(squares, spread=1.02):
+    """Compare sets by what their effects leave, the ends of the interval a factor off."""
+
+    def compare(first, second):
+        value = sum(squares[effect] for effect, _ in second) / sum(squares[effect] for effect, _ in first)
+        return SquaresRatio(value, value / spread, value * spread)
+
+    return compare
+
+
+def names(hypothesis):
+    return [effect for effect, _ in hypothesis]
+
+
+def test_a_rival_that_is_clearly_farther_is_ruled_out():
+    lag = member("torque_sensor_lag", "time_skew")
+    nearest, ruled_out = nearest_of_classes([lag.finding.candidate], [lag], by_squares({LATE[0]: 2.0, LATE[1]: 3.0}))
+    assert names(nearest) == ["torque_sensor_lag"]
+    assert [(one.effect, one.by, one.times) for one in ruled_out] == [("time_skew", "torque_sensor_lag", 1.5)]
+    left = without_ruled_out(lag, ruled_out)
+    assert left.peers == ()
+    assert [probability for _, probability in left.rivals] == [0.0]
+    assert "time_skew is ruled out beside torque_sensor_lag" in ruled_out[0].note()
+
+
+def test_a_rival_that_is_clearly_nearer_takes_the_place():
+    lag = member("torque_sensor_lag", "time_skew")
+    others = [("cogging", ()), lag.finding.candidate]
+    nearest, ruled_out = nearest_of_classes(others, [lag], by_squares({"cogging": 0.1, LATE[0]: 3.0, LATE[1]: 2.0}))
+    assert names(nearest) == ["cogging", "time_skew"]
+    assert [(one.effect, one.by) for one in ruled_out] == [("torque_sensor_lag", "time_skew")]
+
+
+def test_the_nearest_of_three_is_left():
+    lag = member("torque_sensor_lag", "time_skew", "transport_delay")
+    squares = {LATE[0]: 3.0, LATE[1]: 2.0, "transport_delay": 1.0}
+    nearest, ruled_out = nearest_of_classes([lag.finding.candidate], [lag], by_squares(squares))
+    assert names(nearest) == ["transport_delay"]
+    assert {one.effect for one in ruled_out} == set(LATE)
+
+
+@pytest.mark.parametrize(
+    ("times", "spread"), [(1.05, 1.001), (1.3, 1.4), (1 / 1.05, 1.001), (1 / 1.3, 1.4), (1.0, 1.0)]
+)
+def test_none_is_ruled_out_within_a_replays_own_errors_or_by_chance(times, spread):
+    lag = member("torque_sensor_lag", "time_skew")
+    compare = by_squares({LATE[0]: 1.0, LATE[1]: times}, spread)
+    assert nearest_of_classes([lag.finding.candidate], [lag], compare) == ([lag.finding.candidate], [])
+
+
+def test_what_no_run_compares_rules_nothing_out():
+    lag = member("torque_sensor_lag", "time_skew")
+    nearest = nearest_of_classes([lag.finding.candidate], [lag], lambda first, second: squares_ratio([]))
+    assert nearest == ([lag.finding.candidate], [])
+
+
+def square_wave(truth, seconds=12.0):
+    """A locked run under steps whose torque is the truth's own output with noise."""
+    time = INTERVAL_S * np.arange(round(seconds / INTERVAL_S))
+    run = record("locked", reference=8.0 * np.sign(np.sin(2.0 * np.pi * 11.0 * time)), seconds=seconds)
+    torque = np.nan_to_num(replay(run, truth).fast["torque", "test"])
+    run.fast.values["torque", "test"] = torque + 0.01 * np.random.default_rng(0).standard_normal(len(torque))
+    return run
+
+
+def test_a_torque_that_is_late_is_told_from_one_that_lags_though_other_channels_stand_still():
+    late = model(("time_skew", {"delay": 0.003}))
+    lagging = model(("torque_sensor_lag", {"time_constant": 0.003}))
+    run = [square_wave(late)]
+    ratio = squares_ratio(shrinkage(run, late, late, lagging).channels)
+    assert 1.1 < ratio.low < ratio.value < ratio.high < np.inf
+    turned = squares_ratio(shrinkage(run, lagging, lagging, late).channels)
+    assert turned.low < turned.value < turned.high < 1.0 / 1.1
+
+
+@pytest.mark.long
+def test_what_truly_acts_is_never_ruled_out_and_most_classes_are_resolved(tmp_path):
+    make(CASES, tmp_path / "cases", tmp_path / "key", SEED, ("single",), LATE, strengths=("faint", "plain"))
+    truths = json.loads((tmp_path / "key" / "key.json").read_text(encoding="utf-8"))["cases"]
+    alone = 0
+    for name, truth in truths.items():
+        runs = sorted((tmp_path / "cases" / name).glob("*.h5"))
+        fitted, held_out = ([run for run in runs if end in run.name] for end in ("-a", "-b"))
+        named = {c.effect for c in diagnose(read_case(fitted, held_out, runs[0].parent / "nominal.yaml")).causes}
+        assert truth["effects"][0] in named, name
+        alone += named == set(truth["effects"])
+    print(f"{alone} of {CASES} named alone, the others as one of two")
+    assert alone >= 0.75 * CASES
