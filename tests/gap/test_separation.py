@@ -9,6 +9,7 @@ from leactl.emulation.blind.make import make
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.replay import replay
 from leactl.gap.search.sets import FurtherEffect
+from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.separation import nearest_of_classes, without_ruled_out
 from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, squares_ratio
@@ -110,7 +111,8 @@ def test_what_truly_acts_is_never_ruled_out_and_most_classes_are_resolved(tmp_pa
     for name, truth in truths.items():
         runs = sorted((tmp_path / "cases" / name).glob("*.h5"))
         fitted, held_out = ([run for run in runs if end in run.name] for end in ("-a", "-b"))
-        named = {c.effect for c in diagnose(read_case(fitted, held_out, runs[0].parent / "nominal.yaml")).causes}
+        causes = diagnose(read_case(fitted, held_out, runs[0].parent / "nominal.yaml")).causes
+        named = {cause.effect for cause in causes if cause.probability >= NAMED}
         assert truth["effects"][0] in named, name
         alone += named == set(truth["effects"])
     print(f"{alone} of {CASES} named alone, the others as one of two")
