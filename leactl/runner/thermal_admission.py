@@ -69,7 +69,7 @@ class Windings:
         start = {role: known.nodes for role, known in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self._foreseen: tuple[Plan, Forecast] | None = None
-        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, ClockReadings.now)
+        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.node_bounds, ClockReadings.now)
         self.may_be_left_on({role: one.left_on for role, one in self.recalled.items() if one.left_on is not None})
 
     @contextmanager

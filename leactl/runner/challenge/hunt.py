@@ -121,7 +121,7 @@ def run_attempt(
         if now < guard.due:
             continue
         tripped = bool(guard.check(now))
-        bounds = guard.kept["test"]
+        bounds = guard.node_bounds["test"]
         if plant.hottest >= warm and guard.advanced == now:
             over = max(over, float(np.max(plant.nodes - bounds)))
         if tripped:  # a drive that hears of no stop goes on with what flowed, wherever its rotor stands
