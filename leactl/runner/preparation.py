@@ -55,7 +55,7 @@ def admitted(request: Request, windings: Windings) -> Admitted:
     supervisor.supplies.endings = endings(request.plan, windings, powered)
     for supply in powered:
         windings.may_be_left_on({supply.role: supply.reached})
-    return Admitted(request, bench, supervisor, [supply.told for supply in powered])
+    return Admitted(request, bench, supervisor, [supply.summary for supply in powered])
 
 
 def switches_supplies(plan: Plan) -> bool:
