@@ -209,7 +209,7 @@ def _run(context: RunContext) -> Outcome:
         sought = [limit for limit in plan.acceptance if isinstance(limit, SearchLimit)]
         verdicts = [*limits.verdicts(), *loop.outcomes.verdicts(sought)]
     for verdict in verdicts:
-        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
+        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.summary)
     try:
         writer.close(*status_of(error))
         notes += writer.notes()

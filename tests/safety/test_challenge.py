@@ -116,7 +116,7 @@ class NoNoise(Wrong):
     """Takes every change of the angle for travel."""
 
     def spoil(self, rotor):
-        rotor._gone_back = np.zeros_like
+        rotor._travel_back = np.zeros_like
 
 
 class AngleAlone(Wrong):
