@@ -17,7 +17,7 @@ from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
 
 Wrap = Callable[[str, str, Callable[..., Any]], Callable[..., Any]]
-"""Of an owner, the name of one of its calls, and the call itself."""
+"""Takes the name of a device or bus, the name of one of its methods, and the method; returns a replacement."""
 
 
 class Bench:
@@ -98,9 +98,11 @@ class Bench:
                 driver.open()
                 self.provenance[name].take(driver.identity())
             except BaseException as error:
-                confirmations = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
+                confirmations = make_safe(
+                    [driver, *[device for device in self.drivers.values() if device is not driver]]
+                )
                 cause = str(error).removeprefix(f"{name}: ")
-                if isinstance(error, NoBus):  # whatever hangs on it never heard of this machine
+                if isinstance(error, NoBus):  # no device on this bus has heard of this machine
                     confirmations = {
                         device: confirmation
                         for device, confirmation in confirmations.items()
@@ -160,7 +162,7 @@ class Bench:
                 drive.pace(period)
 
     def take(self) -> list[Row | SampleBlock]:
-        """New rows of all streams that devices sample by their own clocks.
+        """Return the new rows of all streams that devices sample by their own clocks.
 
         Raises
         ------
@@ -170,8 +172,8 @@ class Bench:
         driver: Driver | None = None
         try:
             for driver in self._asynchronous:
-                if taken := driver.take():
-                    rows += taken
+                if new_rows := driver.take():
+                    rows += new_rows
         except (LeactlError, MemoryError):
             raise
         except Exception as error:
@@ -179,7 +181,7 @@ class Bench:
         return rows
 
     def notices(self) -> list[tuple[str, str]]:
-        """(device, notice) pairs since the last call."""
+        """Return the (device, notice) pairs since the last call."""
         return [(name, text) for name, driver in self._noticing for text in driver.notices()]
 
     def feed(self) -> None:
@@ -189,13 +191,13 @@ class Bench:
 
 
 def _driver_error(driver: object, error: BaseException) -> DeviceError:
-    """A DeviceError for an unexpected exception of a driver, which ends a run like a failure of the device."""
+    """Return a DeviceError for an unexpected exception of a driver, which ends a run like a failure of the device."""
     name = getattr(driver, "name", "a driver")
     return DeviceError(f"{name}: its driver broke: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where")
 
 
 def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -> None:
-    """Refuse interlocks without a device that measures their quantity, and temperatures without an interlock.
+    """Refuse interlocks whose quantity no device measures, and measured temperatures without an interlock.
 
     Raises
     ------

@@ -16,9 +16,9 @@ from leactl.driver import registry
 from leactl.driver.can_port import LOOK_AT
 
 LEAST_PYTHON = (3, 11)
-LEAST_FREE_BYTES = 2 << 30  # some 100 h at 50 Hz, or 3 h at 1 kHz
+LEAST_FREE_BYTES = 2 << 30  # for some 100 h at 50 Hz, or 3 h at 1 kHz
 CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
-IP_S = 5.0  # that iproute2 may take to answer
+IP_S = 5.0  # longest time for an answer of iproute2
 FEWEST_QUEUED = 100  # frames; a cycle of two drives at 1 kHz queues seven, and Linux gives an interface room for ten
 RESTART_MS = 100  # after which a controller that has left the bus comes back, so that drives can be told to stop
 
@@ -35,7 +35,7 @@ class HostFinding:
 
 
 def ip_link(interface: str) -> Mapping[str, Any]:
-    """What iproute2 tells of a network interface, as its JSON has it; empty where it tells nothing."""
+    """Return the JSON object of iproute2 for a network interface; empty if there is no answer."""
     command = ["ip", "-json", "-details", "-statistics", "link", "show", interface]
     try:
         answer = subprocess.run(command, capture_output=True, timeout=IP_S, check=True)
@@ -46,7 +46,7 @@ def ip_link(interface: str) -> Mapping[str, Any]:
 
 
 def run_checks(root: Path = Path("/"), link_of: Callable[[str], Mapping[str, Any]] = ip_link) -> list[HostFinding]:
-    """Run all checks; buses and devices are searched under `root`, links of CAN interfaces are asked of `link_of`."""
+    """Run all checks; `root` contains /sys and /dev, and `link_of` returns the link of a CAN interface by name."""
     checks = [_python(), _packages(), _plugins(), _can(root, link_of), _i2c(root), _serial(root), ni_daqmx(), _disk()]
     return [finding for findings in checks for finding in findings]
 
@@ -78,7 +78,7 @@ def _plugins() -> Iterator[HostFinding]:
 
 
 def can_interfaces(root: Path = Path("/")) -> dict[str, str]:
-    """State of each CAN interface of the kernel, by its name."""
+    """Return the state of each CAN interface of the kernel, by name."""
     folder = root / "sys/class/net"
     links = sorted(folder.iterdir()) if folder.is_dir() else []
     return {link.name: _text(link / "operstate") for link in links if _text(link / "type") == CAN_TYPE}
@@ -90,7 +90,7 @@ def is_up(state: str) -> bool:
 
 
 def bring_up(interface: str, bitrate: int | None = None) -> str:
-    """Command that brings a CAN interface up, at 1 Mbit/s where it has no bit rate yet."""
+    """Return the command that brings a CAN interface up, at 1 Mbit/s if it has no bit rate yet."""
     return f"sudo ip link set {interface} up type can bitrate {bitrate or 1_000_000}"
 
 
@@ -105,17 +105,17 @@ def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[Ho
 
 
 def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
-    """A CAN interface: its state, and what the kernel tells of controller, bit rate, restart and queue."""
+    """Check a CAN interface: its state, controller, bit rate, restart and queue, according to the kernel."""
     data = _part(link, "linkinfo", "info_data")
     controller, bitrate = data.get("state", ""), _part(data, "bittiming").get("bitrate")
     counters, restart_ms, queue = _part(data, "berr_counter"), data.get("restart_ms"), link.get("txqlen")
-    left = _part(link, "linkinfo", "info_xstats").get("bus_off", 0)
-    told = [
+    bus_off_count = _part(link, "linkinfo", "info_xstats").get("bus_off", 0)
+    facts = [
         state,
         f"{bitrate} bit/s" if bitrate else "",
         f"controller {controller}" if controller else "",
         f"error counters {counters['tx']} sent, {counters['rx']} received" if {"tx", "rx"} <= counters.keys() else "",
-        f"has left the bus {left} times" if left else "",
+        f"has left the bus {bus_off_count} times" if bus_off_count else "",
         f"restart-ms {restart_ms}" if restart_ms is not None else "",
         f"txqueuelen {queue}" if queue is not None else "",
     ]
@@ -130,19 +130,19 @@ def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
         mend = f"room for more frames: sudo ip link set {name} txqueuelen 1000"
     else:
         mend = ""
-    return HostFinding(f"CAN {name}", fine, False, ", ".join(filter(None, told)), mend)
+    return HostFinding(f"CAN {name}", fine, False, ", ".join(filter(None, facts)), mend)
 
 
-def _part(told: Mapping[str, Any], *keys: str) -> Mapping[str, Any]:
-    """A part of what was told, by the keys that lead there; empty where it is missing or of another form."""
+def _part(link: Mapping[str, Any], *keys: str) -> Mapping[str, Any]:
+    """Return a nested object of a link by its keys; empty if it is missing or no object."""
     for key in keys:
-        value = told.get(key)
-        told = value if isinstance(value, dict) else {}
-    return told
+        value = link.get(key)
+        link = value if isinstance(value, dict) else {}
+    return link
 
 
 def i2c_buses(root: Path = Path("/")) -> list[Path]:
-    """I2C buses of the kernel."""
+    """Return the I2C buses of the kernel."""
     return sorted((root / "dev").glob("i2c-*"))
 
 
@@ -160,7 +160,7 @@ def _serial(root: Path) -> Iterator[HostFinding]:
 
 
 def ni_daqmx() -> Iterator[HostFinding]:
-    """NI's driver and its devices, if the package `nidaqmx` is installed."""
+    """Check NI's driver and its devices, if the package `nidaqmx` is installed."""
     try:
         from nidaqmx.errors import Error
         from nidaqmx.system import System

@@ -1,7 +1,7 @@
-"""Ask what is on a wire by the probes of all drivers; nothing is sent but what a probe reads with.
+"""Scan a wire for devices by the probes of all drivers, which send nothing except requests to read.
 
-Each function asks one wire and notes in a `WireReport` what answered, as it answers: what was seen remains there if a
-person stops the scan. A CAN bus is listened to first, and only listened to where another host is at work on it.
+Each function scans one wire and adds each answer to a `WireReport` at once, so that the answers remain if a person
+stops the scan. A CAN bus is listened to first, and nothing is sent on it if another host is at work there.
 """
 
 from collections import deque
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 
     from leactl.driver.contract import Driver
 
-LISTEN_S = 1.2  # heartbeats come once a second at the slowest, as most devices are shipped
-PROBE_S = 20.0  # that one probe may take on one bus, or at one rate of a line
-FLOOD_HZ = 3000  # frames of a bus without a host, from which on nothing is added to them
-UNASKED_S, FLOOD_BYTES = 0.1, 64  # of a line on which nothing was asked
+LISTEN_S = 1.2  # most devices are shipped with a heartbeat of one second or less
+PROBE_S = 20.0  # longest time of one probe on one bus, or at one rate of a line
+FLOOD_HZ = 3000  # frames on a bus without a host, above which nothing is sent in addition
+UNASKED_S, FLOOD_BYTES = 0.1, 64  # time and bytes of listening to a line before a probe asks
 KEPT_FRAMES, KEPT_IDENTIFIERS = 8, 4096
 SHOWN_BYTES = 24
 ONE_RATE = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
-MOST_OF_A_KIND = 200  # sightings, and notes, of one wire
+MOST_OF_A_KIND = 200  # sightings of one probe, and notes on one wire
 
 
 class Watcher(NamedTuple):
     """A person who follows a scan."""
 
-    show: Callable[[str], None]  # what is done next
-    check: Callable[[], None]  # raises `Stopped` where the end was asked for; called all the time
+    show: Callable[[str], None]  # takes a text on the next activity
+    check: Callable[[], None]  # raises `Stopped` if the person has asked for the end; called often
 
 
 class Answered(NamedTuple):
@@ -52,18 +52,18 @@ class Answered(NamedTuple):
 
 @dataclass
 class WireReport:
-    """What one wire said."""
+    """Answers and notes of the scan of one wire."""
 
     name: str
     answered: list[Answered] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # a line each
-    fault: str = ""  # why it could not be asked, or not to the end
-    asked: bool = False  # something was sent
-    heard: bool = False  # a note tells of what came over the wire, not of a probe that failed
-    complete: bool = False  # nothing ended it before its end
+    fault: str = ""  # why it could not be scanned, or not completely
+    asked: bool = False  # whether anything was sent
+    heard: bool = False  # whether a note is on data that came over the wire, not on a probe that failed
+    complete: bool = False  # whether the scan came to its end
 
     def note(self, text: str) -> None:
-        """Add a line, unless it stands there."""
+        """Add a line, unless it is there already or there are too many."""
         if text not in self.notes and len(self.notes) < MOST_OF_A_KIND:
             self.notes.append(text)
 
@@ -73,17 +73,17 @@ class ProbeOverrun(DeviceError):
 
 
 class _Allowance:
-    """The time of one probe, which a person may end."""
+    """Time limit of one probe, which a person may end earlier."""
 
     def __init__(self, clock: Clock, watcher: Watcher) -> None:
         self._clock, self._watcher, self._until = clock, watcher, float("inf")
 
     def begin(self) -> None:
-        """Begin with another probe."""
+        """Begin the time of another probe."""
         self._until = self._clock.now() + PROBE_S
 
     def check(self) -> None:
-        """Raise ProbeOverrun where the time is over, Stopped where a person ended it."""
+        """Raise ProbeOverrun if the time is over, or Stopped if a person has ended the scan."""
         self._watcher.check()
         if self._clock.now() > self._until:
             raise ProbeOverrun(f"takes more than {PROBE_S:g} s")
@@ -109,12 +109,12 @@ def line_probes(kind: str) -> dict[str, LineProbe]:
 
 
 def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
-    """Every driver that can be loaded; `leactl driver list` tells of the others."""
-    return ((each.name, each.driver) for each in registry.survey() if each.driver is not None)
+    """Yield every driver that can be loaded, with its name; `leactl driver list` lists the others."""
+    return ((item.name, item.driver) for item in registry.survey() if item.driver is not None)
 
 
 def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
-    """Settings that a bench file must have and that do not follow from what a device answered."""
+    """Return the settings that a bench file must have and that a device's answer does not determine."""
     settings, fields = sighting.settings or {}, driver.Settings.model_fields
     needed = [name for name, described in fields.items() if described.is_required() or name in sighting.left_open]
     return [name for name in needed if name not in settings]
@@ -128,17 +128,17 @@ class _Heard:
 
     def __init__(self) -> None:
         self.begin()
-        self.sent: set[Frame] = set()  # which some adapters bring back
+        self.sent: set[Frame] = set()  # frames sent by the scan, which some adapters echo
 
     def begin(self) -> None:
-        """Forget what was heard."""
+        """Forget all frames."""
         self._frames: dict[int, deque[Frame]] = {}
         self.count = self.errors = self.of_29_bits = 0
 
     @property
     def frames(self) -> list[Frame]:
-        """What is kept of them."""
-        return [frame for kept in self._frames.values() for frame in kept]
+        """The stored frames, by identifier in order of arrival."""
+        return [frame for stored in self._frames.values() for frame in stored]
 
     @property
     def classic(self) -> bool:
@@ -156,15 +156,15 @@ class _Heard:
         if message.is_remote_frame or frame in self.sent:
             return
         self.of_29_bits += frame.identifier > LAST_OF_11_BITS and not message.is_fd
-        kept = self._frames.get(frame.identifier)
-        if kept is None and len(self._frames) < KEPT_IDENTIFIERS:
-            kept = self._frames[frame.identifier] = deque(maxlen=KEPT_FRAMES)
-        if kept is not None:
-            kept.append(frame)
+        stored = self._frames.get(frame.identifier)
+        if stored is None and len(self._frames) < KEPT_IDENTIFIERS:
+            stored = self._frames[frame.identifier] = deque(maxlen=KEPT_FRAMES)
+        if stored is not None:
+            stored.append(frame)
 
 
 class _WatchedBus:
-    """A connection whose frames are noted, and which sends no identifier of another protocol's device."""
+    """A connection that stores received frames, and refuses to send identifiers of other protocols' devices."""
 
     def __init__(self, bus: "can.BusABC", heard: _Heard, allowance: _Allowance) -> None:
         self._bus, self._heard, self._allowance = bus, heard, allowance
@@ -204,14 +204,14 @@ def ask_can(
 
     Raises
     ------
-    DeviceError : the bus is absent, gone, or takes no frames; what was seen before stands in the report.
+    DeviceError : the bus is absent, gone, or takes no frames; earlier answers remain in the report.
     Stopped : by the watcher.
     """
     _CanScan(report, connect, clock, probes, watcher).run(fd)
 
 
 class _CanScan:
-    """One bus, listened to and then asked."""
+    """Scan of one CAN bus."""
 
     def __init__(
         self,
@@ -224,15 +224,15 @@ class _CanScan:
         self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
         self._show, self._heard, self._allowance = watcher.show, _Heard(), _Allowance(clock, watcher)
         self._port = CanPort(self._watched, clock, report.name)  # type: ignore[arg-type]  # it has what a port calls of a bus
-        self._addresses: dict[str, frozenset[int]] = {}  # that were heard, by driver
-        self._met: dict[str, set[int]] = {}  # and those that answered
+        self._addresses: dict[str, frozenset[int]] = {}  # heard while listening, by driver
+        self._met: dict[str, set[int]] = {}  # heard while listening, or answered, by driver
 
     def _watched(self) -> _WatchedBus:
         self._bus = _WatchedBus(self._connect(), self._heard, self._allowance)
         return self._bus
 
     def run(self, fd: bool) -> None:
-        """Listen, then ask those first that search, and those last that use CAN-FD frames."""
+        """Listen, then ask by each probe: first those that search, last those that use CAN-FD frames."""
         report, port = self._report, self._port
         self._show(f"listens for {LISTEN_S:g} s")
         port.open()
@@ -266,7 +266,7 @@ class _CanScan:
         return probe.fd, not probe.searches, name
 
     def _reason_to_listen(self) -> str:
-        """Why nothing may be sent, by what was heard; empty if it may."""
+        """Return why nothing may be sent, by the received frames; empty if it may."""
         heard, rate = self._heard, self._heard.count / LISTEN_S
         if heard.errors:
             return f"{heard.errors} error frames came; {ONE_RATE}"
@@ -283,14 +283,16 @@ class _CanScan:
     def _only_listen(self, reason: str) -> None:
         self._report.note(f"only listened{' from then on' if self._report.asked else ''}: {reason}")
         for name, nodes in self._addresses.items():
-            unmet = nodes - {each.sighting.address for each in self._report.answered if each.driver == name}
+            unmet = nodes - {answer.sighting.address for answer in self._report.answered if answer.driver == name}
             if unmet:
                 self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(unmet)))}")
 
     def _unasked(self, fd: bool) -> list[str]:
-        """Drivers whose probes this bus does not suit; noted."""
+        """Return the drivers whose probes may not be used on this bus, and note them in the report."""
         unsuited = [name for name, probe in self._probes.items() if probe.fd]
-        if fd and not (self._heard.classic or any(not self._probes[each.driver].fd for each in self._report.answered)):
+        if fd and not (
+            self._heard.classic or any(not self._probes[answer.driver].fd for answer in self._report.answered)
+        ):
             return []
         reason = "errors to the classic devices on the bus" if fd else "more than this interface carries"
         for name in unsuited:
@@ -302,10 +304,10 @@ class _CanScan:
         self._report.asked = True
         self._bus.taken = frozenset(
             identifier
-            for other, nodes in self._met.items()
-            if other != name
+            for driver, nodes in self._met.items()
+            if driver != name
             for node in nodes
-            for identifier in self._probes[other].identifiers(node)
+            for identifier in self._probes[driver].identifiers(node)
         )
         ask = partial(self._probes[name].ask, self._port, self._addresses[name], self._bus.taken)
         for sighting in _sightings(self._report, name, ask, self._allowance):
@@ -315,7 +317,7 @@ class _CanScan:
 
 
 def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance: _Allowance) -> Iterator[Sighting]:
-    """Devices that a probe recognises; its texts, and its own failure, become notes.
+    """Yield the devices that a probe recognises; texts of the probe, and its failure, become notes.
 
     Raises
     ------
@@ -344,7 +346,7 @@ def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance
 
 
 class _ReadOnlyBus:
-    """A connection that takes no write."""
+    """A connection that refuses to write."""
 
     def __init__(self, bus: SmBus, allowance: _Allowance) -> None:
         self._bus, self._allowance = bus, allowance
@@ -370,7 +372,7 @@ def ask_i2c(
 
     Raises
     ------
-    DeviceError : the bus is absent or fails; what was seen before stands in the report.
+    DeviceError : the bus is absent or fails; earlier answers remain in the report.
     Stopped : by the watcher.
     """
     allowance = _Allowance(clock, watcher)
@@ -390,11 +392,11 @@ def ask_i2c(
 
 
 class _WatchedLine:
-    """A connection that several ports use in turn, and whose bytes are noted."""
+    """A connection that several ports use in turn; it stores the first bytes received."""
 
     def __init__(self, line: SerialLine, allowance: _Allowance) -> None:
         self._line, self._allowance = line, allowance
-        self.heard = b""  # the first of it
+        self.heard = b""  # the first bytes received
 
     def read(self, timeout: float) -> bytes:
         """Take what has arrived."""
@@ -437,7 +439,7 @@ def ask_line(
             connection = connect(line)
         except (OSError, ValueError, ImportError) as error:
             refused.append(str(error))
-            if isinstance(line, SerialBus):  # at no other rate will it be there
+            if isinstance(line, SerialBus):  # the port will not be there at another rate either
                 break
             continue
         try:
@@ -450,16 +452,16 @@ def ask_line(
             return
     if not spoken:
         raise DeviceError("; ".join(refused))
-    for place, data in spoken.items():
+    for rate, data in spoken.items():
         if data:
-            report.note(f"something answers at {place} what no driver can read: {data!r}")
+            report.note(f"something answers at {rate} what no driver can read: {data!r}")
     if not any(spoken.values()):
         rates = [str(line.baudrate) for line in lines if isinstance(line, SerialBus)]
         report.note(f"silent at {', '.join(rates)} baud" if rates else f"silent at {' and '.join(spoken)}")
 
 
 def how(line: LineBus) -> str:
-    """Rate of a serial line, or port of a socket, in words."""
+    """Return the rate of a serial line, or the port of a socket, as text."""
     return f"{line.baudrate} baud" if isinstance(line, SerialBus) else f"port {line.address[1]}"
 
 
@@ -471,7 +473,7 @@ def _ask_over(
     line: LineBus,
     watcher: Watcher,
 ) -> bytes:
-    """Ask over one connection; returns the first bytes that came."""
+    """Ask by each probe over one connection; return the first bytes received."""
     allowance = _Allowance(clock, watcher)
     watched = _WatchedLine(connection, allowance)
     unasked, until = 0, clock.now() + UNASKED_S
@@ -496,5 +498,5 @@ def _ask_over(
 
 
 def rates_of(probes: Iterable[LineProbe]) -> list[int]:
-    """Every rate at which one of the probes asks, the lowest first."""
+    """Return every rate at which one of the probes asks, the lowest first."""
     return sorted({rate for probe in probes for rate in probe.baudrates})

@@ -149,7 +149,7 @@ def _runs_on(bench: str, runs: "list[RunUnderway]", faults: list[str]) -> "list[
 
 def _end(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
     """Describe for JSON how a run ended, and what could not be confirmed about its safe state."""
-    last_words = run.told()
+    last_words = run.facts()
     safe = last_words.get("safe", {})
     unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
     doubt = ""

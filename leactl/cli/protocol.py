@@ -117,7 +117,7 @@ def plan(
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
-        stays_on = [supply.told for supply in left_on(expanded, windings, there)]
+        stays_on = [supply.summary for supply in left_on(expanded, windings, there)]
         hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
             slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"

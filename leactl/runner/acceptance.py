@@ -1,4 +1,4 @@
-"""Acceptance limits of a protocol: refused before a run that nothing could judge, and judged on the run's analysis."""
+"""Acceptance limits of a protocol: checked before a run, and judged on the analysis of the run."""
 
 import math
 from collections.abc import Mapping
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 
 def check_analysis(plan: Plan, name: str) -> None:
-    """Refuse an analysis that is not known, and limits on results that it does not have or not in this unit.
+    """Refuse an unknown analysis, and limits on results that the analysis does not have or has in other units.
 
     Parameters
     ----------
-    name : of the protocol's file, for messages.
+    name : name of the protocol's file, for messages.
 
     Raises
     ------
-    InputError : one line a fault with file, line and column.
+    InputError : one line for each fault, with file, line and column.
     """
     from leactl.analysis.analyze import is_known, names, results_of
     from leactl.runfile.catalog.summaries import analysis_in
 
     asked = analysis_in(plan.text)
-    limits = {n: limit for n, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
+    limits = {number: limit for number, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
     if not (asked or limits):
         return
     document = yamlfile.parse(plan.text, name)
@@ -44,14 +44,14 @@ def check_analysis(plan: Plan, name: str) -> None:
         message = f"the protocol names no analysis to judge them by; {known}; limits on channels need none"
         raise InputError(document.fault(("acceptance",), message))
     results = results_of(asked or plan.name)
-    misfits = {n: _misfit(limit, asked or plan.name, results) for n, limit in limits.items()}
-    faults = [document.fault(("acceptance", n, fault[0]), fault[1]) for n, fault in misfits.items() if fault]
+    misfits = {number: _misfit(limit, asked or plan.name, results) for number, limit in limits.items()}
+    faults = [document.fault(("acceptance", number, fault[0]), fault[1]) for number, fault in misfits.items() if fault]
     if faults:
         raise InputError(faults)
 
 
 def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> tuple[str, str] | None:
-    """The key of a limit that the experiment's results do not fit, and why."""
+    """Return the key of a limit that does not fit the experiment's results, and why; None if it fits."""
     units = results.get(limit.result)
     if units is None:
         close = get_close_matches(limit.result, results, n=1)
@@ -63,7 +63,7 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
 
 
 def judge_all(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
-    """Every limit of a run that has ended, and one line for each that is not met; of one that failed, those judged."""
+    """Return a row for every limit of a run, of channels alone if it failed, and a line for each unmet limit."""
     rows: list[dict[str, Any]] = [dict(verdict.row) for verdict in outcome.verdicts]
     if outcome.error is not None or not plan.acceptance:
         return rows, []
@@ -72,9 +72,9 @@ def judge_all(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], lis
 
 
 def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """Every limit on a result with its value, and one line for each limit, of channels too, that is not met.
+    """Return a row for every limit on a result, and a line for each unmet limit, also of channels.
 
-    A value that is missing is not met. How the channels did stands in the run's events.
+    A limit without a value is not met. The verdicts on channels are read from the run's events.
     """
     from leactl.analysis.analyze import analyze_runs
 
@@ -89,14 +89,14 @@ def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
     answer: Result | InputError
     try:
         answer = analyze_runs([run])
-    except InputError as fault:  # the run stands; it does not answer
+    except InputError as fault:  # the run is recorded, but its analysis fails
         answer = fault
     judged = [_judged(limit, answer) for limit in limits]
     return [row for row, _line in judged], [*unmet, *(f"acceptance: {line}" for _row, line in judged if line)]
 
 
 def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str, Any], str]:
-    """A limit's row, in its own unit where the result can be told in it, and what is wrong."""
+    """Return the row of a limit, in the unit of the limit if possible, and what is wrong, or an empty string."""
     row: dict[str, Any] = {"result": limit.result, "value": None, "units": limit.unit, "met": False}
     bounds = f"{limit.low:g} to {limit.high:g} was required"
     try:
@@ -108,22 +108,22 @@ def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str,
     factor = _factor(result.units, limit.unit)
     value, units = (result.value, result.units) if factor is None else (result.value * factor, limit.unit)
     row |= {"value": value if math.isfinite(value) else None, "units": units}
-    told = f"{limit.result} is {value:.6g} {units}"
+    summary = f"{limit.result} is {value:.6g} {units}"
     if factor is None:
-        return row, f"{told}, its limit is in {limit.unit}; write the limit in {units}"
+        return row, f"{summary}, its limit is in {limit.unit}; write the limit in {units}"
     row["met"] = limit.low <= value <= limit.high
-    return row, "" if row["met"] else f"{told}, {bounds}"
+    return row, "" if row["met"] else f"{summary}, {bounds}"
 
 
 def _factor(units: str, wanted: str) -> float | None:
-    """By what numbers in these units become numbers in the wanted one; None where they measure something else.
+    """Return the factor from these units to the wanted one; None if the two measure different quantities.
 
-    Units with another zero count as something else: a result in K is a rise, which is no temperature in degC.
+    Units with another zero count as a different quantity: a result in K is a rise, no temperature in degC.
     """
     if units == wanted:
         return 1.0
     for table in (*CONVERSIONS.values(), {unit: (scale, 0.0) for unit, scale in SECONDS.items()}):
         if units in table and wanted in table:
-            (own, own_zero), (other, other_zero) = table[units], table[wanted]
-            return own / other if own_zero == other_zero else None
+            (scale, zero), (wanted_scale, wanted_zero) = table[units], table[wanted]
+            return scale / wanted_scale if zero == wanted_zero else None
     return None

@@ -1,4 +1,4 @@
-"""Whether a bench has what a plan asks for; refused before anything is touched, by a run and where one is planned."""
+"""Checks that a bench fits a plan, before anything is touched; used by runs and by plans of runs."""
 
 from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
@@ -15,7 +15,7 @@ def check_fit(plan: Plan, bench: Bench) -> None:
 
     Raises
     ------
-    InputError : the first of them.
+    InputError : the first misfit.
     """
     check_setup(plan, bench.file)
     _check_roles(plan, bench)
@@ -32,7 +32,7 @@ def check_setup(plan: Plan, file: BenchFile) -> None:
 
 
 def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
-    """The plan's limits on channels.
+    """Return the plan's limits on channels.
 
     Raises
     ------
@@ -43,14 +43,14 @@ def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
 
 
 def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
-    """One line for each winding that a plan heats and whose bound rests on one sensor."""
+    """Return one line for each winding that a plan heats and whose bound rests on one sensor."""
     heated: dict[str, str] = {}
     for action in plan.actions:
         if isinstance(action, Engage):
             heated |= {role: "q_axis_current" for role, mode in action.modes.items() if mode is not Mode.OFF}
         elif isinstance(action, SetSupply):
             heated |= {role: "line_current" for role, output in action.outputs.items() if output is not None}
-    channels = [channel for several in bench.streams().values() for channel in several]
+    channels = [channel for stream in bench.streams().values() for channel in stream]
     return lone_sensors(bench.file.interlocks, channels, plan.setup, dict(sorted(heated.items(), reverse=True)))
 
 
@@ -74,13 +74,13 @@ def _check_needs(plan: Plan, bench: Bench) -> None:
 
 
 def _check_awaited(plan: Plan, bench: Bench) -> None:
-    """Refuse channels that a wait, a criterion or a condition looks at and no device measures."""
+    """Refuse a plan with a wait, a criterion or a condition on a channel that no device measures."""
     measured = {(channel.quantity, channel.role) for channels in bench.streams().values() for channel in channels}
-    asked: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]
-    asked += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
+    readers: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]
+    readers += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
     conditions = [action.condition for action in plan.actions if isinstance(action, When)]
-    asked += [condition for condition in conditions if isinstance(condition, InRange)]
-    awaited = dict.fromkeys((one.quantity, one.role) for one in asked)
+    readers += [condition for condition in conditions if isinstance(condition, InRange)]
+    awaited = dict.fromkeys((reader.quantity, reader.role) for reader in readers)
     if missing := [f"{quantity} of {role}" for quantity, role in awaited if (quantity, role) not in measured]:
         raise InputError(
             f"protocol '{plan.name}' waits for {', '.join(missing)};"

@@ -1,4 +1,4 @@
-"""Release a tripped bench from what was shown to its user, and from nothing else; no run can use it at either step."""
+"""Reset of a tripped bench: list its trips, then release exactly those; no run can use the bench in either step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from leactl.runner.latch import Latch, Trip, UnlatchedRun
 
 @dataclass(frozen=True)
 class Held:
-    """All that holds a bench: its latches, and lost runs that could not be latched."""
+    """What holds a bench: its latches, and lost runs that could not be latched."""
 
     latches: Mapping[Latch, Trip]
     unlatched: Sequence[UnlatchedRun]
 
     @property
     def trips(self) -> list[Trip]:
-        """One entry for each, as a person reads it, with what could not be written."""
+        """One trip for each latch and each lost run, the latter with the fault that kept its latch unwritten."""
         return [*self.latches.values(), *(self._trip_of(run) for run in self.unlatched)]
 
     @staticmethod
@@ -28,36 +28,36 @@ class Held:
 def held_by(word: str, bench: str) -> Held:
     """Latch a bench for its lost runs, then list what holds it.
 
-    word : what the user typed, a name or a path of a bench file.
+    word : argument of the command, a name or a path of a bench file.
 
     Raises
     ------
-    DeviceError : a run or another reset has it.
+    DeviceError : a run or another reset holds the bench.
     """
     with locks.idle(bench):
         return _look(word, bench)
 
 
 def release(word: str, bench: str, shown: Held) -> None:
-    """Release a bench from what was shown of it; nothing if that has changed since.
+    """Release a bench from the latches and lost runs in `shown`, or from nothing if these have changed.
 
     Raises
     ------
-    DeviceError : a run or another reset has it.
-    SafetyTrip : something else holds it than was shown; nothing is released.
-    InputError : this user may not release a latch, or the file of a lost run can be neither removed nor written: that
-        holds the bench.
+    DeviceError : a run or another reset holds the bench.
+    SafetyTrip : what holds the bench has changed; nothing is released.
+    InputError : this user may not release a latch, or the file of a lost run can be neither removed nor written; the
+        bench stays held.
     """
     with locks.idle(bench):
         if _look(word, bench) != shown:
             raise SafetyTrip(f"what holds bench '{bench}' has changed meanwhile; nothing was released")
         for run in shown.unlatched:
             runs_underway.forget(run.lost)
-        for held in shown.latches:
-            held.release()
+        for held_latch in shown.latches:
+            held_latch.release()
 
 
 def _look(word: str, bench: str) -> Held:
-    # in this order: the latches that the first writes are read by the second
+    # in this order: `tripped` reads the latches that `latch_lost_runs` writes
     unlatched = latch.latch_lost_runs(bench)
     return Held(latch.tripped(word), unlatched)

@@ -1,7 +1,7 @@
-"""When something was, by a clock that nobody can set: the kernel's, which counts from boot and goes on through sleep.
+"""Time since earlier moments by the kernel's clock, which nobody can set: it counts from boot and during sleep.
 
-People, time servers and flat batteries set the wall clock. It is kept for people to read. Only from one boot to another
-does it count, and then it only shortens. The kernel takes the length of a hibernation from the battery's clock.
+People, time servers and flat batteries set the wall clock. It is stored for people to read. It counts only between two
+boots, and then it can only shorten a time. The kernel takes the length of a hibernation from the battery's clock.
 """
 
 import math
@@ -14,7 +14,7 @@ from pathlib import Path
 from leactl.errors import InputError
 
 BOOT = Path("/proc/sys/kernel/random/boot_id")
-PROCESS = secrets.token_hex()  # stands for a boot that the system does not tell
+PROCESS = secrets.token_hex()  # replaces the identifier of the boot on systems without one
 
 
 @dataclass(frozen=True)
@@ -27,43 +27,43 @@ class ClockReadings:
 
     @classmethod
     def now(cls) -> "ClockReadings":
-        """This moment.
+        """Read both clocks.
 
         Raises
         ------
-        InputError : the kernel does not tell its boot.
+        InputError : the kernel's identifier of this boot cannot be read.
         """
         if not hasattr(time, "CLOCK_BOOTTIME"):  # a bench that is emulated on another system rests within one process
             return cls(time.time(), PROCESS, time.monotonic())
         return cls(time.time(), _boot(), time.clock_gettime(time.CLOCK_BOOTTIME))
 
-    def surely_since(self, other: "ClockReadings") -> float:
-        """How long ago another moment was at the least [s].
+    def surely_since(self, earlier: "ClockReadings") -> float:
+        """Return the least time since an earlier moment [s].
 
-        In one boot the kernel's clock tells. A moment of an earlier boot lies before this boot. Another machine that
-        shares the folder has boots of its own, though: the time between both wall clocks caps what is told, so that
-        machines which share a folder must agree on them.
+        In the same boot it is the difference of the kernel's clock. A moment of another boot lies before this boot, if
+        it is of this machine. It may be of another machine that shares the folder: the time is therefore no longer than
+        the difference of the wall clocks, on which such machines must agree.
 
         Raises
         ------
-        ValueError : a clock of the other moment is no number, or ahead of this one in the same boot.
+        ValueError : a clock of the earlier moment is no number, or ahead of this one in the same boot.
         """
-        if not math.isfinite(other.wall):
-            raise ValueError(f"it is of {other.wall:g} s since 1970, which is no time")
-        if not (math.isfinite(other.since_boot) and other.since_boot >= 0.0):
-            raise ValueError(f"it is of {other.since_boot:g} s after a boot, which is no time")
-        if self.boot != other.boot:
-            return max(0.0, min(self.since_boot, self.wall - other.wall))
-        if other.since_boot > self.since_boot:
+        if not math.isfinite(earlier.wall):
+            raise ValueError(f"it is of {earlier.wall:g} s since 1970, which is no time")
+        if not (math.isfinite(earlier.since_boot) and earlier.since_boot >= 0.0):
+            raise ValueError(f"it is of {earlier.since_boot:g} s after a boot, which is no time")
+        if self.boot != earlier.boot:
+            return max(0.0, min(self.since_boot, self.wall - earlier.wall))
+        if earlier.since_boot > self.since_boot:
             raise ValueError(
-                f"it is of the future, {other.since_boot - self.since_boot:.3g} s ahead of this boot's clock"
+                f"it is of the future, {earlier.since_boot - self.since_boot:.3g} s ahead of this boot's clock"
             )
-        return self.since_boot - other.since_boot
+        return self.since_boot - earlier.since_boot
 
 
 @cache
 def _boot() -> str:
-    """The kernel's identifier of this boot, read once: the end of a run needs no descriptor for it."""
+    """Return the kernel's identifier of this boot, read once, so that the end of a run needs no descriptor for it."""
     try:
         return BOOT.read_text(encoding="ascii").strip()
     except OSError as error:

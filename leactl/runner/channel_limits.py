@@ -1,8 +1,8 @@
-"""Limits on channels of a protocol's steps: watched while the run goes, judged when it has ended.
+"""Limits on channels in the steps of a protocol: watched during the run, judged when it has ended.
 
-Every reading counts that the supervisor sees, recorded or not, from a step's settle part on. The largest and smallest
-value are known to break a limit at once; mean and standard deviation when the step is over. What is missing (NaN) does
-not count, and a limit for which nothing was read is not met.
+Every reading that the supervisor sees counts, recorded or not, after the settling part of a step. Limits of the largest
+and smallest value are judged at once; limits of mean and standard deviation at the end of the step. A missing reading
+(NaN) does not count, and a limit without readings is not met.
 """
 
 import math
@@ -15,14 +15,14 @@ from leactl.protocol.plan import ChannelBounds, SearchLimit
 from leactl.quantities import UNITS, ChannelSpec
 from leactl.units import converter
 
-ACCEPTANCE = "acceptance"  # source of the events that tell how limits were kept
+ACCEPTANCE = "acceptance"  # source of the events that record verdicts on limits
 Note = Callable[[str, str], None]  # level and message of an event
-AWAITED = 2  # steps of a limit that take readings: the last one, and the one before, whose readings come late
+AWAITED = 2  # latest steps of a limit that still take readings: some of the last but one come late
 
 
 @dataclass
 class _Window:
-    """What a channel did in one step."""
+    """Statistics of a channel in one step."""
 
     start: float
     stop: float = math.inf
@@ -40,7 +40,7 @@ class _Window:
         self.low, self.high = min(self.low, value), max(self.high, value)
 
     def statistic(self, name: str) -> float:
-        """NaN where too little was read."""
+        """Return a statistic by its name; NaN if there are too few readings."""
         if not self.count:
             return math.nan
         if name == "std":
@@ -60,22 +60,22 @@ class _Watched:
     broken: bool = False
 
     @property
-    def what(self) -> str:
-        """The channel and where it is judged, for a person."""
+    def subject(self) -> str:
+        """The statistic, channel and step, for a person."""
         limit = self.limit
         where = f" in step {limit.step}" if limit.step else ""
         return f"{limit.statistic} of {limit.role} {limit.channel}{f' {self.location}' * bool(self.location)}{where}"
 
     def wanted(self) -> str:
-        """The bounds, for a person."""
+        """Return the required bounds, for a person."""
         limit = self.limit
         if math.isinf(limit.low):
             return f"at most {limit.high:g} was required"
         return f"{limit.low:g} or more was required" if math.isinf(limit.high) else limit.bounds
 
     def take(self, time: float, value: float) -> str:
-        """Count a reading; returns what it breaks at once, the first time that it does."""
-        window = next((one for one in self.windows[-AWAITED:] if one.start <= time < one.stop), None)
+        """Count a reading; return a message when it breaks the limit for the first time, else an empty string."""
+        window = next((part for part in self.windows[-AWAITED:] if part.start <= time < part.stop), None)
         if window is None or not math.isfinite(value):
             return ""
         number = value * self.factor + self.zero
@@ -85,10 +85,10 @@ class _Watched:
         if self.broken or not (over or (limit.statistic == "min" and number < limit.low)):
             return ""
         self.broken = True
-        return f"acceptance: {self.what} is {number:.6g} {limit.unit}, {self.wanted()}"
+        return f"acceptance: {self.subject} is {number:.6g} {limit.unit}, {self.wanted()}"
 
     def verdict(self) -> "LimitVerdict":
-        """The step in which the statistic is furthest out, or nearest to a bound."""
+        """Return the verdict, with the statistic of the step that is furthest outside, or nearest to a bound."""
         limit = self.limit
         values = [window.statistic(limit.statistic) for window in self.windows]
         known = [value for value in values if math.isfinite(value)]
@@ -105,20 +105,22 @@ class _Watched:
         }
         row |= {"location": self.location} if self.location else {}
         if known and len(known) == len(values):
-            told = f"{self.what} is {worst:.6g} {limit.unit}"
+            summary = f"{self.subject} is {worst:.6g} {limit.unit}"
         else:
-            told = f"{self.what} is not known, nothing was read in {len(values) - len(known)} of {len(values)} steps"
-        return LimitVerdict(limit, row, met, told if met else f"{told}, {self.wanted()}")
+            summary = (
+                f"{self.subject} is not known, nothing was read in {len(values) - len(known)} of {len(values)} steps"
+            )
+        return LimitVerdict(limit, row, met, summary if met else f"{summary}, {self.wanted()}")
 
 
 @dataclass(frozen=True)
 class LimitVerdict:
-    """How one channel, or search, kept its limit."""
+    """Verdict on the limit of one channel or search."""
 
     limit: ChannelBounds | SearchLimit
-    row: Mapping[str, Any]  # as --json tells it
+    row: Mapping[str, Any]  # of the output of --json
     met: bool
-    told: str
+    summary: str
 
 
 class ChannelLimits:
@@ -150,23 +152,23 @@ class ChannelLimits:
         self.any = bool(limits)
 
     def enter(self, step: str, start: float) -> None:
-        """A step's judged part begins [s since the run's start]."""
+        """Begin the judged part of a step [s since the run's start]."""
         for watched in self._every:
             if watched.limit.step in ("", step):
                 watched.windows.append(_Window(start))
 
     def leave(self, step: str, stop: float) -> None:
-        """The step is over."""
+        """End a step [s since the run's start]."""
         for watched in self._every:
             if watched.limit.step in ("", step) and watched.windows:
                 watched.windows[-1].stop = stop
 
     def receive(self, stream: str, time: float, values: Sequence[float], note: Note) -> None:
-        """Count a row of readings; a limit that it breaks is noted.
+        """Count a row of readings, and note each limit that it breaks.
 
         Raises
         ------
-        AcceptanceFailed : the limit is to stop the run.
+        AcceptanceFailed : a broken limit that stops the run.
         """
         for column, watched in self._by_stream.get(stream, ()):
             broken = watched.take(time, values[column])
@@ -180,12 +182,12 @@ class ChannelLimits:
         return stream in self._by_stream
 
     def verdicts(self) -> list[LimitVerdict]:
-        """How every channel kept its limits."""
+        """Return the verdict on every limit."""
         return [watched.verdict() for watched in self._every]
 
 
 def _conversion(limit: ChannelBounds) -> tuple[float, float]:
-    """Factor and zero that take a number from the channel's unit to the limit's; a deviation has no zero."""
+    """Return factor and zero from the unit of the channel to that of the limit; a deviation has no zero."""
     conversion = converter(limit.unit, limit.channel)
     assert conversion is not None  # the protocol was checked
     assert conversion.target == UNITS[limit.channel]

@@ -1,4 +1,4 @@
-"""A bench file with everything checked that a run on it would refuse, whatever its protocol; nothing is touched.
+"""Reading of a bench file with every check that does not depend on a protocol; no device is touched.
 
 `leactl bench check` and every command that uses a bench read it here.
 """
@@ -21,7 +21,7 @@ from leactl.safety.thermal.box import Box
 from leactl.yamlfile import Document
 
 HAS_A_PLACE = re.compile(r"\S.*?:\d+:\d+  ")  # file:line:column
-WORST_PHASE = 2.0  # of a current that stands: its share of the heat, over the mean of the three
+WORST_PHASE = 2.0  # heat of the hottest phase at standstill, over the mean of the three phases
 
 
 def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Document]:
@@ -51,33 +51,33 @@ def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Doc
 
 
 def _unknown_interfaces(file: BenchFile, document: Document) -> Iterator[str]:
-    """CAN interfaces that python-can does not have; an emulated bench answers in place of its own."""
+    """Yield a fault for each CAN interface that python-can lacks; an emulated bench replaces its interfaces."""
     for name, bus in file.buses.items() if file.emulated is None else ():
         if isinstance(bus, CanBus) and (fault := unknown_interface(bus)):
             yield document.fault(("buses", name, "interface"), fault)
 
 
 def _alike_channels(bench: Bench, devices: Sequence[CheckedDevice], document: Document) -> Iterator[str]:
-    """Channels of the same quantity, role and location as another's: no run file takes them."""
+    """Yield a fault for each channel with quantity, role and location of another one: no run file can hold both."""
     settings = {device.name: device.settings for device in devices}
     first: dict[tuple[str, str, str], ChannelSpec] = {}
     for channel in (channel for stream in bench.streams().values() for channel in stream):
-        other = first.setdefault((channel.quantity, channel.role, channel.location), channel)
-        if channel.quantity and other is not channel:
-            shown = [each.place for each in settings[channel.device].shown() if each.quantity == channel.quantity]
+        same = first.setdefault((channel.quantity, channel.role, channel.location), channel)
+        if channel.quantity and same is not channel:
+            shown = [item.place for item in settings[channel.device].shown() if item.quantity == channel.quantity]
             yield document.fault(
                 ("devices", channel.device, "settings", *(shown[-1][:2] if shown else ())),
-                f"{channel.quantity} of {channel.role} is measured by {other.device} too; another role or location"
+                f"{channel.quantity} of {channel.role} is measured by {same.device} too; another role or location"
                 " was expected",
             )
 
 
 def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:
-    """The motors of a bench by the roles that its file names.
+    """Return the motors of a bench by the roles that its file names.
 
     Raises
     ------
-    InputError : a motor that is not known, faults in its file, or one that tells no tolerances.
+    InputError : an unknown motor, faults in its file, or a file without tolerances.
     """
     motors: dict[str, Motor] = {}
     faults: list[str] = []
@@ -97,7 +97,7 @@ def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:
 def _burnt_before_the_end(
     file: BenchFile, devices: Sequence[CheckedDevice], document: Document, motors: Mapping[str, Motor]
 ) -> Iterator[str]:
-    """A current limit at which a winding passes its own before a drive that lost its host has stopped."""
+    """Yield a fault for a current limit at which a winding passes its limit before a drive without its host stops."""
     silences = [silence for silence in host_silences(devices).values() if silence is not None]
     seconds = max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S
     ambient, limits = file.limits.ambient_temperature_degC, file.limits

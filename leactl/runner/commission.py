@@ -1,7 +1,7 @@
-"""Bring an actuator to where a heated protocol is admitted: short heats, a narrower motor file, the next heat longer.
+"""Commission an actuator for a heated protocol: heats of growing length, each followed by a narrower motor file.
 
-Each heat is as long as the forecast admits by the motor file so far; all of them together make the next file. Nothing
-of the guard changes but the tolerances that it takes from that file.
+Each heat is as long as the forecast by the latest motor file admits; all heats together make the next file. Nothing in
+the guard changes except the tolerances, which it takes from that file.
 """
 
 import math
@@ -30,15 +30,15 @@ from leactl.runner.thermal_memory import Recalled
 from leactl.safety.thermal.foresight import Forecast
 
 HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
-SHARE = 0.9  # of the time after which the forecast passes the limit
-FALLING = 0.8  # of a heat that the forecast does not admit either
-SHORTEST_S = 60.0  # of a heat that tells anything
+SHARE = 0.9  # of the time at which the forecast passes the limit, that a heat may last
+FALLING = 0.8  # factor to the next shorter heat, while the forecast admits none
+SHORTEST_S = 60.0  # shortest heat that narrows a motor file
 ON = 0.5  # of the largest current, above which a reading counts as heating
-LONGER = 3.0  # times the longest heat so far, that the next one may last: a body that warms later shows by then
-CONSTANTS = 2.0  # of the housing, for which a short heat cools
+LONGER = 3.0  # longest next heat over the longest so far: a body that warms later shows within it
+CONSTANTS = 2.0  # time constants of the housing, for which a short heat cools
 
 Prepare = Callable[[Mapping[str, str]], Request]
-"""The request of the protocol with these parameters in place of its own."""
+"""Returns the request of the protocol, with these parameters replaced."""
 Perform = Callable[[Request, str], Outcome]
 
 
@@ -48,101 +48,103 @@ class Heat:
 
     path: Path
     heating_s: float
-    whole: bool  # the protocol as it was asked for
+    whole: bool  # whether it was the whole protocol
 
 
 @dataclass
 class Commissioned:
-    """How far an actuator came."""
+    """State of a commissioning: motor file, forecast of the protocol by it, and the heats so far."""
 
     motor: Motor
     file: Path | None  # the narrowed motor file; None where the one of the bench admits the protocol
-    heating_s: float  # of the protocol as it was asked for
+    heating_s: float  # of the whole protocol
     forecast: Forecast  # of that protocol, by `motor`
     limit: float  # degC, for the forecast
     load_motor: str  # the bench's motor file of the other actuator
     heats: list[Heat] = field(default_factory=list)
-    next_heating_s: float | None = None  # where no run was to be made, what the next one would be
-    longest_s: float = math.inf  # that a heat may last by the ones that its file is made of
+    next_heating_s: float | None = None  # of the next heat, in a dry run
+    longest_s: float = math.inf  # longest heat that the heats behind the motor file allow
 
     @property
     def admitted(self) -> bool:
-        """Whether the protocol may be run as asked for: below the limit, and no longer than the file is good for."""
+        """Whether the whole protocol may be run: below the limit, and with a heat no longer than `longest_s`."""
         return self.forecast.passing is None and self.heating_s <= self.longest_s
 
 
 @dataclass(frozen=True)
 class CommissionOptions:
-    """How an actuator is commissioned."""
+    """Options of a commissioning."""
 
     prepare: Prepare
     perform: Perform
     tell: Callable[[str], None]
-    most: int  # runs, the whole protocol and those that are given included
-    given: Sequence[Path] = ()  # heated runs of this actuator that are there already
+    most: int  # runs at most, the whole protocol and the `given` ones included
+    given: Sequence[Path] = ()  # earlier heated runs of this actuator
     accuracy: Accuracy = field(default_factory=Accuracy)
     cold: bool = False  # a person says that nothing has heated the actuators before the first run
     dry_run: bool = False  # make no run
 
 
-def commission(manner: CommissionOptions, file: Path) -> Commissioned:
-    """Heat step by step until the protocol is admitted, and run it; the narrowed motor file is written after each heat.
+def commission(options: CommissionOptions, file: Path) -> Commissioned:
+    """Heat step by step until the protocol is admitted, then run it; write the narrowed motor file after each heat.
 
     Raises
     ------
     InputError : a protocol without heats to shorten, no heat that is admitted, or the protocol not admitted at the end.
     AcceptanceFailed : the actuator is outside of the tolerances of its file.
-    SafetyTrip, DeviceError, Stopped : of a run; its file and those before stay, and may be given to the next start.
+    SafetyTrip, DeviceError, Stopped : a run ended early; its file and earlier ones remain, for `given` of a later call.
     """
-    asked = manner.prepare({})
-    _refuse_other(asked)
-    _refuse_own(file, asked.bench.motors.values())
-    shipped = load_motor(asked.bench.motors["test"])[0]
-    judged, told = _judged(asked, shipped, None), list(manner.given)
-    if told:
-        motor = _narrowed(asked, shipped, told, manner)
-        judged = judged if judged.admitted else _written(asked, motor, told, file)
-    manner.tell(_state(judged))
-    if manner.dry_run:
-        request = asked if judged.admitted else _shorter(manner, judged)
-        dry_run(_by(request, judged.file))
-        judged.next_heating_s = _heating(request)
-        return judged
-    while not judged.admitted and len(told) < manner.most - 1:
-        request = _shorter(manner, judged)
-        told.append(_heated(request, judged, manner, len(told)))
-        heats = [*judged.heats, Heat(told[-1], _heating(request), whole=False)]
-        judged = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
-        judged.heats = heats
-        manner.tell(_state(judged))
-    if not judged.admitted:
+    whole = options.prepare({})
+    _refuse_other(whole)
+    _refuse_own(file, whole.bench.motors.values())
+    shipped = load_motor(whole.bench.motors["test"])[0]
+    state, paths = _judged(whole, shipped, None), list(options.given)
+    if paths:
+        motor = _narrowed(whole, shipped, paths, options)
+        state = state if state.admitted else _written(whole, motor, paths, file)
+    options.tell(_state_text(state))
+    if options.dry_run:
+        request = whole if state.admitted else _shorter(options, state)
+        dry_run(_by(request, state.file))
+        state.next_heating_s = _heating(request)
+        return state
+    while not state.admitted and len(paths) < options.most - 1:
+        request = _shorter(options, state)
+        paths.append(_heated(request, state, options, len(paths)))
+        heats = [*state.heats, Heat(paths[-1], _heating(request), whole=False)]
+        state = _written(whole, _narrowed(whole, shipped, paths, options), paths, file)
+        state.heats = heats
+        options.tell(_state_text(state))
+    if not state.admitted:
         raise InputError(
-            f"protocol '{asked.plan.name}' is not admitted after {len(told)} heated runs, with {manner.most} at most:"
-            f" {_state(judged)}; lower its current, tell the camera's own accuracy, or allow more --runs"
+            f"protocol '{whole.plan.name}' is not admitted after {len(paths)} heated runs, with {options.most} at most:"
+            f" {_state_text(state)}; lower its current, tell the camera's own accuracy, or allow more --runs"
         )
-    judged.heats = [*judged.heats, Heat(_heated(asked, judged, manner, len(told)), _heating(asked), whole=True)]
-    return judged
+    state.heats = [*state.heats, Heat(_heated(whole, state, options, len(paths)), _heating(whole), whole=True)]
+    return state
 
 
-def _heated(request: Request, judged: Commissioned, manner: CommissionOptions, before: int) -> Path:
-    """Make one run by the motor file so far.
+def _heated(request: Request, state: Commissioned, options: CommissionOptions, count: int) -> Path:
+    """Make one run by the latest motor file; return the path of its recording.
 
     Raises
     ------
-    SafetyTrip, DeviceError, Stopped : it did not come to its end.
+    SafetyTrip, DeviceError, Stopped : the run ended early.
     """
-    request = replace(_by(request, judged.file), insert_cooldown=True, cold=manner.cold and not judged.heats)
-    outcome = manner.perform(request, f"run {before + 1} of {manner.most} at most: ")
+    request = replace(_by(request, state.file), insert_cooldown=True, cold=options.cold and not state.heats)
+    outcome = options.perform(request, f"run {count + 1} of {options.most} at most: ")
     if outcome.error is not None:
         raise outcome.error
     return outcome.path
 
 
 def _heating(request: Request) -> float:
+    """Return the duration of the heat in a request [s]."""
     return float(request.plan.parameters[HEATING])
 
 
 def _refuse_other(request: Request) -> None:
+    """Refuse a protocol that is not heated, and a request without an actuator's label."""
     plan = request.plan
     lacking = [name for name in (HEATING, COOLING) if name not in plan.parameters]
     if plan.analysis != "thermal" or lacking:
@@ -155,128 +157,133 @@ def _refuse_other(request: Request) -> None:
 
 
 def _refuse_own(file: Path, motors: Iterable[str]) -> None:
-    """Refuse to replace a motor file that the bench names: what it tells is what the narrowed one is held against."""
+    """Refuse to replace a motor file that the bench names: its tolerances are the reference for the narrowed file."""
     if file.exists() and any(Path(name).exists() and file.samefile(name) for name in motors):
         raise InputError(f"--file {file}: is the motor file that the bench names; name another one")
 
 
-def _judged(asked: Request, motor: Motor, file: Path | None) -> Commissioned:
-    """What the protocol would do to windings that are cold, by a motor file."""
-    request = _by(asked, file)
+def _judged(whole: Request, motor: Motor, file: Path | None) -> Commissioned:
+    """Return the forecast of the protocol on cold windings, by a motor file; None is the bench's own file."""
+    request = _by(whole, file)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    load = asked.bench.motors.get("load", asked.bench.motors["test"])
+    load = whole.bench.motors.get("load", whole.bench.motors["test"])
     forecast, limit = windings.forecast(request.plan), windings.settings.limit
     return Commissioned(motor, file, _heating(request), forecast, limit, load)
 
 
 def _by(request: Request, file: Path | None) -> Request:
-    """The request on the same bench with another motor file for the actuator under test."""
+    """Return the request with another motor file for the actuator under test on the same bench."""
     if file is None:
         return request
     motors = request.bench.motors | {"test": str(file.resolve())}
     if "load" not in request.bench.motors:
-        motors |= {"load": request.bench.motors["test"]}  # which had been taken to be like the other one
+        motors |= {"load": request.bench.motors["test"]}  # without an entry, the load has the motor file of `test`
     return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
 
 
-def _shorter(manner: CommissionOptions, judged: Commissioned) -> Request:
-    """The protocol with as long a heat as is admitted, and a cooling that tells the housing.
+def _shorter(options: CommissionOptions, state: Commissioned) -> Request:
+    """Return the protocol with a heat as long as is admitted, and a cooling long enough to identify the housing.
 
     Raises
     ------
-    InputError : no heat that is long enough.
+    InputError : no heat of `SHORTEST_S` or more is admitted.
     """
-    asked, passing = manner.prepare({}), judged.forecast.passing
-    seconds = min(_heating(asked), judged.longest_s)
+    whole, passing = options.prepare({}), state.forecast.passing
+    seconds = min(_heating(whole), state.longest_s)
     if passing is not None:
-        row = max(asked.plan.timeline(), key=lambda one: one.duration_s if one.name == "heating" else 0.0)
-        seconds = min(seconds, SHARE * (passing.time_s - row.start_s))
-    network = judged.motor.thermal
+        heating = max(whole.plan.timeline(), key=lambda row: row.duration_s if row.name == "heating" else 0.0)
+        seconds = min(seconds, SHARE * (passing.time_s - heating.start_s))
+    network = state.motor.thermal
     constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
-    cooling = min(float(asked.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
+    cooling = min(float(whole.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
     while seconds >= SHORTEST_S:
-        request = manner.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
-        if _judged(request, judged.motor, judged.file).admitted:
+        request = options.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
+        if _judged(request, state.motor, state.file).admitted:
             return request
         seconds *= FALLING
-    told = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
-    told += "" if passing is None else f" {passing.time_s:.0f} s, and"
+    reason = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
+    reason += "" if passing is None else f" {passing.time_s:.0f} s, and"
     raise InputError(
-        f"protocol '{asked.plan.name}':{told} no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
+        f"protocol '{whole.plan.name}':{reason} no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
     )
 
 
-def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: CommissionOptions) -> Motor:
+def _narrowed(whole: Request, shipped: Motor, paths: Sequence[Path], options: CommissionOptions) -> Motor:
     with ExitStack() as opened:
-        runs = [opened.enter_context(Run.open(path)) for path in told]
-        _refuse_others(runs, asked)
+        runs = [opened.enter_context(Run.open(path)) for path in paths]
+        _refuse_others(runs, whole)
         refuse_repeated(runs)
         refuse_altered(runs)
         for note in dict.fromkeys(note for run in runs for note in channel_doubts(run)):
-            manner.tell(note)
-        return narrowed(shipped, runs, manner.accuracy)
+            options.tell(note)
+        return narrowed(shipped, runs, options.accuracy)
 
 
-def _written(asked: Request, motor: Motor, told: Sequence[Path], file: Path) -> Commissioned:
-    """Write the motor file of all heats so far, and judge the protocol by it.
+def _written(whole: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:
+    """Write the motor file of all heats so far, and return the forecast of the protocol by it.
 
-    To the memory of the windings a narrowed file is another motor file, of which it would know nothing. What is known
-    of the actuator by the file before holds by this one as well, so it is kept again.
+    The memory of the windings knows nothing about a new motor file. The bounds by the previous file hold for the new
+    one as well, so they are written again.
     """
-    with nullcontext() if asked.in_process else locks.held(asked.bench, asked.devices):
-        known = _known(asked, file)
-        _write(file, motor, asked.actuator, told)
-        request = _by(asked, file)
+    with nullcontext() if whole.in_process else locks.held(whole.bench, whole.devices):
+        known = _known(whole, file)
+        _write(file, motor, whole.actuator, paths)
+        request = _by(whole, file)
         Windings(request.bench, request.devices, request.actuator, request.in_process, recalled=known).keep_as_found()
-    found = _judged(asked, load_motor(str(file))[0], file)
-    found.longest_s = LONGER * max(_heated_s(path) for path in told)
-    return found
+    state = _judged(whole, load_motor(str(file))[0], file)
+    state.longest_s = LONGER * max(_heated_s(path) for path in paths)
+    return state
 
 
 def _heated_s(path: Path) -> float:
-    """How long a run was heated [s]."""
+    """Return how long a run was heated [s]."""
     with Run.open(path) as run:
         current = run.channel("line_current")
         on = np.abs(current.values) > ON * np.nanmax(np.abs(current.values))
         return float(np.sum(np.diff(current.time)[on[1:] & on[:-1]]))
 
 
-def _known(asked: Request, file: Path) -> Mapping[str, Recalled]:
-    """The lower of the bounds that the memory has by the bench's own motor file and by an earlier narrowed one."""
-    requests = [asked, *([_by(asked, file)] if file.exists() else [])]
-    several = [Windings(one.bench, one.devices, one.actuator, one.in_process).recalled for one in requests]
-    return {role: min((one[role] for one in several), key=lambda one: float(one.nodes[0])) for role in several[0]}
+def _known(whole: Request, file: Path) -> Mapping[str, Recalled]:
+    """Return the lower bounds that the memory has by the bench's own motor file and by an earlier narrowed file."""
+    requests = [whole, *([_by(whole, file)] if file.exists() else [])]
+    recalled = [Windings(known.bench, known.devices, known.actuator, known.in_process).recalled for known in requests]
+    return {
+        role: min((known[role] for known in recalled), key=lambda known: float(known.nodes[0])) for role in recalled[0]
+    }
 
 
-def _refuse_others(runs: Sequence[Run], asked: Request) -> None:
-    """Refuse runs of another actuator or of another bench, whose instruments read otherwise, and emulated ones."""
-    emulated, faults = asked.bench.emulated is not None, []
+def _refuse_others(runs: Sequence[Run], whole: Request) -> None:
+    """Refuse runs of another actuator, of another bench with other instruments, and simulated runs for a real bench."""
+    emulated, faults = whole.bench.emulated is not None, []
     for run in runs:
-        if (of := str(run.attributes.get("actuator", ""))) != asked.actuator:
-            faults.append(f"{run.path}: of actuator '{of}'; '{asked.actuator}' was expected")
-        if (at := str(run.attributes.get("bench", ""))) != asked.bench.name:
-            faults.append(f"{run.path}: of bench '{at}'; '{asked.bench.name}' was expected: its supply, its camera")
+        if (actuator := str(run.attributes.get("actuator", ""))) != whole.actuator:
+            faults.append(f"{run.path}: of actuator '{actuator}'; '{whole.actuator}' was expected")
+        if (bench := str(run.attributes.get("bench", ""))) != whole.bench.name:
+            faults.append(f"{run.path}: of bench '{bench}'; '{whole.bench.name}' was expected: its supply, its camera")
         if bool(run.attributes.get("simulated")) and not emulated:
-            faults.append(f"{run.path}: simulated; a run of the real bench '{asked.bench.name}' was expected")
+            faults.append(f"{run.path}: simulated; a run of the real bench '{whole.bench.name}' was expected")
     if faults:
         raise InputError(faults)
 
 
-def _write(file: Path, motor: Motor, actuator: str, told: Sequence[Path]) -> None:
-    head = [
+def _write(file: Path, motor: Motor, actuator: str, paths: Sequence[Path]) -> None:
+    header = [
         f"# Actuator {actuator}, commissioned {datetime.now(UTC):%Y-%m-%d} by `leactl thermal commission` from",
-        *(f"#   {path.name}" for path in told),
+        *(f"#   {path.name}" for path in paths),
         "# For this actuator, its mounting and the supply and camera of these runs alone.",
     ]
     body = yaml.safe_dump(motor.model_dump(exclude_none=True, exclude_defaults=True), sort_keys=False)
-    with replacement(file) as beside:
-        beside.write_text("\n".join([*head, body]), encoding="utf-8")
+    with replacement(file) as temporary:
+        temporary.write_text("\n".join([*header, body]), encoding="utf-8")
 
 
-def _state(judged: Commissioned) -> str:
-    by = judged.file.name if judged.file is not None else f"the tolerances of motor '{judged.motor.name}'"
-    passing = judged.forecast.passing
+def _state_text(state: Commissioned) -> str:
+    """Return a line on the forecast of the protocol by the latest motor file."""
+    source = state.file.name if state.file is not None else f"the tolerances of motor '{state.motor.name}'"
+    passing = state.forecast.passing
     if passing is None:
-        told = f"by {by}: at most {judged.forecast.peaks['test']:.1f} degC of {judged.limit:.1f}, admitted"
-        return told if judged.admitted else f"{told} for heats of up to {judged.longest_s:.0f} s"
-    return f"by {by}: up to {judged.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"
+        text = f"by {source}: at most {state.forecast.peaks['test']:.1f} degC of {state.limit:.1f}, admitted"
+        return text if state.admitted else f"{text} for heats of up to {state.longest_s:.0f} s"
+    return (
+        f"by {source}: up to {state.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"
+    )

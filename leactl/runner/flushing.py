@@ -1,4 +1,4 @@
-"""Brings rows to the disk, all or a few: in a thread where the loop keeps wall time, inline where it makes time."""
+"""Writing of rows to the disk: in a thread if the loop keeps wall time, inline if the loop simulates time."""
 
 import math
 import threading
@@ -17,14 +17,14 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.progress import Progress
 from leactl.safety.disk import free_bytes
 
-FLUSH_S = 0.8  # a kill may cost a second (run-format), of which the writing itself takes some
-PROMISED_S = 1.0  # from one flush to the next, by which the run format says that rows are on the disk
+FLUSH_S = 0.8  # a kill may cost one second of rows (run-format), part of which the writing itself takes
+PROMISED_S = 1.0  # longest time from one flush to the next, by the run format
 QUIET_S = 60.0  # at most one warning of a slow disk in this time
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Where a run's samples and words go: its file, what brings that to the disk, the view, limits of its channels."""
+    """Receivers of a run's samples and events: its file, the flush to the disk, the view, limits on channels."""
 
     writer: RunWriter
     flush: "Flush"
@@ -48,15 +48,15 @@ class SparseWriter(RunWriter):
         self._due: dict[str, float] = {}
 
     def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
-        """Add a row, unless the last one that was added is too young."""
+        """Add a row if it is due."""
         if self._is_due(stream, time):
             super().append_row(stream, time, values)
 
     def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
-        """Add those of the rows that are due: `times` (n,) and `block` (n, channels)."""
-        kept = [index for index, time in enumerate(times.tolist()) if self._is_due(stream, time)]
-        if kept:
-            super().append(stream, times[kept], block[kept])
+        """Add the rows that are due, of `times` [s], shape (n,), and `block`, shape (n, channels)."""
+        due = [index for index, time in enumerate(times.tolist()) if self._is_due(stream, time)]
+        if due:
+            super().append(stream, times[due], block[due])
 
     def _is_due(self, stream: str, time: float) -> bool:
         due = self._due.setdefault(stream, time)
@@ -75,11 +75,11 @@ class InlineFlush:
         self.free_bytes = math.inf  # on the disk, after the last flush
 
     def after_cycle(self) -> None:
-        """Flush where it is due.
+        """Flush if due.
 
         Raises
         ------
-        RecordingFailed : the disk takes no more.
+        RecordingFailed : the disk takes no more rows.
         """
         if time.monotonic() >= self._due:
             self._writer.flush()
@@ -87,11 +87,11 @@ class InlineFlush:
             self._due = time.monotonic() + FLUSH_S
 
     def warnings(self) -> list[str]:
-        """None: the loop's own time stands still while this writes."""
+        """Return no warnings: the time of the loop stands still while this writes."""
         return []
 
     def stop(self) -> None:
-        """Nothing goes on by itself."""
+        """Do nothing: there is no thread to end."""
 
 
 class ThreadedFlush:
@@ -118,7 +118,7 @@ class ThreadedFlush:
                 return
 
     def _see_pace(self, now: float) -> None:
-        """Note a disk that takes so long that a kill now would cost more than the run format says."""
+        """Warn of a disk so slow that a kill now would cost more rows than the run format promises."""
         took, self._flushed = now - self._flushed, now
         if took > PROMISED_S and now >= self._quiet_until:
             self._quiet_until = now + QUIET_S
@@ -128,15 +128,15 @@ class ThreadedFlush:
             )
 
     def warnings(self) -> list[str]:
-        """What there is to tell of the disk since the last call."""
+        """Return the warnings since the last call, and clear them."""
         return [self._warnings.popleft() for _ in range(len(self._warnings))]
 
     def after_cycle(self) -> None:
-        """Tell the loop of a failure.
+        """Raise the failure of the thread, if any.
 
         Raises
         ------
-        RecordingFailed : the disk takes no more.
+        RecordingFailed : the disk takes no more rows.
         """
         failure = self._failure
         if failure is None:

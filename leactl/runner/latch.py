@@ -1,7 +1,7 @@
-"""A trip outlives its process: the bench stays latched in a file until a person resets it.
+"""Trip latches: files in which a tripped bench stays latched until a person resets it.
 
-A bench on real buses latches for the machine, by its name; one that is emulated in its run's process by its file, so
-that no tripped rehearsal holds another one. A latch in any place where one may lie holds the bench.
+A bench on real buses latches for the machine, by its name. A bench that is emulated in the process of its run latches
+by its bench file, so that a tripped rehearsal does not hold another one. A latch in any place of state holds the bench.
 """
 
 import errno
@@ -27,14 +27,14 @@ from leactl.runner.runs_underway import LostRun
 from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
-RELEASED = b'{"released": true}\n'  # in the file of another user, whom it takes to remove it
-BYTES = 4096  # of a latch that is held ready, so that setting it takes no room
+RELEASED = b'{"released": true}\n'  # written to the file of another user, which only that user may remove
+BYTES = 4096  # of a latch that is held ready, so that setting it takes no disk space
 DIGITS = 16  # of a file's digest in the name of its latch
 
 
 @dataclass(frozen=True)
 class Trip:
-    """Why and when a bench was tripped, and the run that shows it."""
+    """Cause and time of a trip, and the recording of its run."""
 
     bench: str
     cause: str
@@ -47,12 +47,12 @@ class Latch:
     """The latch of one bench."""
 
     bench: str  # its name
-    resets: str  # what `leactl bench reset` takes for it
+    resets: str  # argument of `leactl bench reset` for it
     paths: tuple[str, ...]  # the first is written; a file at any of them holds the bench
-    shared: bool = False  # the first is every user's
+    shared: bool = False  # whether the first is writable for every user
 
     def set(self, cause: str, run: Path) -> None:
-        """Latch the bench, on the disk when this returns; a write that is cut short latches it too, cause unknown.
+        """Latch the bench, on the disk before this returns; a write that is cut short latches it too, cause unknown.
 
         Raises
         ------
@@ -62,8 +62,10 @@ class Latch:
         try:
             descriptor = state_folder.opened(path, self.shared)
             try:
-                text = _told(self.bench, cause, run)
-                if write_at(descriptor, text, 0) < len(text):  # over an earlier cause, which a full disk leaves whole
+                text = _content(self.bench, cause, run)
+                if write_at(descriptor, text, 0) < len(
+                    text
+                ):  # overwrites an earlier cause, which a full disk leaves intact
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.ftruncate(descriptor, len(text))
                 os.fsync(descriptor)
@@ -74,7 +76,7 @@ class Latch:
             raise LeactlError(f"{path}: the trip could not be latched: {error.strerror or error}") from None
 
     def trip(self) -> Trip | None:
-        """The trip that holds this bench, or None; a latch that cannot be read holds it too."""
+        """Return the trip that holds this bench, or None; a latch that cannot be read holds it too."""
         trips = (_trip(self.bench, Path(path)) for path in self.paths)
         return next((trip for trip in trips if trip is not None), None)
 
@@ -83,7 +85,7 @@ class Latch:
 
         Raises
         ------
-        SafetyTrip : with the cause and the command that resets it.
+        SafetyTrip : the bench is tripped, with the cause and the command that resets it.
         """
         trip = self.trip()
         if trip is not None:
@@ -93,11 +95,11 @@ class Latch:
             )
 
     def release(self) -> None:
-        """Take the latch away, whoever made it.
+        """Remove the latch, whichever user made it.
 
         Raises
         ------
-        InputError : this user may not.
+        InputError : this user may not write to it.
         """
         for path in map(Path, self.paths):
             if _trip(self.bench, path) is None:
@@ -105,10 +107,10 @@ class Latch:
             with suppress(OSError):
                 path.unlink()
                 continue
-            with suppress(OSError):  # a folder, whatever is in it
+            with suppress(OSError):  # a folder, with any content
                 path.rename(path.with_name(f"{path.name}.{secrets.token_hex(4)}.aside"))
                 continue
-            try:  # another user's in a sticky directory
+            try:  # a file of another user in a sticky directory
                 descriptor = state_folder.opened(path, self.shared)
                 try:
                     os.ftruncate(descriptor, 0)
@@ -123,24 +125,24 @@ class Latch:
 
 
 class UnlatchedRun(NamedTuple):
-    """A lost run that holds its bench by its own file, and what could not be written."""
+    """A lost run that holds its bench by its run file, and the fault that kept its latch from being written."""
 
     lost: LostRun
     fault: str
 
 
 class Ready:
-    """A latch whose file is open before the first move, with its room: to set it takes no descriptor and no disk space.
+    """A latch whose file is open and of full size before the first move: setting it needs no descriptor or disk space.
 
-    Until it is set it says that it is released. Where its file was removed or exchanged meanwhile, it is made anew.
+    Until then the file says that the latch is released. If the file was removed or exchanged, `set` makes a new one.
     """
 
     def __init__(self, latch: Latch) -> None:
-        """Open it, or make it.
+        """Open the file of the latch, or make it.
 
         Raises
         ------
-        LeactlError : it cannot be.
+        LeactlError : the file can be neither opened nor made.
         """
         self._latch, self._path = latch, Path(latch.paths[0])
         self._cut_short = json.dumps(asdict(Trip(latch.bench, "unknown, for want of memory", "", ""))).encode()
@@ -153,14 +155,14 @@ class Ready:
             raise LeactlError(f"{self._path}: no trip could be latched: {error.strerror or error}") from None
 
     def set(self, cause: str, run: Path) -> None:
-        """Latch the bench, on the disk when this returns; as `Latch.set`.
+        """Latch the bench, on the disk before this returns; as `Latch.set`.
 
         Raises
         ------
         LeactlError : the latch could not be written; the bench is safe, but the next run will not know.
         """
         try:
-            text = _told(self._latch.bench, cause, run)
+            text = _content(self._latch.bench, cause, run)
         except MemoryError:
             text = self._cut_short
         if not state_folder.in_place(self._descriptor, self._path):
@@ -172,7 +174,7 @@ class Ready:
             raise LeactlError(f"{self._path}: the trip could not be latched: {error.strerror or error}") from None
 
     def close(self) -> None:
-        """Let it go, and take it away where it was not set."""
+        """Close the file, and remove it if the latch was not set."""
         with suppress(OSError):
             if (
                 state_folder.in_place(self._descriptor, self._path)
@@ -187,23 +189,24 @@ class Ready:
         os.fsync(self._descriptor)
 
 
-def _told(bench: str, cause: str, run: Path) -> bytes:
+def _content(bench: str, cause: str, run: Path) -> bytes:
+    """Return the content of a latch that is set now."""
     trip = Trip(bench, cause, datetime.now(UTC).isoformat(timespec="seconds"), str(run))
     return json.dumps(asdict(trip), indent=1).encode() + b"\n"
 
 
 def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
-    """The latch of a bench as its run meets it; `file` is where its bench file lies."""
+    """Return the latch of a bench for its run; `file` is the path of the bench file."""
     if in_process:
         return _of_file(bench.name, Path(file))
-    place = state_folder.place_of(bench, in_process)
-    directories = dict.fromkeys([place.directory, *(other.directory for other in state_folder.places())])
+    state = state_folder.place_of(bench, in_process)
+    directories = dict.fromkeys([state.directory, *(place.directory for place in state_folder.places())])
     paths = tuple(str(directory / f"{bench.name}{SUFFIX}") for directory in directories)
-    return Latch(bench.name, bench.name, paths, place.shared)
+    return Latch(bench.name, bench.name, paths, state.shared)
 
 
 def named(word: str) -> list[Latch]:
-    """Every latch that a word leads to: a bench's name, as a trip tells it, or a path to a bench file."""
+    """Return every latch for a bench's name, as a trip reports it, or for the path of a bench file."""
     if Path(word).suffix not in (".yaml", ".yml"):
         return list(_by_name(word))
     file, _devices, document = benchfile.load(word)
@@ -211,17 +214,17 @@ def named(word: str) -> list[Latch]:
 
 
 def tripped(word: str) -> dict[Latch, Trip]:
-    """Those of the latches `named` that hold a bench, and why."""
+    """Return those of the latches `named` that hold a bench, with their trips."""
     trips = {latch: latch.trip() for latch in named(word)}
     return {latch: trip for latch, trip in trips.items() if trip is not None}
 
 
 def latch_lost_runs(bench: str) -> list[UnlatchedRun]:
-    """Latch a bench on real buses for every run of it that nothing is left of: who knows what its devices do.
+    """Latch a bench on real buses for each of its lost runs, whose devices may be in any state.
 
-    A latch that is there gets the cause beside its own, so that whoever resets it reads both; one that names the
+    A latch that is already set gets the cause in addition, so that whoever resets it reads both; one that names the
     same process was set by its watchdog, and stays. Returns the runs whose latch could not be written, or whose file
-    could be neither removed nor marked: that file holds the bench, until a reset.
+    could be neither removed nor marked: that file holds the bench until a reset.
     """
     unlatched = []
     for run in runs_underway.lost(bench):
@@ -241,7 +244,7 @@ def refuse_lost_runs(bench: str) -> None:
 
     Raises
     ------
-    SafetyTrip : with the cause, what could not be written, and the command that resets it.
+    SafetyTrip : a latch could not be written; with the cause, the fault, and the command that resets the bench.
     """
     for run in latch_lost_runs(bench):
         raise SafetyTrip(
@@ -250,7 +253,7 @@ def refuse_lost_runs(bench: str) -> None:
 
 
 def _of_file(bench: str, file: Path) -> Latch:
-    """The latch of a bench emulated here: by the file that its links lead to, in the user's own place."""
+    """Return the latch of a bench emulated here, by the resolved path of its file, in the user's place of state."""
     path = file.resolve()
     resets = path.stem if path.parent == benchfile.SHIPPED.resolve() else str(path)
     digest = sha256(os.fsencode(path)).hexdigest()[:DIGITS]
@@ -258,16 +261,17 @@ def _of_file(bench: str, file: Path) -> Latch:
 
 
 def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
-    """The latches that lie anywhere for benches of this name, which has no `@`."""
+    """Yield the latches in all places of state for benches of this name, which has no `@`."""
     for place in state_folder.places():
         with suppress(OSError):
             for path in sorted(place.directory.iterdir()):
-                key, suffix, rest = path.name.partition(SUFFIX)
-                if suffix and not rest and (key == bench or (of_files and key.partition("@")[0] == bench)):
+                key, suffix, after = path.name.partition(SUFFIX)
+                if suffix and not after and (key == bench or (of_files and key.partition("@")[0] == bench)):
                     yield Latch(bench, bench, (str(path),), place.shared)
 
 
 def _trip(bench: str, path: Path) -> Trip | None:
+    """Return the trip in a latch file; None if there is no file or it is released."""
     try:
         text = state_folder.read(path)
     except FileNotFoundError:
@@ -277,9 +281,9 @@ def _trip(bench: str, path: Path) -> Trip | None:
     if text.strip() == RELEASED.strip():
         return None
     try:
-        told = astuple(Trip(**json.loads(text)))
+        texts = astuple(Trip(**json.loads(text)))
     except (ValueError, TypeError, RecursionError) as error:
         return Trip(bench, f"unknown, {path} cannot be read: {error}", "", "")
-    if not all(isinstance(value, str) for value in told):
+    if not all(isinstance(value, str) for value in texts):
         return Trip(bench, f"unknown, {path} cannot be read: texts were expected", "", "")
-    return Trip(*map(printable, told))  # a line each, whatever somebody wrote there
+    return Trip(*map(printable, texts))  # one line each, whatever the file contains

@@ -1,6 +1,6 @@
-"""Plans that switch a supply on, before anything moves: what ends its current if every process is dead.
+"""Check of plans that switch a supply on, before anything moves: what ends the current if every process dies.
 
-Either the winding outlives levels that stay on for ever, or the instrument's own protection ends them, or a person says
+Either the winding endures the levels for ever, or the protection of the instrument ends the current, or a person says
 that they attend the run; a plan without any of the three is refused.
 """
 
@@ -22,7 +22,7 @@ from leactl.safety.thermal.supply_left_on import Endured, endured, reached, trip
 
 
 class EndedBy(StrEnum):
-    """What ends a supply's current, or makes that unnecessary."""
+    """Reason why a supply that is left on does no harm."""
 
     OUTLIVED = "outlived"
     PROTECTION = "protection"
@@ -32,33 +32,33 @@ class EndedBy(StrEnum):
 
 @dataclass(frozen=True)
 class LeftOn:
-    """One supply at the leads of a role, with levels that a plan has it put out."""
+    """One supply at the leads of a role, with one pair of levels of a plan."""
 
     role: str
     voltage: float  # V
     current: float  # A
-    reached: float  # degC, of the hottest phase at the most, if they stay on for ever
+    reached: float  # degC, of the hottest phase at the most, if the levels stay on for ever
     ended_by: EndedBy
-    trips_at: float | None = None  # V, of its protection
-    most: float = math.inf  # A, that it may be seen to give; what is outlived holds for no more
+    trips_at: float | None = None  # V, trip level of its protection
+    most: float = math.inf  # A, highest reading for which the winding endures the levels
 
     @property
-    def told(self) -> str:
-        """What comes of it if nobody switches it off, in one line."""
-        told = f"{self.role} supply left on at {self.voltage:g} V, {self.current:g} A: winding {_hot(self.reached)}"
+    def summary(self) -> str:
+        """The consequence if nobody switches the supply off, in one line."""
+        levels = f"{self.role} supply left on at {self.voltage:g} V, {self.current:g} A: winding {_hot(self.reached)}"
         match self.ended_by:
             case EndedBy.OUTLIVED:
-                return f"{told}, which it outlives"
+                return f"{levels}, which it outlives"
             case EndedBy.PROTECTION:
-                return f"{told}, but for the supply's own protection at {self.trips_at:.2f} V"
+                return f"{levels}, but for the supply's own protection at {self.trips_at:.2f} V"
             case EndedBy.ATTENDED:
-                return f"{told}; the run is attended"
+                return f"{levels}; the run is attended"
             case _:
-                return f"{told}, and nothing ends it"
+                return f"{levels}, and nothing ends it"
 
 
 def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
-    """Each pair of levels that a plan has the bench's supplies put out, once."""
+    """Judge each pair of levels of the bench's supplies in a plan, once."""
     supplies = at_leads(bench.others, windings.motors)
     levels: dict[Levels, None] = {}
     for action in plan.actions:
@@ -69,30 +69,30 @@ def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
 
 
 def endings(plan: Plan, windings: Windings, powered: Sequence[LeftOn]) -> dict[Levels, Ending]:
-    """What makes each pair of levels that are `left_on` end or endurable, for the supervisor to arm and to watch.
+    """Return for each pair of levels the protection to arm and the highest current to allow, for the supervisor.
 
     Raises
     ------
-    InputError : levels that nothing ends; a line each, with the ways out.
+    InputError : one line for each pair of levels that nothing ends, with what helps.
     """
-    faults = [_refusal(plan, windings, one) for one in powered if one.ended_by is EndedBy.NOTHING]
+    faults = [_refusal(plan, windings, item) for item in powered if item.ended_by is EndedBy.NOTHING]
     if faults:
         raise InputError(faults)
-    return {(one.role, one.voltage, one.current): Ending(one.trips_at, one.most) for one in powered}
+    return {(item.role, item.voltage, item.current): Ending(item.trips_at, item.most) for item in powered}
 
 
 def _judged(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
 ) -> LeftOn:
-    motor, settings = windings.motors[role], windings.settings  # a reading that repeats says nothing of a setting
-    if motor.winding != "wye":  # what two leads heat, and their resistance, is known of a wye alone
+    motor, settings = windings.motors[role], windings.settings  # not `fed`: a precise reading is no precise setting
+    if motor.winding != "wye":  # heat and resistance of two leads are known for a wye alone
         return LeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
     box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
     hottest = reached(box, settings.ambient, voltage, current)
-    carried = _endured(windings, role)
-    if carried.outlives(voltage, current, start):
-        most = math.inf if attended else carried.most(voltage)
+    limits = _endured(windings, role)
+    if limits.outlives(voltage, current, start):
+        most = math.inf if attended else limits.most(voltage)
         return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, most=most)
     if isinstance(supply, ProtectedSupply):
         uneven = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
@@ -108,21 +108,22 @@ def _endured(windings: Windings, role: str) -> Endured:
     return endured(Box.of(windings.motors[role]), settings.limit - MARGIN_K, settings.ambient)
 
 
-def _refusal(plan: Plan, windings: Windings, one: LeftOn) -> str:
-    carried = _endured(windings, one.role)
+def _refusal(plan: Plan, windings: Windings, item: LeftOn) -> str:
+    """Return the refusal of levels that nothing ends, with what helps."""
+    limits = _endured(windings, item.role)
     # rounded down to what the coarsest supplies can be set to
-    volts, amperes = int(10.0 * carried.voltage(one.current)) / 10.0, int(10.0 * carried.current) / 10.0
-    start = windings.recalled[one.role]
-    ways = [f"current_A of {amperes:g} at the most"]
-    if carried.outlives(volts, one.current, carried.nodes):
-        ways.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
-    if not carried.outlives(0.0, 0.0, start.nodes.tolist()):
-        ways = ["a rest before"]
+    volts, amperes = int(10.0 * limits.voltage(item.current)) / 10.0, int(10.0 * limits.current) / 10.0
+    start = windings.recalled[item.role]
+    remedies = [f"current_A of {amperes:g} at the most"]
+    if limits.outlives(volts, item.current, limits.nodes):
+        remedies.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
+    if not limits.outlives(0.0, 0.0, start.nodes.tolist()):
+        remedies = ["a rest before"]
     return (
-        f"protocol '{plan.name}': nothing switches off the supply of {one.role} if this machine fails, and"
-        f" {one.voltage:g} V, {one.current:g} A left on may bring its winding to {_hot(one.reached)}, above its limit"
-        f" of {windings.settings.limit:g} degC; what helps: {', or '.join(ways)}, or a supply whose own protection ends"
-        " it in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+        f"protocol '{plan.name}': nothing switches off the supply of {item.role} if this machine fails, and"
+        f" {item.voltage:g} V, {item.current:g} A left on may bring its winding to {_hot(item.reached)}, above its"
+        f" limit of {windings.settings.limit:g} degC; what helps: {', or '.join(remedies)}, or a supply whose own"
+        " protection ends it in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
     )
 
 

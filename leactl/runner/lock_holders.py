@@ -1,4 +1,4 @@
-"""Who holds a place on this machine, by the kernel's own word: names of abstract sockets, and who listens there."""
+"""Holders of locks on this machine according to the kernel: names of abstract sockets, and their listeners."""
 
 import socket
 import struct
@@ -7,16 +7,16 @@ from hashlib import sha256
 LONGEST_NAME = 100  # bytes of an abstract socket's name; the kernel takes 107
 
 
-def lock_of(place: str) -> bytes:
-    """The address by which a place is held."""
-    name = f"leactl/{place}".encode(errors="surrogateescape")
+def lock_of(key: str) -> bytes:
+    """Return the address of the abstract socket that locks a name."""
+    name = f"leactl/{key}".encode(errors="surrogateescape")
     if len(name) > LONGEST_NAME:
         name = f"leactl/{sha256(name).hexdigest()}".encode()
     return b"\0" + name
 
 
 def holder(lock: bytes) -> tuple[int, int] | None:
-    """Process and user that hold a lock; None where nobody does, or nobody can be asked."""
+    """Return the process and the user that hold a lock; None if nobody does, or its queue is full."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:

@@ -1,9 +1,9 @@
-"""One run at a time on a bench: a lock for its name and each of its buses and export folders, for the whole run.
+"""Locks that allow one run at a time on a bench: for its name, each of its buses and each of its export folders.
 
-Each lock is a name in the kernel's own space (an abstract socket), the same for every user, home and directory of state
-on this machine: no file stands for it that could vanish, lead elsewhere or be out of a user's reach. It ends with the
-process whatever ended that. A lock on the bus as the machine knows it keeps two bench files apart that reach the same
-devices.
+Each lock is an abstract socket, a name in the kernel that is the same for every user, home and directory of state on
+this machine: there is no lock file that could vanish, lead elsewhere or be out of a user's reach. A lock ends with its
+process, whatever ends that. A bus is locked by the machine's own name for it, so that two bench files cannot reach the
+same devices.
 """
 
 import errno
@@ -21,42 +21,44 @@ from leactl.driver.file_records import RecordSettings
 from leactl.errors import DeviceError, InputError
 from leactl.runner import lock_holders, state_folder
 
-WAITING = 4096  # who asks for the holder stays in its queue; beyond this, or the kernel's bound, it is unknown
-UDP_MULTICAST_PORT = 43113  # of python-can, where no option names another
+WAITING = 4096  # length of the queue in which requests for the holder stay; beyond it the holder is unknown
+UDP_MULTICAST_PORT = 43113  # of python-can, unless an option names another
 
 
 @contextmanager
 def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[int]]:
-    """Hold a bench and the buses of its devices until the block is left.
+    """Lock a bench, the buses of its devices and their export folders until the block is left.
 
-    It yields the descriptors of the locks: a process that is handed them holds the bench as well, until its own end.
+    It yields the descriptors of the locks: a process that inherits them holds the locks as well, until its own end.
 
     Raises
     ------
-    DeviceError : another run holds one of them; with its process.
-    InputError : there is no place for locks, or this is no Linux.
+    DeviceError : another run holds one of the locks; with its process.
+    InputError : this is no Linux.
     """
     if sys.platform != "linux":
         raise InputError(
             f"bench '{bench.name}': devices are driven on Linux alone; emulated benches and files are for any system"
         )
     used = sorted({device.entry.bus for device in devices if device.entry.bus})
-    places = {name_of(bench): f"bench '{bench.name}'"}
+    subjects = {name_of(bench): f"bench '{bench.name}'"}
     for name in used:
-        place, shown = _place(bench.buses[name])
-        places.setdefault(place, f"bus '{name}' ({shown})")
+        key, shown = _bus_key(bench.buses[name])
+        subjects.setdefault(key, f"bus '{name}' ({shown})")
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
             folder = str(Path(settings.exports_folder).resolve())
-            places.setdefault(folder, f"the folder {folder} of '{device.name}'")
+            subjects.setdefault(folder, f"the folder {folder} of '{device.name}'")
     with ExitStack() as stack:
-        yield [stack.enter_context(alone(place, f"{what} is driven by another run")) for place, what in places.items()]
+        yield [
+            stack.enter_context(alone(key, f"{subject} is driven by another run")) for key, subject in subjects.items()
+        ]
 
 
 @contextmanager
 def bus_held(bus: Bus) -> Iterator[None]:
-    """Hold one bus, which no bench file needs to describe, until the block is left.
+    """Lock one bus, which need not be in a bench file, until the block is left.
 
     Raises
     ------
@@ -65,18 +67,18 @@ def bus_held(bus: Bus) -> Iterator[None]:
     """
     if sys.platform != "linux":
         raise InputError("devices are asked on Linux alone")
-    place, shown = _place(bus)
-    with alone(place, f"{shown} is driven by a run"):
+    key, shown = _bus_key(bus)
+    with alone(key, f"{shown} is driven by a run"):
         yield
 
 
 @contextmanager
 def idle(bench: str) -> Iterator[None]:
-    """Hold every bench of a name, on real buses or served, until the block is left: no run has one meanwhile.
+    """Lock every bench of a name, on real buses or served, until the block is left, so that no run has one.
 
     Raises
     ------
-    DeviceError : a run, another reset, or a watchdog that has not made it safe yet, holds one; with its process.
+    DeviceError : a run, another reset, or a watchdog that has not made a bench safe yet, holds one; with its process.
     """
     with ExitStack() as stack:
         if sys.platform == "linux":  # elsewhere no device is driven
@@ -87,7 +89,7 @@ def idle(bench: str) -> Iterator[None]:
 
 
 def name_of(bench: BenchFile) -> str:
-    """Name of the lock of a bench; that of a served one holds its state folder, for several may have one name."""
+    """Return the name of a bench's lock; for a served bench it contains the state folder, for names may repeat."""
     if bench.emulated is None:
         return _on_real_buses(bench.name)
     return _served(bench.name, state_folder.place_of(bench, in_process=False))
@@ -102,29 +104,33 @@ def _served(bench: str, place: state_folder.Place) -> str:
 
 
 @contextmanager
-def alone(place: str, taken: str) -> Iterator[int]:
-    """Hold a place for all of this machine until the block is left; `taken` opens the line that says who holds it.
+def alone(key: str, taken: str) -> Iterator[int]:
+    """Hold the lock of a name on this machine until the block is left; yields its descriptor.
+
+    Parameters
+    ----------
+    taken : beginning of the message that another process holds the lock.
 
     Raises
     ------
-    DeviceError : another process holds it, or it cannot be held.
+    DeviceError : another process holds the lock, or it cannot be made.
     """
-    name = lock_holders.lock_of(place)
+    name = lock_holders.lock_of(key)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
         try:
             lock.bind(name)
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
-                raise DeviceError(f"{place}: cannot be held: {error.strerror}") from None
+                raise DeviceError(f"{key}: cannot be held: {error.strerror}") from None
             raise DeviceError(f"{taken}, {_holder(name)}; wait for its end, or: leactl bench stop") from None
         lock.listen(WAITING)
         yield lock.fileno()
 
 
 def _holder(name: bytes) -> str:
-    """The process that holds a lock, as the kernel tells it, with its user where that is another one."""
+    """Return the process that holds a lock, according to the kernel, with its user if that is another one."""
     holder = lock_holders.holder(name)
-    if holder is None:  # on its way to the lock, or asked too often
+    if holder is None:  # between its bind and its listen, or its queue is full
         return "process unknown"
     process, user = holder
     if user == os.geteuid():
@@ -139,12 +145,16 @@ def _holder(name: bytes) -> str:
 
 @contextmanager
 def locked(path: Path, taken: str) -> Iterator[int]:
-    """Hold a folder by a lock file in it until the block is left; `taken` opens the line that says who holds it.
+    """Hold a lock file until the block is left; yields its descriptor.
+
+    Parameters
+    ----------
+    taken : beginning of the message that another process holds the lock.
 
     Raises
     ------
-    DeviceError : another process holds it.
-    InputError : there is no place for it.
+    DeviceError : another process holds the lock.
+    InputError : the file cannot be made, or the system has no locks of files.
     """
     try:
         import fcntl
@@ -164,11 +174,11 @@ def locked(path: Path, taken: str) -> Iterator[int]:
         os.write(descriptor, f"{os.getpid()}\n".encode())
         yield descriptor
     finally:
-        os.close(descriptor)  # and the lock with it; the file stays: removing it would let two runs lock two files
+        os.close(descriptor)  # releases the lock; the file stays: removing it would let two runs lock two files
 
 
-def _place(bus: Bus) -> tuple[str, str]:
-    """A bus as the machine knows it, whatever a bench file calls it, and how a person does."""
+def _bus_key(bus: Bus) -> tuple[str, str]:
+    """Return the machine's own name of a bus, whatever a bench file calls it, and its name for a person."""
     if isinstance(bus, I2cBus):
         return f"i2c-{bus.number}", f"i2c-{bus.number}"
     if isinstance(bus, SerialBus):
@@ -189,7 +199,7 @@ def _place(bus: Bus) -> tuple[str, str]:
 
 
 def _device(port: str) -> tuple[str, str]:
-    """A device by its number in the kernel, which all of its links and nodes share; else by the file it would be."""
+    """Return a port's device number in the kernel, which all its links share, and its path; else the path twice."""
     path = str(Path(port).resolve())
     try:
         status = Path(path).stat()
@@ -201,7 +211,7 @@ def _device(port: str) -> tuple[str, str]:
 
 
 def _interface(channel: str) -> str:
-    """A network interface by its first name: it may have others (`ip link property add dev can0 altname ...`)."""
+    """Return the first name of a network interface with others (`ip link property add dev can0 altname ...`)."""
     try:
         return socket.if_indextoname(socket.if_nametoindex(channel))
     except OSError:

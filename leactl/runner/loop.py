@@ -1,7 +1,7 @@
-"""The control loop: setpoints through the supervisor, one exchange, samples to the file and the judge, sign of life.
+"""The control loop: each cycle passes setpoints on, exchanges, records, judges the samples and sends the heartbeat.
 
-Every cycle is the same whatever the plan asks for, so that nothing moves, waits or is asked without being supervised,
-and the heartbeat that keeps the drives alive is sent after a supervised cycle and nowhere else.
+Every cycle is the same for every action of a plan, so that each movement, wait and prompt is supervised. The heartbeat
+that keeps the drives running is sent after a supervised cycle and nowhere else.
 """
 
 import math
@@ -37,12 +37,12 @@ from leactl.runner.step_outcomes import Outcomes
 from leactl.runner.watchdog import CYCLES, Unwatched, hung
 from leactl.safety.supervisor import Supervisor
 
-ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
+ANSWER_SHARE = 0.6  # of a period, that the drives' answers may take
 LEAST_ANSWER_S = 0.002
-SWITCHED_S = 10.0  # a supply has to be on or off after; its driver gives up before where it is told that it is not
-LONGEST_PAUSE_S = 3600.0  # after it nobody is beside the bench any more, and the run ends in order
-CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # how a criterion may end, beside that it is met or not
-NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
+SWITCHED_S = 10.0  # in which a supply must report on or off; its driver gives up earlier if the supply denies it
+LONGEST_PAUSE_S = 3600.0  # after a longer pause nobody attends the bench any more, and the run ends in order
+CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # outcomes of a criterion besides met and not met
+NOTICES_EVERY = 16  # cycles: notices cause no action, and need not cost time in every cycle
 
 
 class Loop:
@@ -71,7 +71,7 @@ class Loop:
         self._newest: dict[str, Sequence[float]] = {}
         self._progress.own = self._newest
         self._row: list[float] = []
-        self._judged: Sequence[float] = ()  # the row that a criterion was given last
+        self._judged: Sequence[float] = ()  # the row that a criterion has taken last
         self._record_at(plan.record_Hz)
         self._planned = 0.0
         self.overruns = 0
@@ -88,13 +88,13 @@ class Loop:
 
         Raises
         ------
-        SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
+        SafetyTrip, Stopped, DeviceError, RecordingFailed : the run ended early.
         """
         self._bench.pace(self._period)
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
         self._progress.winding_limit = self._supervisor.winding_limit
-        self._start = self._next = self._clock.now()  # what was made ready until now is no standstill
+        self._start = self._next = self._clock.now()  # the time of preparation is no standstill
         self._watchdog.begin(self._period)
         try:
             self._cycle()
@@ -108,8 +108,10 @@ class Loop:
                     self._pause()
             self._cycle()
         except BaseException as error:
-            self._see_standstill(self._clock.now() - self._next)  # first: what a drive says after it is its consequence
-            self._supervisor.latch(str(error))  # a drive's fault as well as a trip: nothing is commanded after it
+            self._see_standstill(
+                self._clock.now() - self._next
+            )  # first: a drive's fault after a standstill is its consequence
+            self._supervisor.latch(str(error))  # after a drive's fault as after a trip, nothing is commanded
             raise
         finally:
             self._pass_on_notices()
@@ -140,7 +142,7 @@ class Loop:
         self._until_row = 0 if rate else -1
 
     def _decide(self, when: When, actions: Iterator[Action]) -> None:
-        """Leave out what follows a condition, up to its end, where it is not fulfilled."""
+        """Skip the actions under a condition that is not fulfilled, up to the end of the condition."""
         condition, known = when.condition, ""
         if isinstance(condition, InRange):
             value = self._reading(condition.quantity, condition.role)
@@ -158,11 +160,11 @@ class Loop:
         self._progress.done_s = self._planned
 
     def _pause(self) -> None:
-        """Go on with supervised cycles, and nothing commanded, until people want the run to go on.
+        """Run supervised cycles without new commands until the pause is ended.
 
         Raises
         ------
-        Stopped : nobody has wanted it for `LONGEST_PAUSE_S`.
+        Stopped : the pause has lasted longer than `LONGEST_PAUSE_S`.
         """
         began = self.time
         self._pausing = True
@@ -180,7 +182,7 @@ class Loop:
     # -- one cycle ---------------------------------------------------------------------------------------------------
 
     def _cycle(self) -> None:
-        """Exchange, record, judge, feed, and wait for the next cycle's start."""
+        """Run one cycle: exchange, record, judge, send the heartbeat, and wait for the start of the next cycle."""
         self._stop.check()
         bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
         began = self._next
@@ -189,7 +191,7 @@ class Loop:
             self._until_row = self._every
             if row:
                 writer.append_row("loop", began - start, row)
-        self._until_row -= 1  # never comes to 0 where nothing is recorded
+        self._until_row -= 1  # never reaches 0 if nothing is recorded
         readings = bench.take()
         for reading in readings:
             if isinstance(reading, SampleBlock):
@@ -213,14 +215,14 @@ class Loop:
         self._progress.values, self._progress.time_s = row, began - start
         period, now = self._period, clock.now()
         due = began + period
-        if now > due + period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
+        if now > due + period:  # a cycle is lost: continue from now, and never catch up by two cycles in a row
             self._note_overrun(now - due)
             due = now
         clock.sleep_until(due)
         self._next = due
 
     def _see_standstill(self, late: float) -> None:
-        """Trip a loop that stood still longer than it may, where its watchdog had no time to look."""
+        """Trip if the loop stood still for longer than is allowed, and the watchdog has not yet acted."""
         if late > self._watchdog.allowed_s and not self._supervisor.tripped:
             self._supervisor.trip(hung(os.getpid(), round(1e9 * late), round(1e9 * self._watchdog.allowed_s)))
 
@@ -231,6 +233,7 @@ class Loop:
             self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
 
     def _pass_on_notices(self) -> None:
+        """Record and show what recorder, devices, operators, supervisor and flush have reported since the last call."""
         for text in self._writer.notes():
             self._note("warning", "recorder", text)
             self._progress.warnings.append(text)
@@ -246,6 +249,7 @@ class Loop:
                 self._progress.warnings.append(text)
 
     def _see_watchdog(self) -> None:
+        """Trip if the watchdog's process has ended."""
         fault = self._watchdog.fault()
         if fault:
             self._supervisor.trip(fault)
@@ -254,13 +258,13 @@ class Loop:
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
     def _judge(self, began: float, row: Sequence[float], readings: Sequence[SampleBlock | Row]) -> None:
-        """Hold the limits on channels against a cycle's row and what the devices gave at their own pace."""
+        """Compare the limits on channels with the row of a cycle and the samples of other streams."""
         if row:
             self._limits.receive("loop", began - self._start, row, self._note_limit)
         for reading in readings:
             if self._limits.watches(reading.stream):
-                for each in reading.rows() if isinstance(reading, SampleBlock) else (reading,):
-                    self._limits.receive(each.stream, each.time - self._start, each.values, self._note_limit)
+                for sample in reading.rows() if isinstance(reading, SampleBlock) else (reading,):
+                    self._limits.receive(sample.stream, sample.time - self._start, sample.values, self._note_limit)
 
     def _note_limit(self, level: str, text: str) -> None:
         self._note(level, "runner", text)
@@ -269,7 +273,7 @@ class Loop:
     # -- actions -----------------------------------------------------------------------------------------------------
 
     def _move(self, planned: Segment) -> None:
-        """Follow setpoints; the step is noted with the time it really took, even where it is cut short."""
+        """Follow the setpoints of a segment; record the step with its true duration, even if it is cut short."""
         segment = self.outcomes.chosen(planned)
         began = self.time
         self._progress.step = segment.name
@@ -327,14 +331,15 @@ class Loop:
             self._note("info", "runner", answer)
 
     def _scaled(self, setpoints: list[tuple[str, SetpointProfile]]) -> bool:
+        """Whether the supervisor scales any of the setpoints."""
         return any(self._supervisor.scales(role) for role, _profile in setpoints)
 
     def _meets(self, until: Until, judge: Judge) -> bool:
-        """Give the channel's newest sample, each once, and ask whether the criterion is met."""
-        values, place = self._newest_row(until.quantity, until.role)
+        """Pass the channel's newest sample to the criterion, each once; return whether the criterion is met."""
+        values, column = self._newest_row(until.quantity, until.role)
         if values is not self._judged:
             self._judged = values
-            judge.receive(self.time, values[place] if place < len(values) else math.nan)
+            judge.receive(self.time, values[column] if column < len(values) else math.nan)
         return judge.met(self.time)
 
     def _command(self, setpoints: list[tuple[str, SetpointProfile]], into: float) -> None:
@@ -342,7 +347,7 @@ class Loop:
             self._supervisor.command(role, profile.at(into))
 
     def _engage(self, modes: Mapping[str, Mode]) -> None:
-        """Bring drives into operation or out of it; each takes one transition a cycle."""
+        """Engage or release drives and wait until each reports it; a drive makes one transition in a cycle."""
         for role, mode in modes.items():
             if role not in self._bench.drives:
                 raise InputError(f"the protocol engages the {role} drive; bench '{self._bench.file.name}' has none")
@@ -355,15 +360,15 @@ class Loop:
         self._note("info", "runner", self._progress.step)
         engaged = [role for role, mode in modes.items() if mode is not Mode.OFF]
         self._cycle()
-        while not all(self._supervisor.engaged(role) for role in engaged):  # the driver itself gives up in time
+        while not all(self._supervisor.engaged(role) for role in engaged):  # each driver raises when it takes too long
             self._cycle()
         self._cycle()
 
     def _supply(self, outputs: Mapping[str, tuple[float, float] | None]) -> None:
-        """Have supplies put out, or no more, and wait until each reports that it does."""
+        """Switch supplies on at their levels, or off, and wait until each reports it."""
         supplies = self._supervisor.supplies
-        told = [f"{role} {f'{one[0]:g} V, {one[1]:g} A' if one else 'off'}" for role, one in outputs.items()]
-        self._progress.step = "supply " + ", ".join(told)
+        levels = [f"{role} {f'{pair[0]:g} V, {pair[1]:g} A' if pair else 'off'}" for role, pair in outputs.items()]
+        self._progress.step = "supply " + ", ".join(levels)
         self._note("info", "runner", self._progress.step)
         for role, output in outputs.items():
             if output is None:
@@ -374,9 +379,9 @@ class Loop:
                 supplies.put_out(role, *output)
         end = self.time + SWITCHED_S
         self._cycle()
-        while waiting := [role for role, one in outputs.items() if supplies.supplying(role) is not (one is not None)]:
+        while waiting := [role for role, pair in outputs.items() if supplies.supplying(role) is not (pair is not None)]:
             if self.time >= end:
-                raise DeviceError(f"the supply of {waiting[0]} does not report what was commanded: {', '.join(told)}")
+                raise DeviceError(f"the supply of {waiting[0]} does not report what was commanded: {', '.join(levels)}")
             self._cycle()
 
     def _wait_until(self, action: WaitUntil) -> None:
@@ -391,23 +396,30 @@ class Loop:
             self._cycle()
 
     def _reading(self, quantity: str, role: str) -> float:
-        """Newest value of a quantity; NaN, which no comparison holds for, where there is none yet."""
-        values, place = self._newest_row(quantity, role)
-        return values[place] if place < len(values) else math.nan
+        """Return the newest value of a quantity, or NaN, which fails every comparison, before the first."""
+        values, column = self._newest_row(quantity, role)
+        return values[column] if column < len(values) else math.nan
 
     def _newest_row(self, quantity: str, role: str) -> tuple[Sequence[float], int]:
-        """The newest row of the stream that a quantity comes in, empty where there is none yet, and its column."""
+        """Return the newest row of the stream with a quantity, empty before the first row, and the quantity's column.
+
+        Raises
+        ------
+        InputError : the bench does not measure it.
+        """
         for stream, channels in self._bench.streams().items():
-            for place, channel in enumerate(channels):
+            for column, channel in enumerate(channels):
                 if (channel.quantity, channel.role) == (quantity, role):
-                    return (self._row if stream == "loop" else self._newest.get(stream, ())), place
+                    return (self._row if stream == "loop" else self._newest.get(stream, ())), column
         raise InputError(f"bench '{self._bench.file.name}' measures no {quantity} of role '{role}'")
 
     def _tare(self, samples: int) -> None:
-        """Average the torque readings of so many samples and take the means as zero."""
+        """Average so many samples of each torque channel, and take the means as its zero."""
         self._progress.step = "tare"
         devices = {
-            driver: [spec.name for spec in driver.streams if any(c.quantity == "torque" for c in spec.channels)]
+            driver: [
+                spec.name for spec in driver.streams if any(channel.quantity == "torque" for channel in spec.channels)
+            ]
             for driver in self._bench.drivers.values()
             if isinstance(driver, AnalogInput)
         }
@@ -431,7 +443,7 @@ class Loop:
                 self._note("info", "runner", f"tared: offset of {name} {offset:.6g} N*m, before {before:.6g} N*m")
 
     def _prompt(self, text: str) -> None:
-        """Ask the operator, and keep the loop going until the answer."""
+        """Ask the operator, and run cycles until the answer."""
         self._progress.step = self._progress.prompt = text
         self._note("info", "operator", f"asked: {text}")
         confirmed = self._operator(text)

@@ -32,11 +32,11 @@ class Keyboard:
 
     @property
     def hint(self) -> str:
-        """What the operator should know of it; empty without a terminal."""
+        """Text on the keys for the operator; empty without a terminal."""
         return "" if self._terminal is None else STOP_HINT
 
     def pressed(self) -> str:
-        """The cause to stop for, once a stop key was pressed; while a question stands the keys are its answer."""
+        """Return the cause of a stop if a stop key was pressed, else an empty string, as while a question is open."""
         terminal = self._terminal
         if terminal is None or self._asking or not self._poll.poll(0) or not _in_front(terminal):
             return ""
@@ -48,7 +48,7 @@ class Keyboard:
         return next((f"stopped by the operator: key {STOP_KEYS[key]}" for key in typed if key in STOP_KEYS), "")
 
     def pause_pressed(self) -> bool:
-        """Whether the key for a pause was pressed since this was asked last: it begins one, and ends it."""
+        """Whether the key for a pause, which begins and ends one, was pressed since the last call."""
         pressed, self._pause_pressed = self._pause_pressed, False
         return pressed
 
@@ -57,7 +57,7 @@ class Keyboard:
 
         Raises
         ------
-        Stopped : it was.
+        Stopped : a stop key was pressed.
         """
         cause = self.pressed()
         if cause:
@@ -141,13 +141,13 @@ def granted(_text: str) -> Callable[[], bool]:
     return lambda: True
 
 
-def _tell(place: int, question: bytes) -> None:
+def _tell(descriptor: int, question: bytes) -> None:
     with suppress(OSError):  # a terminal that has hung up; the live view and the file hold the question too
-        os.write(place, question)
+        os.write(descriptor, question)
 
 
 def _read(terminal: int) -> bytes:
-    """What was typed; nothing at the end of input and where the terminal has hung up."""
+    """Return the typed bytes; none at the end of input and if the terminal has hung up."""
     try:
         return os.read(terminal, 4096)
     except OSError:

@@ -1,4 +1,4 @@
-"""How a run ended: its status, its error, and what each device confirmed."""
+"""Outcome of a run: its status, its error, and the confirmation of each device."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from leactl.runner.channel_limits import LimitVerdict
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended."""
+    """Status, error and confirmations of a run that has ended."""
 
     path: Path
     status: str
@@ -23,32 +23,34 @@ class Outcome:
     safe: Mapping[str, Confirmation]
     duration_s: float
     overruns: int
-    notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
-    zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
+    notes: Sequence[str] = ()  # faults that did not affect the run
+    zeros: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict
+    )  # of each tared channel, before and after [its unit]
     verdicts: Sequence[LimitVerdict] = ()  # on the limits of channels and searches
-    reported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what each device said of itself
+    reported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # identity that each device reported
 
     def as_json(self) -> dict[str, Any]:
-        """How the run ended, as `--json` tells it."""
+        """Return the outcome as `--json` prints it."""
         return {
             "run": str(self.path),
             "status": self.status,
             "reason": self.reason,
             "duration_s": round(self.duration_s, 6),
-            "safe": {name: {"confirmed": said.safe, "detail": said.detail} for name, said in self.safe.items()},
+            "safe": {name: {"confirmed": device.safe, "detail": device.detail} for name, device in self.safe.items()},
         }
 
 
 def is_out_of_order(error: BaseException) -> bool:
-    """Whether a run ended by a trip, without room for its rows, or by what nobody has foreseen, as for want of memory.
+    """Whether a run ended by a trip, a failed recording, or an unexpected error such as lack of memory.
 
-    A person, a device that says itself whether it is in fault, and a limit of acceptance end it in order.
+    A stop by a person, an error of a device, and a broken acceptance limit end a run in order.
     """
     return isinstance(error, SafetyTrip | RecordingFailed) or not isinstance(error, LeactlError | KeyboardInterrupt)
 
 
 def with_unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
-    """A device that could not be confirmed safe is an error of its own, or part of the one there is."""
+    """Return the error of a run, with the devices that are not confirmed safe added, or as an error of their own."""
     text = unconfirmed_devices(safe)
     if not text:
         return error
@@ -59,7 +61,7 @@ def with_unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmatio
 
 
 def joined(error: BaseException | None, further: BaseException | None) -> BaseException | None:
-    """What ended the run stays its error; what came after is part of it."""
+    """Return the first error of a run, with the text of a further error added as a note."""
     if error is None or further is None:
         return error or further
     if str(further) != str(error):

@@ -1,4 +1,4 @@
-"""What a device's own recorder holds, saved as a text table that its importer reads and `leactl runs attach` takes."""
+"""Upload of a device's own recording into a text table that its importer reads and `leactl runs attach` takes."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runner import locks
 from leactl.runner.checked_bench import load_checked
 
-DIGITS = 9  # of a number: what single precision holds
+DIGITS = 9  # of a number: enough for single precision
 
 
 class SavedRecording(NamedTuple):
@@ -30,13 +30,13 @@ class SavedRecording(NamedTuple):
 
 
 def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequence[str] = ()) -> SavedRecording:
-    """Switch a bench's device off, upload what its recorder holds, and save that; no other device is touched.
+    """Switch a bench's device off, upload its recording, and save it; no other device is touched.
 
     Parameters
     ----------
     device : its name in the bench file; it needs a recorder (`RecordingDevice`).
     target : a path that is not taken.
-    elsewhere : buses as `NAME=INTERFACE:CHANNEL` puts them.
+    elsewhere : changed buses, each as `NAME=INTERFACE:CHANNEL`.
 
     Raises
     ------
@@ -49,7 +49,9 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     moved = benchfile.changed_buses(file, elsewhere)
     chosen = [entry for entry in devices if entry.name == device]
     if not chosen:
-        raise InputError(f"bench '{file.name}' has no device '{device}'; it has {', '.join(d.name for d in devices)}")
+        raise InputError(
+            f"bench '{file.name}' has no device '{device}'; it has {', '.join(entry.name for entry in devices)}"
+        )
     if not hasattr(registry.load(chosen[0].entry.driver), "recorded"):
         raise InputError(f"{device} ({chosen[0].entry.driver}) has no recorder of its own that could be uploaded")
     if file.emulated is not None and chosen[0].entry.bus not in moved:
@@ -90,7 +92,7 @@ def _uploaded(bench: Bench, name: str) -> tuple[OwnRecording, str]:
 
 
 def _let_go(bench: Bench, name: str) -> str:
-    """Make the device safe and close it; gives what could not be confirmed of it."""
+    """Make the device safe and close it; return what could not be confirmed, or an empty string."""
     try:
         return unconfirmed_devices(make_safe([bench.drivers[name]]))
     finally:

@@ -1,4 +1,4 @@
-"""What has to hold before a device is opened: the request fits its bench, and the windings allow the plan."""
+"""Checks before a device is opened: the request fits its bench, and the windings allow the plan."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -23,12 +23,12 @@ from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
 
 
 class Admitted(NamedTuple):
-    """What a run needs, checked; no device is open."""
+    """Request, bench and supervisor of a run, checked; no device is open."""
 
     request: Request  # with the plan that the windings allow
     bench: Bench
     supervisor: Supervisor
-    stays_on: Sequence[str]  # of each supply that the plan switches on, how hot its winding gets if nobody ends it
+    stays_on: Sequence[str]  # for each supply that the plan switches on, the consequence if nobody switches it off
 
 
 def admitted(request: Request, windings: Windings) -> Admitted:
@@ -49,13 +49,13 @@ def admitted(request: Request, windings: Windings) -> Admitted:
     check_supplies(request, supervisor)
     if not switches_supplies(request.plan):
         return Admitted(request, bench, supervisor, ())
-    from leactl.runner.left_on import endings, left_on  # a root finder comes with it, for which no other run waits
+    from leactl.runner.left_on import endings, left_on  # imports a root finder, which no other run needs
 
     powered = left_on(request.plan, windings, bench)
     supervisor.supplies.endings = endings(request.plan, windings, powered)
     for supply in powered:
         windings.may_be_left_on({supply.role: supply.reached})
-    return Admitted(request, bench, supervisor, [supply.told for supply in powered])
+    return Admitted(request, bench, supervisor, [supply.summary for supply in powered])
 
 
 def switches_supplies(plan: Plan) -> bool:
@@ -64,7 +64,7 @@ def switches_supplies(plan: Plan) -> bool:
 
 
 def locks_of(request: Request) -> AbstractContextManager[list[int]]:
-    """Hold the locks of the bench and its buses while a block lasts; a bench emulated in this process needs none."""
+    """Hold the locks of the bench and its buses until a block is left; a bench emulated in this process needs none."""
     return nullcontext([]) if request.in_process else locks.held(request.bench, request.devices)
 
 
@@ -73,7 +73,7 @@ def refuse_latched(request: Request) -> None:
 
     Raises
     ------
-    SafetyTrip : it is latched, or had to be and could not.
+    SafetyTrip : the bench is latched, or its latch could not be written.
     """
     if not request.in_process:
         refuse_lost_runs(request.bench.name)
@@ -81,7 +81,7 @@ def refuse_latched(request: Request) -> None:
 
 
 def check(request: Request) -> None:
-    """Refuse what cannot go well, before anything is touched.
+    """Refuse a request that does not fit its bench, before anything is touched.
 
     Raises
     ------
@@ -94,11 +94,11 @@ def check(request: Request) -> None:
 
 
 def check_supplies(request: Request, supervisor: Supervisor) -> None:
-    """Refuse a plan that asks more of a supply than the bench has.
+    """Refuse a plan whose levels are above those of the bench's supplies.
 
     Raises
     ------
-    InputError : there is no supply at those leads, or it is not good for that.
+    InputError : there is no supply at those leads, or its levels are lower.
     """
     name, most = request.bench.name, supervisor.supplies.most
     for action in request.plan.actions:
@@ -107,16 +107,16 @@ def check_supplies(request: Request, supervisor: Supervisor) -> None:
                 raise InputError(
                     f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
                 )
-            for asked, top, unit in zip(output or (), most[role], "VA", strict=False):
-                if asked > top:
+            for level, highest, unit in zip(output or (), most[role], "VA", strict=False):
+                if level > highest:
                     raise InputError(
-                        f"protocol '{request.plan.name}' asks {asked:g} {unit} of the supply of {role}; it is good for"
-                        f" {top:g} {unit} on bench '{name}'"
+                        f"protocol '{request.plan.name}' asks {level:g} {unit} of the supply of {role}; it is good for"
+                        f" {highest:g} {unit} on bench '{name}'"
                     )
 
 
 def room_needed(request: Request, bench: Bench) -> float:
-    """Bytes that the run file may take."""
+    """Return the size that the run file may reach [bytes]."""
     plan = request.plan
     if request.record_every_s:
         rate = 1.0 / request.record_every_s
@@ -126,9 +126,9 @@ def room_needed(request: Request, bench: Bench) -> float:
 
 
 def bench_of(request: Request, wiring: Wiring | None = None) -> Bench:
-    """The bench of a request, none of whose devices is open; its wires go through the trace where there is one.
+    """Return the bench of a request with closed devices; its wires go through the request's trace, if any.
 
-    Benches that are made with one `wiring` share its emulated devices and their clock; None makes a new one.
+    Benches that are made with one `wiring` share its emulated devices and their clock; None makes a new wiring.
     """
     wiring, trace = wiring or wiring_of(request), request.trace
     if trace is None:
@@ -139,7 +139,7 @@ def bench_of(request: Request, wiring: Wiring | None = None) -> Bench:
 
 
 def wiring_of(request: Request) -> Wiring:
-    """The wires of this machine, or those of a bench that is emulated in this process."""
+    """Return the wiring of this machine, or of a bench that is emulated in this process."""
     if not request.in_process:
         return MachineWiring()
     from leactl.emulation.bench.emulated_bench import EmulatedBench
@@ -151,7 +151,7 @@ def wiring_of(request: Request) -> Wiring:
 
 
 def supervisor_of(request: Request, bench: Bench, windings: Windings) -> Supervisor:
-    """The supervisor through which every command of a run goes."""
+    """Return the supervisor through which every command of a run goes."""
     axes = {}
     for role, driver in bench.drives.items():
         assert isinstance(driver, MotionDevice)

@@ -1,4 +1,4 @@
-"""How far a run is, for whoever shows it: written by the loop, read at any time from another thread."""
+"""Progress of a run for its views: written by the loop, read at any time from another thread."""
 
 import math
 import time
@@ -12,7 +12,7 @@ WARM_DEGC = 50.0  # winding temperature from which the time to its limit is show
 
 @dataclass
 class Progress:
-    """A run as it stands; plain values only, so that a reader needs no lock."""
+    """State of a run; plain values only, so that a reader needs no lock."""
 
     title: str
     total_s: float
@@ -27,10 +27,10 @@ class Progress:
     time_left: Callable[[], Mapping[str, float]] = dict  # by role, at what flows now [s]
     step: str = ""
     prompt: str = ""
-    hint: str = ""  # what the operator can do meanwhile
-    pause: str = ""  # that one is wanted, or lasts
+    hint: str = ""  # keys that the operator may press
+    pause: str = ""  # text on a pause that is wanted or lasts
     warnings: list[str] = field(default_factory=list)  # of interlocks, in the order of their crossing
-    view_fault: str = ""  # what went wrong with showing the run, which is no fault of the run
+    view_fault: str = ""  # failure of the view, which is no fault of the run
     time_s: float = 0.0  # start of the newest cycle, since the run's start
     done_s: float = 0.0
     began: float = field(default_factory=time.monotonic)

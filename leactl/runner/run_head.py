@@ -1,4 +1,4 @@
-"""The head of a run file: who ran what on which bench, and the notes that stand before the first row."""
+"""The head of a run file: protocol, bench, people and instruments, and the events before the first row."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -22,14 +22,14 @@ def writer_of(request: Request, bench: Bench) -> RunWriter:
 
     Raises
     ------
-    RecordingFailed : it could not be made.
+    RecordingFailed : the file could not be made.
     """
     opened = request.directory, info_of(request, bench), bench.streams(), bench.wait_for_disk
     return SparseWriter(*opened, request.record_every_s) if request.record_every_s else RunWriter(*opened)
 
 
 def info_of(request: Request, opened: Bench) -> RunInfo:
-    """What the file says of the run as a whole."""
+    """Return the attributes of a run file."""
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
     return RunInfo(
@@ -51,7 +51,7 @@ def info_of(request: Request, opened: Bench) -> RunInfo:
 
 
 def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench, stays_on: Sequence[str]) -> None:
-    """Note what the stored YAML texts do not tell: campaign, parameters, overdue calibration, seed, warm windings."""
+    """Record what is not in the stored YAML texts: campaign, parameters, overdue calibration, seed, warm windings."""
     for name, value in request.part_of.items():
         writer.event(0.0, "info", "campaign", f"{name} = {value}")
     for name, value in request.plan.parameters.items():
@@ -60,7 +60,7 @@ def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Be
         *bench.streams().values(),
         *(source.channels for source in devices_with_exports(bench.drivers).values()),
     ]
-    measured = {channel.quantity for several in channels for channel in several}
+    measured = {channel.quantity for stream in channels for channel in stream}
     for quantity in request.plan.wants:
         if quantity not in measured:
             text = f"no device measures {quantity}: its record has to come from elsewhere"
@@ -81,18 +81,18 @@ def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Be
 
 
 def warn_of_bench(request: Request, writer: RunWriter, bench: Bench, progress: Progress) -> None:
-    """Note, and show, what a person at a real bench should know before it moves."""
-    if not request.in_process:  # nothing burns that is emulated here
+    """Record and show the warnings that a person at a real bench should know before it moves."""
+    if not request.in_process:  # an emulated winding cannot burn
         progress.warnings += unwitnessed(request.plan, bench)
-    told = [(name, known.doubt) for name, known in bench.provenance.items() if known.doubt]
+    doubts = [(name, known.doubt) for name, known in bench.provenance.items() if known.doubt]
     for name, source in devices_with_exports(bench.drivers).items() if not request.in_process else ():
         if source.exports.absent:
-            told.append((name, f"there is no folder {source.exports.folder} for its exports yet"))
-    for name, text in told:
+            doubts.append((name, f"there is no folder {source.exports.folder} for its exports yet"))
+    for name, text in doubts:
         writer.event(0.0, "warning", name, text)
         progress.warnings.append(f"{name}: {text}")
-    place = state_folder.place_of(request.bench, request.in_process)
-    if place.fault:
-        text = f"{place.fault}; trip latch and winding memory are this user's alone, in {place.directory}"
+    state = state_folder.place_of(request.bench, request.in_process)
+    if state.fault:
+        text = f"{state.fault}; trip latch and winding memory are this user's alone, in {state.directory}"
         progress.warnings.append(f"{text}; see: leactl doctor")
         writer.event(0.0, "warning", "runner", progress.warnings[-1])

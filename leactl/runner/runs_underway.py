@@ -1,8 +1,8 @@
-"""Runs under way: each keeps a file that tells what it is, and through which others ask it to stop, to pause or remark.
+"""Files of runs under way: each describes its run, and through it other processes ask for a stop, a pause or a remark.
 
-A run locks its file for as long as its process lives, which tells a run from what a kill left behind; and since nothing
-is signalled, no process that took over a number can be hit. The loop looks at two bytes of it, mapped into its memory.
-A run on real buses announces itself to every user of the machine, any of whom may stop it.
+A run locks its file while its process lives: a file without a lock was left behind by a killed run. No process is
+signalled, so that none is hit that has taken over a process number. The loop reads two bytes of its file, mapped into
+memory. A run on real buses announces itself to every user of the machine, any of whom may stop it.
 """
 
 import errno
@@ -29,26 +29,26 @@ from leactl.runner.state_folder import Place
 from leactl.yamlfile import printable
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
-HEAD = 2  # bytes: the first asks for a stop and the second for a pause, so that neither can undo the other
+HEAD = 2  # bytes: the first asks for a stop and the second for a pause, so that neither undoes the other
 CAUSE = "stopped by `leactl bench stop`"
 LOOK_EVERY_S = 0.02
-MOST_TOLD = 1 << 22  # bytes, with thousands of remarks
+MOST_FILE_BYTES = 1 << 22  # of a file, with thousands of remarks
 
 
 class Announcement:
-    """The run's own end of its file."""
+    """File of a run as the run itself uses it."""
 
     def __init__(self, descriptor: int, fault: str = "", path: Path | None = None, shared: bool = False) -> None:
-        self.fault = fault  # why nobody can find it
+        self.fault = fault  # why no other process can find the file
         self._descriptor, self._path, self._shared = descriptor, path, shared
         self._head = mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
         self._read_to = HEAD
         self._telling = threading.Lock()
 
     def renew(self) -> None:
-        """Make the file anew where it was removed, exchanged or moved: nobody else could find this run any more.
+        """Make the file anew if it was removed, exchanged or moved, for no other process could find the run any more.
 
-        It is called beside the loop, whose next look is at the new file; a disk that takes nothing is nothing to a run.
+        It is called from another thread than the loop, which reads the new file next. A failure to write is ignored.
         """
         if self._path is None:
             return
@@ -57,25 +57,25 @@ class Announcement:
                 return
             with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
-            told = read_at(self._descriptor, MOST_TOLD, 0)
-            descriptor = _locked(self._path, told, self._shared)
+            text = read_at(self._descriptor, MOST_FILE_BYTES, 0)
+            descriptor = _locked(self._path, text, self._shared)
             self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
 
     def asked(self) -> str:
-        """The cause to stop for, once somebody has asked; empty before."""
+        """Return the cause of a stop that another process has asked for, else an empty string."""
         return CAUSE if self._head[0] == STOP[0] else ""
 
     @property
     def paused(self) -> bool:
-        """Whether somebody has asked for a pause."""
+        """Whether a pause is asked for."""
         return self._head[1] == PAUSE[0]
 
     def pause(self, wanted: bool) -> None:
-        """Ask for a pause, or for its end, as another process does."""
+        """Ask for a pause, or for its end, from the process of the run."""
         write_at(self._descriptor, PAUSE if wanted else GOES_ON, 1)
 
     def remarks(self) -> list[str]:
-        """What has been remarked since this was asked last."""
+        """Return the remarks since the last call."""
         if os.fstat(self._descriptor).st_size <= self._read_to:
             return []
         text = read_at(self._descriptor, state_folder.MOST_BYTES, self._read_to)
@@ -83,18 +83,18 @@ class Announcement:
         self._read_to += len(whole)
         return [str(line["remark"]) for line in _lines(whole) if "remark" in line]
 
-    def tell(self, **what: Any) -> None:
-        """Add to what the file tells; a disk that takes nothing is nothing to a run."""
+    def tell(self, **facts: Any) -> None:
+        """Append facts to the file; a failure to write is ignored."""
         with suppress(OSError), self._telling:
             os.lseek(self._descriptor, 0, os.SEEK_END)
-            os.write(self._descriptor, _line(what))
+            os.write(self._descriptor, _line(facts))
 
     def tell_safe(self, safe: Mapping[str, Confirmation]) -> None:
-        """Tell what every device answered when it was made safe."""
-        self.tell(safe={name: {"confirmed": c.safe, "detail": c.detail} for name, c in safe.items()})
+        """Append the confirmation of every device that was made safe."""
+        self.tell(safe={name: {"confirmed": device.safe, "detail": device.detail} for name, device in safe.items()})
 
     def close(self) -> None:
-        """Let go: from here on the run has ended."""
+        """Close the file, which ends the run for other processes."""
         self._head.close()
         os.close(self._descriptor)
 
@@ -105,12 +105,12 @@ def announced(
 ) -> Iterator[Announcement]:
     """Let a run be found and stopped by other processes until the block is left.
 
-    Where it is not `needed`, for the run's devices end with it, and no file can be kept, the run tells itself what
-    nobody hears. Without a `place` it is its user's own.
+    If no file can be made and it is not `needed`, since the run's devices end with the run, a file without a name takes
+    its place. Without a `place`, the file is in the user's own place of state.
 
     Raises
     ------
-    InputError : there is no place for the file.
+    InputError : the file is `needed` and cannot be made.
     """
     place = place or state_folder.of_user()
     path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
@@ -138,7 +138,7 @@ def announced(
 
 
 def _nowhere() -> int:
-    """A file without a name; in memory where the system has such."""
+    """Open a file without a name, in memory if the system has such files."""
     if hasattr(os, "memfd_create"):
         return os.memfd_create("run")
     with tempfile.TemporaryFile() as file:
@@ -146,7 +146,7 @@ def _nowhere() -> int:
 
 
 def _locked(path: Path, text: bytes, shared: bool) -> int:
-    """Make a file that is locked before anybody finds it, for one without a lock is taken for an ended run's."""
+    """Make a file that is locked before it gets its name, for a file without a lock counts as that of an ended run."""
     try:
         import fcntl
     except ImportError:
@@ -166,7 +166,7 @@ def _locked(path: Path, text: bytes, shared: bool) -> int:
 
 @dataclass
 class RunUnderway:
-    """Another process's end of a run's file; it stays readable after the run has removed it."""
+    """File of a run as another process uses it; it stays readable after the run has removed it."""
 
     bench: str
     file: str
@@ -178,11 +178,11 @@ class RunUnderway:
         return f"{self.protocol} on {self.bench}, process {self.process}"
 
     def ask_to_stop(self) -> None:
-        """Ask; the run sees it in its next cycle.
+        """Ask for a stop, which the run sees in its next cycle.
 
         Raises
         ------
-        DeviceError : this user may not.
+        DeviceError : this user may not write to the file.
         """
         self._ask("stop", lambda: write_at(self.descriptor, STOP, 0))
 
@@ -191,21 +191,23 @@ class RunUnderway:
 
         Raises
         ------
-        DeviceError : this user may not.
+        DeviceError : this user may not write to the file.
         """
         byte = PAUSE if wanted else GOES_ON
         self._ask("pause" if wanted else "go on", lambda: write_at(self.descriptor, byte, 1))
 
     def remark(self, text: str) -> None:
-        """Have the run record a remark with the moment at which it sees it.
+        """Have the run record a remark, with the time at which the run reads it.
 
         Raises
         ------
-        DeviceError : this user may not.
+        DeviceError : this user may not write to the file.
         """
 
         def append() -> None:
-            end = os.open(f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND)  # whole, whoever else remarks
+            end = os.open(
+                f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND
+            )  # appends whole lines, also with others
             try:
                 os.write(end, _line({"remark": text}))
             finally:
@@ -213,7 +215,8 @@ class RunUnderway:
 
         self._ask("record a remark", append)
 
-    def _ask(self, what: str, write: Callable[[], object]) -> None:
+    def _ask(self, request: str, write: Callable[[], object]) -> None:
+        """Call `write`; a failure raises a DeviceError that names the request and the reason."""
         try:
             write()
         except OSError as error:
@@ -221,50 +224,52 @@ class RunUnderway:
             if error.errno in (errno.EBADF, errno.EACCES):  # it could be opened for reading alone
                 owner = os.fstat(self.descriptor).st_uid
                 reason = f"no permission; the run is that of user {owner}, who may, as root may"
-            raise DeviceError(f"{self}: cannot be asked to {what}: {reason}") from None
+            raise DeviceError(f"{self}: cannot be asked to {request}: {reason}") from None
 
     def wait(self, deadline: float) -> bool:
-        """Whether the run's process has ended it, looked for until this moment of `time.monotonic`."""
+        """Wait until the run has ended or until `deadline` of `time.monotonic` [s]; return whether it has ended."""
         while not _ended(self.descriptor):
             if time.monotonic() >= deadline:
                 return False
             time.sleep(LOOK_EVERY_S)
         return True
 
-    def told(self) -> dict[str, Any]:
-        """All that the run has told by now: `safe` once its devices are, then `status`, `reason` and `run`."""
-        told = _told(self.descriptor)
-        bent = [key for key in ("status", "reason", "run") if not isinstance(told.get(key, ""), str)]
+    def facts(self) -> dict[str, Any]:
+        """Return all facts in the file: `safe` once the devices are safe, then `status`, `reason` and `run`."""
+        facts = _facts(self.descriptor)
+        malformed = [key for key in ("status", "reason", "run") if not isinstance(facts.get(key, ""), str)]
         return {
-            key: printable(value) if isinstance(value, str) else value for key, value in told.items() if key not in bent
+            key: printable(value) if isinstance(value, str) else value
+            for key, value in facts.items()
+            if key not in malformed
         }
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         os.close(self.descriptor)
 
 
 class LostRun(NamedTuple):
-    """A run that ended without telling that its devices are safe."""
+    """A run that ended without recording that its devices are safe."""
 
     process: object  # its number
-    cause: str  # what is said of it
+    cause: str  # for the trip that it latches
     recording: str
-    place: Place  # that it announced itself in
+    place: Place  # of state, in which its file is
     path: Path  # of its file
-    last_told: str  # ISO 8601, UTC: when it was last heard of
+    last_told: str  # ISO 8601, UTC: when its file was last written
 
 
 def lost(bench: str) -> list[LostRun]:
-    """Runs of a bench that ended without telling that its devices are safe; each counts until it is forgotten."""
+    """Return the runs of a bench that ended without recording that its devices are safe, except forgotten ones."""
     runs = []
-    for place, path in [(each, path) for each in state_folder.places() for path in sorted(each.runs.glob("*.run"))]:
-        with suppress(OSError):  # what is no run's file is told by whoever asks what runs
+    for place, path in [(state, path) for state in state_folder.places() for path in sorted(state.runs.glob("*.run"))]:
+        with suppress(OSError):  # `running` reports a file that is no run's
             descriptor = _opened(path)
             if descriptor is None:
                 continue
             try:
-                if not _ended(descriptor) or (about := _told(descriptor)).get("bench") != bench:
+                if not _ended(descriptor) or (about := _facts(descriptor)).get("bench") != bench:
                     continue
                 if _is_over(about):
                     path.unlink(missing_ok=True)
@@ -279,11 +284,11 @@ def lost(bench: str) -> list[LostRun]:
 
 
 def forget(run: LostRun) -> None:
-    """Remove what a lost run left behind; where the folder does not allow that, mark the file as told.
+    """Remove the file of a lost run; where the folder forbids that, mark the file as that of a safe run.
 
     Raises
     ------
-    InputError : neither is possible; the run is lost still.
+    InputError : neither is possible; the run still counts as lost.
     """
     with suppress(OSError):
         run.path.unlink(missing_ok=True)
@@ -304,24 +309,25 @@ def forget(run: LostRun) -> None:
         ) from None
 
 
-def _is_over(told: Mapping[str, Any]) -> bool:
-    """Whether a run has told that every device is safe, or had none but what ended with it."""
-    if not told.get("real"):
+def _is_over(facts: Mapping[str, Any]) -> bool:
+    """Whether a run has recorded that every device is safe, or had only devices that ended with it."""
+    if not facts.get("real"):
         return True
-    safe = told.get("safe")
+    safe = facts.get("safe")
     return isinstance(safe, dict) and all(device["confirmed"] is True for device in safe.values())
 
 
 def _is_of_devices(safe: object) -> bool:
+    """Whether a value has the form that `tell_safe` writes."""
     return isinstance(safe, dict) and all(
         isinstance(device, dict) and {"confirmed", "detail"} <= device.keys() for device in safe.values()
     )
 
 
 def running() -> tuple[list[RunUnderway], list[str]]:
-    """Every run that is under way by its own file, and a line for each file that cannot be read.
+    """Return every run under way, and one line for each file that cannot be read.
 
-    What a run left behind that ended with safe devices is removed; the next run is told of the others (`lost`).
+    Files of runs that ended with safe devices are removed; the others remain for `lost`.
     """
     places, faults = state_folder.reachable()
     underway = []
@@ -334,15 +340,16 @@ def running() -> tuple[list[RunUnderway], list[str]]:
         if descriptor is None:
             continue
         if _ended(descriptor):
-            if _is_over(_told(descriptor)):
+            if _is_over(_facts(descriptor)):
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
             os.close(descriptor)
             continue
-        about = _told(descriptor)
+        about = _facts(descriptor)
         unknown = {"bench": "unknown", "file": "", "protocol": path.name}
         texts = {
-            key: printable(about[key]) if isinstance(about.get(key), str) else other for key, other in unknown.items()
+            key: printable(about[key]) if isinstance(about.get(key), str) else default
+            for key, default in unknown.items()
         }
         process = about.get("process")
         process = process if isinstance(process, int) else 0
@@ -351,29 +358,29 @@ def running() -> tuple[list[RunUnderway], list[str]]:
 
 
 def unseen(bench: str) -> str:
-    """What is said of a real bench that a process holds, although no run's file tells of it; empty where none does."""
-    held = lock_holders.holder(lock_holders.lock_of(f"bench-{bench}"))
-    if held is None:
+    """Return a line on a real bench that a process has locked without a file of its run, else an empty string."""
+    holder = lock_holders.holder(lock_holders.lock_of(f"bench-{bench}"))
+    if holder is None:
         return ""
     return (
-        f"bench '{bench}' is driven by process {held[0]}, whose file cannot be found: switch off the supply, or end it"
-        f" in order by: kill {held[0]}"
+        f"bench '{bench}' is driven by process {holder[0]}, whose file cannot be found: switch off the supply, or end"
+        f" it in order by: kill {holder[0]}"
     )
 
 
 def _opened(path: Path) -> int | None:
-    """Open a run's file, for reading alone where another user's permits no more; None where it has gone.
+    """Open a run's file, for reading alone if its permissions allow no more; return None if it is gone.
 
     Raises
     ------
-    OSError : it is a link or no regular file, which no run makes, or this user may not.
+    OSError : it is a link or no regular file, which no run makes, or this user may not read it.
     """
-    safely = NO_LINK | AT_ONCE | AS_BYTES
+    flags = NO_LINK | AT_ONCE | AS_BYTES
     try:
         try:
-            descriptor = os.open(path, os.O_RDWR | safely)
+            descriptor = os.open(path, os.O_RDWR | flags)
         except (PermissionError, IsADirectoryError):
-            descriptor = os.open(path, os.O_RDONLY | safely)
+            descriptor = os.open(path, os.O_RDONLY | flags)
     except FileNotFoundError:
         return None
     if stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -383,6 +390,7 @@ def _opened(path: Path) -> int | None:
 
 
 def _ended(descriptor: int) -> bool:
+    """Whether no process has locked a run's file any more."""
     import fcntl  # of POSIX alone: elsewhere no run leaves such a file
 
     try:
@@ -392,23 +400,24 @@ def _ended(descriptor: int) -> bool:
     return True
 
 
-def _told(descriptor: int) -> dict[str, Any]:
-    told: dict[str, Any] = {}
-    for line in _lines(read_at(descriptor, MOST_TOLD, HEAD)):
-        told |= line
-    if not _is_of_devices(told.get("safe", {})):
-        del told["safe"]
-    return told
+def _facts(descriptor: int) -> dict[str, Any]:
+    """Return the facts in a run's file; later lines replace earlier ones, and a malformed `safe` is left out."""
+    facts: dict[str, Any] = {}
+    for line in _lines(read_at(descriptor, MOST_FILE_BYTES, HEAD)):
+        facts |= line
+    if not _is_of_devices(facts.get("safe", {})):
+        del facts["safe"]
+    return facts
 
 
 def _lines(text: bytes) -> Iterator[dict[str, Any]]:
-    """Objects, one a line."""
-    for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
-        with suppress(ValueError, RecursionError):  # cut short by a full disk, or bent
-            told = json.loads(line)
-            if isinstance(told, dict):
-                yield told
+    """Yield the JSON objects of a text, one on each line; other lines are skipped."""
+    for line in text.split(b"\n")[:-1]:  # the last line is empty, or not complete yet
+        with suppress(ValueError, RecursionError):  # cut short by a full disk, or malformed
+            value = json.loads(line)
+            if isinstance(value, dict):
+                yield value
 
 
-def _line(what: Mapping[str, Any]) -> bytes:
-    return json.dumps(what).encode() + b"\n"
+def _line(facts: Mapping[str, Any]) -> bytes:
+    return json.dumps(facts).encode() + b"\n"

@@ -1,8 +1,9 @@
-"""One run from checked inputs to a closed file: opens the bench, runs the loop, and ends in the same order always.
+"""One run from checked inputs to a closed file: opens the bench, runs the loop, and always ends in the same order.
 
-The end does not depend on what caused it, and nothing that may fail or wait comes before what keeps people safe:
-devices safe first (by the supervisor: test drive, load drive, the rest), then a trip latched, then the view left, the
-file closed with its status, and the devices let go. A watchdog process stands by until the devices are safe.
+The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of people.
+First the supervisor makes the devices safe (test drive, load drive, the rest). Then a trip is latched, the view is
+closed, the file is closed with its status, and the devices are closed. A watchdog process acts if this fails, until the
+devices are safe.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -40,18 +41,18 @@ Watch = Callable[[Progress], AbstractContextManager[object]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """A run on its open bench, and all that stands beside it: who guards it, who may end it, who is told of it."""
+    """A run on its open bench, with its supervisor, watchdog and latch, the people who may end it, and its view."""
 
     request: Request
     bench: Bench
     windings: Windings
     supervisor: Supervisor
     watchdog: Unwatched
-    latch: Latch | Ready  # which a trip sets
+    latch: Latch | Ready  # set by a trip
     people: People
     watch: Watch
     announcement: Announcement
-    stays_on: Sequence[str]  # what comes of each supply that nobody switches off
+    stays_on: Sequence[str]  # for each supply, the consequence if nobody switches it off
 
 
 def execute(
@@ -61,18 +62,18 @@ def execute(
     stops: Sequence[StopSource] = (),
     pauses: Sequence[Callable[[], bool]] = (),
 ) -> Outcome:
-    """Run a plan on a bench; the outcome carries the error that ended it, where there was one.
+    """Run a plan on a bench; return the outcome, with the error that ended the run, if any.
 
     Parameters
     ----------
-    stops : looked at once a cycle, besides signals and `leactl bench stop`; whatever gives a cause ends the run.
-    pauses : each tells whether a pause, or its end, has been asked for since it was called last.
+    stops : called once a cycle, besides signals and `leactl bench stop`; the first that returns a cause ends the run.
+    pauses : each returns whether a pause, or its end, has been asked for since its last call.
 
     Raises
     ------
     InputError : plan and bench do not fit, or no other process could stop the run; nothing was touched.
     SafetyTrip : the bench is latched; nothing was touched.
-    DeviceError : another run holds the bench, or a device could not be opened; those that were are safe and closed.
+    DeviceError : another run holds the bench, or a device could not be opened; the opened ones are safe and closed.
     RecordingFailed : the run file could not be made.
     """
     check(request)
@@ -80,13 +81,13 @@ def execute(
     devices = with_run_folders(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
     with locks_of(request) as locks, listening() as stop, ExitStack() as lasting:
-        place = state_folder.place_of(request.bench, request.in_process)
+        state = state_folder.place_of(request.bench, request.in_process)
         refuse_latched(request)
         bench_latch = _held_ready(request, lasting)
         about = request.bench.name, request.bench_document.name, request.plan.name
         with (
             _watched(request, locks) as watchdog,
-            runs_underway.announced(*about, needed=not request.in_process, place=place) as announcement,
+            runs_underway.announced(*about, needed=not request.in_process, place=state) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request, bench, supervisor, stays_on = admitted(request, windings)
@@ -112,17 +113,17 @@ def execute(
                         )
                     )
                 finally:
-                    left = bench.close()
+                    not_closed = bench.close()
             announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
-    return replace(outcome, notes=[*outcome.notes, *left])
+    return replace(outcome, notes=[*outcome.notes, *not_closed])
 
 
 def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
-    """The latch, opened before the first move where a watchdog stands by; a rehearsal's is made if it trips.
+    """Return the latch, opened before the first move if the run has a watchdog; that of a rehearsal is not opened.
 
     Raises
     ------
-    LeactlError : it cannot be opened.
+    LeactlError : the latch cannot be opened.
     """
     if not _has_watchdog(request):
         return request.latch
@@ -136,14 +137,14 @@ def _has_watchdog(request: Request) -> bool:
 
 
 def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
-    """The run's watchdog; no other process reaches devices that are emulated in this one."""
+    """Return the run's watchdog; it gets no devices that are emulated in this process, which it cannot reach."""
     if not _has_watchdog(request):
         return nullcontext(Unwatched())
     return beside(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
 
 def _run(context: RunContext) -> Outcome:
-    """Run on an open bench, and leave it safe."""
+    """Run on an open bench, and make its devices safe in any case."""
     request, bench, supervisor = context.request, context.bench, context.supervisor
     windings, watchdog, announcement = context.windings, context.watchdog, context.announcement
     plan = request.plan
@@ -194,9 +195,9 @@ def _run(context: RunContext) -> Outcome:
     notes = [progress.view_fault] if progress.view_fault else []
     try:
         flush.stop()
-    except Exception as failure:  # noqa: BLE001 (what ended the run is told whatever becomes of its file)
+    except Exception as failure:  # noqa: BLE001 (the cause of the run's end is reported whatever happens to its file)
         error = joined(error, failure)
-    for text in flush.warnings():  # of the last flush, which no cycle came after
+    for text in flush.warnings():  # of the last flush, after the last cycle
         writer.event(loop.time, "warning", "recorder", text)
         progress.warnings.append(text)
     for name, confirmation in safe.items():
@@ -209,7 +210,7 @@ def _run(context: RunContext) -> Outcome:
         sought = [limit for limit in plan.acceptance if isinstance(limit, SearchLimit)]
         verdicts = [*limits.verdicts(), *loop.outcomes.verdicts(sought)]
     for verdict in verdicts:
-        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
+        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.summary)
     try:
         writer.close(*status_of(error))
         notes += writer.notes()
@@ -219,14 +220,14 @@ def _run(context: RunContext) -> Outcome:
             _latch(context.latch, failure, writer.path)
         error = joined(error, failure)
     status, reason = status_of(error)
-    told = [*notes, *(f"warning: {text}" for text in progress.warnings)]
+    all_notes = [*notes, *(f"warning: {text}" for text in progress.warnings)]
     reported = {name: known.reported for name, known in bench.provenance.items()}
-    ended = Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros, verdicts)
+    ended = Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, all_notes, loop.zeros, verdicts)
     return replace(ended, reported=reported)
 
 
 def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
-    """Whether a pause is wanted: a key at the terminal turns what `leactl bench pause` and `resume` set."""
+    """Whether a pause is wanted: a key at the terminal toggles what `leactl bench pause` and `resume` set."""
     for pressed in pauses:
         if pressed():
             announcement.pause(not announcement.paused)
@@ -235,7 +236,7 @@ def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) ->
 
 @contextmanager
 def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
-    """Show a run while the block lasts; a view that fails is noted, and is never the run's error."""
+    """Show a run until the block is left; the failure of a view is noted, and is never an error of the run."""
     view = ExitStack()
     try:
         view.enter_context(watch(progress))
@@ -251,8 +252,8 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
 
 
 def _latch(bench: Latch | Ready, error: BaseException, run: Path) -> None:
-    """Latch what ended a run; where that fails it is still what ended it."""
+    """Latch the bench with the error that ended a run; a failure to do so is added to that error."""
     try:
         bench.set(status_of(error)[1], run)
-    except Exception as failure:  # noqa: BLE001 (a trip is told whatever becomes of its latch)
+    except Exception as failure:  # noqa: BLE001 (a trip is reported whatever happens to its latch)
         error.add_note(f"THE BENCH IS NOT LATCHED: {failure}")

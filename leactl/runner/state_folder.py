@@ -1,7 +1,7 @@
-"""Where leactl keeps what outlives a process: of a bench on real buses for the machine, of a rehearsal for its user.
+"""Directories for state that outlives a process: of benches on real buses per machine, of rehearsals per user.
 
-Files in the machine's directory are every login's: made anew or opened as they are, never through a link, never one
-that blocks, and written in place, since a sticky directory lets nobody take another user's file away.
+Files in the machine's directory belong to every login: they are made anew or opened as they are, never through a link,
+never blocking, and written in place, since in a sticky directory nobody may remove another user's file.
 """
 
 import os
@@ -20,13 +20,13 @@ if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
 
 MACHINE = "/var/lib/leactl"
 OF_EVERYBODY, OF_ITS_OWNER = 0o666, 0o644
-SHARED_DIRECTORY = 0o1777  # every login adds files, nobody removes another's
-MOST_BYTES = 1 << 16  # of a file of state, which has a few hundred
+SHARED_DIRECTORY = 0o1777  # every login may add files, nobody may remove another's
+MOST_BYTES = 1 << 16  # of a file of state, most of which have a few hundred
 
 
 @dataclass(frozen=True)
 class Place:
-    """A directory of state, and why it is not the one that all users share where it should be."""
+    """A directory of state, with the reason if it should be the one that all users share and is not."""
 
     directory: Path
     shared: bool  # by all users of this machine
@@ -34,22 +34,22 @@ class Place:
 
     @property
     def runs(self) -> Path:
-        """Where runs under way announce themselves; nothing lies deeper where others could exchange a folder."""
+        """Folder for files of runs under way; none below a shared directory, where others could exchange it."""
         return self.directory if self.shared else self.directory / "runs"
 
     def windings(self, actuator: str) -> Path:
-        """The file of one actuator's winding memory."""
+        """Return the file of one actuator's winding memory."""
         if self.shared:
             return self.directory / f"{actuator}.thermal.json"
         return self.directory / "thermal" / f"{actuator}.json"
 
 
 def state_directory() -> Path:
-    """The user's directory: `LEACTL_STATE`, else the state directory of the XDG specification.
+    """Return the user's directory: `LEACTL_STATE`, else the state directory of the XDG specification.
 
     Raises
     ------
-    InputError : there is neither, nor a home; `LEACTL_STATE` is relative, which would be another one in every folder.
+    InputError : there is neither, nor a home; or `LEACTL_STATE` is relative, and would depend on the working folder.
     """
     named = os.environ.get("LEACTL_STATE")
     if named:
@@ -63,36 +63,36 @@ def state_directory() -> Path:
 
 
 def of_user() -> Place:
-    """Where a user's own state is kept."""
+    """Return the place of a user's own state."""
     return Place(state_directory(), shared=False)
 
 
 def of_machine() -> Place:
-    """Where the state of this machine's benches is kept for all users; the user's place and the reason where it cannot.
+    """Return the place of this machine's state for all users; if it is not usable, the user's place with the reason.
 
     `LEACTL_MACHINE_STATE` stands for /var/lib/leactl in tests of leactl itself.
     """
     directory = _machine_directory()
-    fault = _made(directory)
+    fault = _fault_of_shared(directory)
     return Place(state_directory(), shared=False, fault=fault) if fault else Place(directory, shared=True)
 
 
 def place_of(bench: "BenchFile", in_process: bool) -> Place:
-    """Where the latch and the windings of a bench are kept.
+    """Return the place of a bench's latch and winding memory.
 
-    A bench that another process serves is met as a real one is, unless `LEACTL_STATE` keeps its rehearsals apart.
+    A bench that another process serves is treated like a real one, unless `LEACTL_STATE` keeps its rehearsals apart.
     """
-    apart = bench.emulated is not None and bool(os.environ.get("LEACTL_STATE"))
-    return of_user() if in_process or apart else of_machine()
+    separate = bench.emulated is not None and bool(os.environ.get("LEACTL_STATE"))
+    return of_user() if in_process or separate else of_machine()
 
 
 def places() -> list[Place]:
-    """Every place that may hold something to be read: the machine's, whether it can be written to or not, first."""
+    """Return every place that may hold files to read: first the machine's, writable or not, then the user's."""
     return [Place(_machine_directory(), shared=True), of_user()]
 
 
 def reachable() -> tuple[list[Place], list[str]]:
-    """As `places`, for whoever must go on without those that cannot be; a line for each of these."""
+    """Return the places that can be read, and one line for each that cannot, for callers that must continue."""
     reached: list[Place] = []
     faults: list[str] = []
     for shared, directory in ((True, _machine_directory), (False, state_directory)):
@@ -109,7 +109,7 @@ def reachable() -> tuple[list[Place], list[str]]:
 
 
 def examine() -> "HostFinding":
-    """Where locks, trip latches and winding memory of benches on real buses are, and whether all users share them."""
+    """Report where locks, trip latches and winding memory of real benches are, and whether all users share them."""
     from leactl.bench.host_checks import HostFinding
 
     directory = _machine_directory()
@@ -119,18 +119,18 @@ def examine() -> "HostFinding":
         fault = f"{directory}: not every user can write there"
     if not fault or (not os.path.lexists(directory) and os.access(directory.parent, os.W_OK)):  # the first run makes it
         return HostFinding("state", True, False, f"{locks} {directory}, shared by all users")
-    mend = f"sudo install -d -o root -m 1777 {shlex.quote(str(directory))}"
-    kept = state_directory() if _unusable(directory) else directory
-    return HostFinding("state", False, False, f"{locks} {kept}, this user's alone ({fault})", mend)
+    remedy = f"sudo install -d -o root -m 1777 {shlex.quote(str(directory))}"
+    used = state_directory() if _unusable(directory) else directory
+    return HostFinding("state", False, False, f"{locks} {used}, this user's alone ({fault})", remedy)
 
 
 def read(path: Path) -> bytes:
-    """What a regular file of state holds.
+    """Return the content of a regular file of state.
 
     Raises
     ------
-    FileNotFoundError : there is none, and no link either.
-    OSError : it is no regular file, a link, or larger than any file of state.
+    FileNotFoundError : there is no file, and no link either.
+    OSError : the file is not regular, a link, or larger than `MOST_BYTES`.
     """
     descriptor = os.open(path, os.O_RDONLY | NO_LINK | AT_ONCE | AS_BYTES)
     try:
@@ -144,19 +144,19 @@ def read(path: Path) -> bytes:
 
 
 def opened(path: Path, shared: bool) -> int:
-    """Open a regular file of state for reading and writing, made where there is none.
+    """Open a regular file of state for reading and writing; make it if there is none.
 
     Raises
     ------
-    OSError : it cannot be made, or is a link or no regular file.
+    OSError : the file cannot be made, or is a link or not regular.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    how = os.O_RDWR | NO_LINK | AT_ONCE | AS_BYTES
+    flags = os.O_RDWR | NO_LINK | AT_ONCE | AS_BYTES
     try:
-        descriptor = os.open(path, how | os.O_CREAT | os.O_EXCL, OF_ITS_OWNER)
+        descriptor = os.open(path, flags | os.O_CREAT | os.O_EXCL, OF_ITS_OWNER)
     except FileExistsError:
         # without O_CREAT: in a sticky directory the kernel refuses that for another user's file (fs.protected_regular)
-        descriptor = os.open(path, how)
+        descriptor = os.open(path, flags)
     else:
         if shared:  # on Linux alone
             os.fchmod(descriptor, OF_EVERYBODY)
@@ -169,12 +169,12 @@ def opened(path: Path, shared: bool) -> int:
 
 
 def in_place(descriptor: int, path: Path) -> bool:
-    """Whether an open file is still the one at its path: not removed, moved or exchanged; takes no descriptor."""
+    """Whether an open file is still the one at its path: not removed, moved or exchanged. Opens nothing."""
     try:
-        there, own = os.lstat(path), os.fstat(descriptor)
+        at_path, opened_file = os.lstat(path), os.fstat(descriptor)
     except OSError:
         return False
-    return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+    return (at_path.st_dev, at_path.st_ino) == (opened_file.st_dev, opened_file.st_ino)
 
 
 def _machine_directory() -> Path:
@@ -187,8 +187,8 @@ def _absolute(variable: str, named: str) -> Path:
     return Path(named)
 
 
-def _made(directory: Path) -> str:
-    """Make the shared directory where there is none; why it cannot be used, or nothing."""
+def _fault_of_shared(directory: Path) -> str:
+    """Make the shared directory if there is none; return why it cannot be used, or an empty string."""
     try:
         directory.mkdir()
         directory.chmod(SHARED_DIRECTORY)

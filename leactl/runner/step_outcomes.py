@@ -1,4 +1,4 @@
-"""How steps ended that later ones depend on: criteria, and searches with the setpoints that they choose."""
+"""Outcomes of steps that later steps depend on: criteria, and searches with the setpoints that they choose."""
 
 import math
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from leactl.quantities import UNITS
 from leactl.runner.channel_limits import LimitVerdict
 from leactl.units import converter
 
-ENDS = 2  # trials of a search that are at its ends
+ENDS = 2  # first trials of a search, at the ends of its interval
 
 
 @dataclass
 class Bisection:
-    """A search while it goes on: the interval that is left, and how its trials have ended."""
+    """State of a search: the remaining interval, and the outcomes of its trials."""
 
     search: Search
     met: list[bool] = field(default_factory=list)
@@ -37,13 +37,13 @@ class Bisection:
 
     @property
     def setpoint(self) -> float:
-        """What the next trial holds: either end, then the middle of the interval."""
+        """Setpoint of the next trial: first each end, then the middle of the interval."""
         number = len(self.met)
         return self.ends[number] if number < ENDS else 0.5 * (self.ends[0] + self.ends[1])
 
     @property
     def outcome(self) -> str:
-        """How the search has ended, or that it has not."""
+        """Outcome of the search, or `BISECTING` while it is not finished."""
         if len(self.met) >= ENDS and self.met[0] == self.met[1]:
             return NOT_IDENTIFIABLE
         return BRACKETED if len(self.met) == self.search.trials else BISECTING
@@ -54,7 +54,7 @@ class Bisection:
         return (min(self.ends), max(self.ends)) if self.outcome == BRACKETED else (math.nan, math.nan)
 
     def take(self, met: bool) -> None:
-        """Keep the half at whose ends the outcome differs."""
+        """Take the outcome of a trial; keep the half of the interval at whose ends the outcomes differ."""
         middle = self.setpoint
         if len(self.met) >= ENDS:
             self.ends[0 if met == self.met[0] else 1] = middle
@@ -77,7 +77,7 @@ class Outcomes:
         self.searches: list[Bisection] = []
 
     def chosen(self, segment: Segment) -> Segment:
-        """A trial with the setpoint that its search has come to; it lies between the ends that were planned."""
+        """Return a trial with the setpoint of its search, between the planned ends; other segments as they are."""
         trial = segment.trial
         if trial is None:
             return segment
@@ -87,11 +87,11 @@ class Outcomes:
         planned = segment.setpoints[role]
         if not planned.low <= value <= planned.high:
             raise AssertionError(f"{value:g} is not between {planned.low:g} and {planned.high:g}")
-        told = {f"current_{UNITS[trial.search.quantity]}": value, **segment.parameters}
-        return replace(segment, setpoints={role: Constant(value)}, parameters=told)
+        parameters = {f"current_{UNITS[trial.search.quantity]}": value, **segment.parameters}
+        return replace(segment, setpoints={role: Constant(value)}, parameters=parameters)
 
     def take(self, segment: Segment, met: bool) -> dict[str, Any]:
-        """Keep how a step with a criterion ended; returns what its parameters tell of the search that it ends."""
+        """Take the outcome of a step with a criterion; return parameters of the search that it finishes, if any."""
         if segment.trial is None:
             self._latest[segment.name] = MET if met else NOT_MET
             return {}
@@ -101,13 +101,13 @@ class Outcomes:
         if bisection.outcome == BISECTING:
             return {}
         unit = UNITS[bisection.search.quantity]
-        told: dict[str, Any] = {"bisect": bisection.outcome, f"resolution_{unit}": bisection.search.resolution}
+        parameters: dict[str, Any] = {"bisect": bisection.outcome, f"resolution_{unit}": bisection.search.resolution}
         if bisection.outcome == BRACKETED:
-            told |= dict(zip((f"lower_{unit}", f"upper_{unit}"), bisection.bracket, strict=True))
-        return told
+            parameters |= dict(zip((f"lower_{unit}", f"upper_{unit}"), bisection.bracket, strict=True))
+        return parameters
 
     def answer(self, search: Search) -> str:
-        """What there is to tell of the latest search; empty while it goes on.
+        """Return the result of the latest search as text; empty while it is not finished.
 
         Raises
         ------
@@ -119,25 +119,25 @@ class Outcomes:
         return "" if bisection.outcome == BISECTING else str(bisection)
 
     def fulfils(self, condition: StepOutcome) -> bool:
-        """Whether the latest step of the name ended so; one that was left out has no outcome."""
+        """Whether the latest step of that name had the outcome; a step that was left out has none."""
         return self._latest.get(condition.step) == condition.outcome
 
     def verdicts(self, limits: Sequence[SearchLimit]) -> list[LimitVerdict]:
-        """How every search kept its limits; one that was never done keeps none."""
+        """Return the verdict on every limit of a search; a search that was never done meets none."""
         return [self._verdict(limit) for limit in limits]
 
     def _verdict(self, limit: SearchLimit) -> LimitVerdict:
-        searches = [one for one in self.searches if one.search.name == limit.search]
+        searches = [search for search in self.searches if search.search.name == limit.search]
         wanted = f"{limit.low:g} to {limit.high:g} {limit.unit} was required"
         row: dict[str, Any] = {"bisect": limit.search, "lower": None, "upper": None, "units": limit.unit, "met": False}
-        if not searches or any(one.outcome != BRACKETED for one in searches):
-            what = "has no interval in every pass" if searches else "was not done"
-            return LimitVerdict(limit, row, False, f"{limit.search} {what}, {wanted}")
+        if not searches or any(search.outcome != BRACKETED for search in searches):
+            state = "has no interval in every pass" if searches else "was not done"
+            return LimitVerdict(limit, row, False, f"{limit.search} {state}, {wanted}")
         conversion = converter(limit.unit, searches[0].search.quantity)
         assert conversion is not None  # the protocol was checked
-        low = min(one.bracket[0] for one in searches) / conversion.factor
-        high = max(one.bracket[1] for one in searches) / conversion.factor
+        low = min(search.bracket[0] for search in searches) / conversion.factor
+        high = max(search.bracket[1] for search in searches) / conversion.factor
         met = limit.low <= low and high <= limit.high
         row |= {"lower": low, "upper": high, "met": met}
-        told = f"{limit.search} is {low:.6g} to {high:.6g} {limit.unit}"
-        return LimitVerdict(limit, row, met, told if met else f"{told}, {wanted}")
+        summary = f"{limit.search} is {low:.6g} to {high:.6g} {limit.unit}"
+        return LimitVerdict(limit, row, met, summary if met else f"{summary}, {wanted}")

@@ -1,6 +1,6 @@
-"""The windings of a run: what their guard starts from, whether the plan keeps them below the limit, and what is kept.
+"""The windings of a run: the start of their guard, the admission of a plan, and the memory for the next run.
 
-An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
+A bench emulated in this process begins at ambient, by its own clock; every other bench has a memory.
 """
 
 import math
@@ -23,11 +23,11 @@ from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 LONGEST_LABEL = 100  # characters; a label names a file, which may have 255 bytes
-STOPS_WITHIN_S = 0.02  # after its silence, by which a drive is without torque
+STOPS_WITHIN_S = 0.02  # after its silence, within which a drive is without torque
 
 
 class Windings:
-    """The actuators of one bench as a run finds them."""
+    """The actuators of one bench with their temperatures at the start of a run."""
 
     def __init__(
         self,
@@ -38,13 +38,13 @@ class Windings:
         cold: bool = False,
         recalled: Mapping[str, Recalled] | None = None,
     ) -> None:
-        """Recall what is known of them.
+        """Recall the bounds of each actuator from its memory.
 
         Parameters
         ----------
-        actuator : label of the one under test; the bench's name and the role stand for one without.
-        cold : a person says that nothing has heated them.
-        recalled : bounds of each role that hold, in place of what is remembered.
+        actuator : label of the actuator under test; without one, the bench's name and the role are the label.
+        cold : a person says that nothing has heated the actuators.
+        recalled : bounds by role that replace those of the memory.
 
         Raises
         ------
@@ -62,25 +62,25 @@ class Windings:
             role: memory.cold() if cold or emulated_here else memory.recall(ClockReadings.now())
             for role, memory in memories.items()
         }
-        if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
+        if bench.emulated is not None:  # an emulated winding cannot burn: without a memory it is at ambient
             fresh = {role for role, memory in memories.items() if not memory.known}
             self.recalled |= {role: memories[role].cold() for role in fresh}
         self.recalled |= recalled or {}
         start = {role: known.nodes for role, known in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self._foreseen: tuple[Plan, Forecast] | None = None
-        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, ClockReadings.now)
-        self.may_be_left_on({role: one.left_on for role, one in self.recalled.items() if one.left_on is not None})
+        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.node_bounds, ClockReadings.now)
+        self.may_be_left_on({role: known.left_on for role, known in self.recalled.items() if known.left_on is not None})
 
     @contextmanager
     def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:
-        """Keep the bounds for the next run while the block lasts, and once more at its end.
+        """Write the bounds for the next run until the block is left, and once more at its end.
 
-        `beside` is called as often, from the same thread.
+        `beside` is called before each writing, from the same thread.
 
         Raises
         ------
-        InputError : there is no place to keep them.
+        InputError : the bounds cannot be written.
         """
         if self.keeper is None:
             yield
@@ -94,41 +94,43 @@ class Windings:
             self.keeper.stop()
 
     def may_be_left_on(self, reached: Mapping[str, float]) -> None:
-        """Have the next run know what a supply may bring each winding to [degC], by role, if this run dies before."""
+        """Store, in case this run dies, to what temperature a supply left on may bring each winding [degC], by role."""
         if self.keeper is not None:
             for role, hottest in reached.items():
                 self.keeper.left_on[role] = max(min(hottest, HOTTEST_DEGC), self.keeper.left_on.get(role, -math.inf))
 
     def end(self, confirmed: bool) -> None:
-        """A run has ended; where a device is not confirmed safe, the next run takes the windings as after a crash."""
+        """Note the end of a run; unless all devices are `confirmed` safe, the windings count as after a crash."""
         if self.keeper is not None:
             self.keeper.doubted, self.keeper.seen_off = not confirmed, confirmed
 
     def forecast(self, plan: Plan) -> Forecast:
-        """What a plan would do to the windings; that of the plan that was admitted is at hand."""
+        """Return the forecast of a plan; the latest one is cached."""
         if self._foreseen is None or self._foreseen[0] is not plan:
             self._foreseen = plan, self._foresight().forecast(plan)
         return self._foreseen[1]
 
     def rest_before(self, plan: Plan) -> float | None:
-        """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
-        if any(one.left_on is not None for one in self.recalled.values()):  # no rest counts before a supply is seen off
+        """Return the rest [s] that keeps a plan below the limit: 0 if none is needed, None if none is enough."""
+        if any(
+            known.left_on is not None for known in self.recalled.values()
+        ):  # no rest counts while a supply may be on
             return 0.0 if self.forecast(plan).passing is None else None
         return self._foresight().rest_before(plan)
 
     def keep_as_found(self) -> None:
-        """Have the runs to come find the windings as this one did, a person's word that they are cold included.
+        """Write the bounds unchanged for later runs, also those of windings that a person says are cold.
 
         Raises
         ------
-        InputError : there is no place to keep it.
+        InputError : the bounds cannot be written.
         """
         if self.keeper is not None:
             self.keeper.start()
             self.keeper.stop()
 
     def admit(self, plan: Plan, insert_cooldown: bool = False) -> Plan:
-        """The plan, or one with waits where that was asked for.
+        """Return the plan, or the plan with waits if `insert_cooldown` and they keep it below the limit.
 
         Raises
         ------
@@ -137,12 +139,12 @@ class Windings:
         forecast = self.forecast(plan)
         if forecast.passing is None:
             return plan
-        longer, later = self._foresight().with_waits(plan)
-        if insert_cooldown and later.passing is None:
-            self._foreseen = longer, later
+        longer, longer_forecast = self._foresight().with_waits(plan)
+        if insert_cooldown and longer_forecast.passing is None:
+            self._foreseen = longer, longer_forecast
             return longer
-        at = forecast.passing
-        if later.passing is None:
+        passing = forecast.passing
+        if longer_forecast.passing is None:
             waits = longer.duration_s - plan.duration_s
             helps = f"--insert-cooldown adds {waits:.0f} s of waiting, which is enough"
         elif insert_cooldown:
@@ -151,10 +153,12 @@ class Windings:
             helps = "no wait between its steps helps: shorten or lower them"
         if forecast.turning_from_hz is not None:
             helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing(forecast.turning_from_hz)}"
-        known = "; ".join(f"{role} {one.known}, at most {one.nodes[0]:.0f} degC" for role, one in self.recalled.items())
+        known = "; ".join(
+            f"{role} {start.known}, at most {start.nodes[0]:.0f} degC" for role, start in self.recalled.items()
+        )
         raise InputError(
-            f"protocol '{plan.name}': step '{at.step}' may take the {at.role} winding to its limit of"
-            f" {self.settings.limit:g} degC after {at.time_s:.0f} s; {helps}"
+            f"protocol '{plan.name}': step '{passing.step}' may take the {passing.role} winding to its limit of"
+            f" {self.settings.limit:g} degC after {passing.time_s:.0f} s; {helps}"
             f" ({known}; --cold where nothing has heated them)"
         )
 
@@ -164,7 +168,7 @@ class Windings:
 
 
 def standing(turning_from_hz: float) -> str:
-    """What a slow loop makes of rotors that turn."""
+    """Return the sentence on rotors that a slow loop counts as standing."""
     return f"below about {turning_from_hz:g} Hz more than a tenth of the heat of a rotor that turns counts as standing"
 
 
@@ -173,7 +177,7 @@ def check_label(option: str, label: str) -> None:
 
     Raises
     ------
-    InputError : with the option that gave it.
+    InputError : the label is too long or not printable, with the option that gave it.
     """
     if len(label) > LONGEST_LABEL:
         raise InputError(f"{option}: {len(label)} characters; at most {LONGEST_LABEL} were expected")
@@ -182,7 +186,7 @@ def check_label(option: str, label: str) -> None:
 
 
 def motors_of(bench: BenchFile) -> dict[str, Motor]:
-    """The motors of a bench by role; a load that the file does not tell is like the one under test.
+    """Return the motors of a bench by role; without `motors.load`, the load is like the motor under test.
 
     Raises
     ------
@@ -198,24 +202,25 @@ def motors_of(bench: BenchFile) -> dict[str, Motor]:
 
 
 def as_fed(motors: Mapping[str, Motor], devices: Sequence[CheckedDevice]) -> dict[str, Motor]:
-    """The motors with the tolerance of the current reading that each has: a supply's own where no drive feeds it."""
+    """Return the motors with the tolerance of their current reading: the supply's for roles without a drive."""
     driven = {device.entry.role for device in devices if hasattr(registry.load(device.entry.driver), "engage")}
     return {role: motor if role in driven else _supplied(motor) for role, motor in motors.items()}
 
 
 def _supplied(motor: Motor) -> Motor:
-    own = motor.tolerances
-    if own is None or own.line_current is None:
+    """Return a motor whose tolerance of the current is that of the line current, if the file has one."""
+    tolerances = motor.tolerances
+    if tolerances is None or tolerances.line_current is None:
         return motor
-    return motor.model_copy(update={"tolerances": own.model_copy(update={"current": own.line_current})})
+    return motor.model_copy(update={"tolerances": tolerances.model_copy(update={"current": tolerances.line_current})})
 
 
 def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: Mapping[str, Motor]) -> GuardSettings:
-    """What a bench file tells the guard; the lowest limit of bench and motors counts."""
+    """Return the settings of the guard by a bench file; the lowest limit of bench and motors counts."""
     limits, ambient = bench.limits, bench.limits.ambient_temperature_degC
-    silences = [s for s in host_silences(devices).values() if s is not None]
-    # a supply waits for no sign of life: the run's watchdog sees that the loop stands still, and switches it off; where
-    # the run holds its line, once the run has been ended
+    silences = [silence for silence in host_silences(devices).values() if silence is not None]
+    # a supply waits for no sign of life: the run's watchdog switches it off when the loop stands still; where the run
+    # holds the line to it, once the run has been ended
     supplied = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
     to_end = SAFE_STATE_S + time_to_end_s(len(devices)) if supplied else 0.0
     return GuardSettings(

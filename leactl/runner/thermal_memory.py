@@ -1,8 +1,9 @@
-"""What a winding may still hold from before: bounds in a file for each actuator, with the time that they are of.
+"""Memory of winding temperatures between runs: a file for each actuator, with bounds and their time.
 
-They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.boot_time`). A process
-that died left its actuator no hotter than the limit that its guard kept; its housing may have warmed on until the next
-writing was overdue. Where a supply may have been left on, nothing cools. What is not known counts as hot.
+The bounds cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.boot_time`). A
+process that died left its actuator no hotter than the limit of its guard; its housing may have warmed on until the next
+writing was overdue. Where a supply may have been left on, nothing cools. An actuator of which nothing is known counts
+as hot.
 """
 
 import errno
@@ -31,77 +32,83 @@ from leactl.safety.thermal.box import Array, Box
 
 FORMAT, VERSION = "leactl-thermal", 3
 WRITTEN_EVERY_S = 1.0
-BYTES = 4096  # of a file, so that each writing is one call and covers all of the one before
-OVERDUE_S = 10.0  # without a writing, after which a run is ended
+BYTES = 4096  # of a file, so that each writing is one call and covers the previous one
+OVERDUE_S = 10.0  # time without a writing after which a run is ended
 
 
 @dataclass(frozen=True)
 class Recalled:
-    """Bounds to start from, and what they are known by."""
+    """Bounds to start from, and where they are known from."""
 
     nodes: Array  # hottest phase, mean of the phases, housing [degC]
     known: str
-    left_on: float | None = None  # degC that a supply may hold it at which nobody is known to have switched off
+    left_on: float | None = None  # degC that a supply, which may still be on, may bring the winding to
 
 
 class Memory:
-    """What is kept of one actuator, for one motor at one limit and ambient [degC], in a place of state."""
+    """Stored bounds of one actuator, for one motor at one limit and ambient [degC], in one place of state."""
 
     def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float, place: Place) -> None:
         self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
         self._place, self.path = place, place.windings(_file_name(actuator))
-        self._held: int | None = None  # its file, open from the first writing on: the last one needs no descriptor
+        self._descriptor: int | None = None  # of the file, open from the first writing until `let_go`
 
     def recall(self, now: ClockReadings) -> Recalled:
-        """Bounds of this actuator at a moment; hot where nothing can be told.
+        """Return the bounds of this actuator at the time `now`; hot where none can be read.
 
-        Where several places tell of it, since not all users could write to one, the hottest counts.
+        If several places of state have bounds, since not all users could write to one, the hottest count.
         """
-        recalled = [self._recall(path, now) for path in self._kept()]
+        recalled = [self._recall(path, now) for path in self._paths()]
         if not recalled:
             return self._hot("nothing is known of it")
-        hottest = np.maximum.reduce([one.nodes for one in recalled])
-        left_on = max((one.left_on for one in recalled if one.left_on is not None), default=None)
-        return Recalled(hottest, max(recalled, key=lambda one: float(one.nodes[0])).known, left_on)
+        hottest = np.maximum.reduce([item.nodes for item in recalled])
+        left_on = max((item.left_on for item in recalled if item.left_on is not None), default=None)
+        return Recalled(hottest, max(recalled, key=lambda item: float(item.nodes[0])).known, left_on)
 
     @property
     def known(self) -> bool:
-        """Whether anything is kept of it."""
-        return bool(self._kept())
+        """Whether any place of state has a file of this actuator."""
+        return bool(self._paths())
 
-    def _kept(self) -> list[Path]:
-        several = self._place.shared or self._place.fault  # a rehearsal's are kept apart
+    def _paths(self) -> list[Path]:
+        """Return the files of this actuator in all places of state."""
+        several = self._place.shared or self._place.fault  # a rehearsal keeps its files apart
         places = [self._place, *(state_folder.places() if several else ())]
         paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
         return [path for path in paths if os.path.lexists(path)]
 
     def _recall(self, path: Path, now: ClockReadings) -> Recalled:
+        """Return the bounds by one file at the time `now`."""
         try:
-            nodes, kept, running, left_on = self._read(path)
-            left = now.surely_since(kept)
+            nodes, written, running, left_on = self._read(path)
+            rested = now.surely_since(written)
         except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
             return self._hot(f"{path} cannot be used: {getattr(error, 'strerror', None) or error}")
         if running and left_on is not None:
             hottest = max(self._limit, left_on)
-            return Recalled(np.full(3, hottest), f"a supply may heat it still, since {_told(kept.wall)}", left_on)
+            return Recalled(
+                np.full(3, hottest), f"a supply may heat it still, since {_time_text(written.wall)}", left_on
+            )
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
         how = "at rest since"
         if running:
-            # its guard would have ended it at the limit; nothing tells for how long it went on
+            # the guard would have ended the run at the limit; how long the run lasted is not known
             nodes[:HOUSING] = max(self._limit, *nodes[:HOUSING])
             bound.set(nodes[:, None])
             self._warm_housing(bound)
             nodes = np.array([nodes[0], nodes[1], bound.nodes()[HOUSING, 0]])
-            left, how = max(left - OVERDUE_S, 0.0), "its last run ended without a word after"
+            rested, how = max(rested - OVERDUE_S, 0.0), "its last run ended without a word after"
         bound.set(nodes[:, None])
-        bound.rest(left, self._ambient)
-        return Recalled(bound.nodes()[:, 0], f"{how} {_told(kept.wall)}")
+        bound.rest(rested, self._ambient)
+        return Recalled(bound.nodes()[:, 0], f"{how} {_time_text(written.wall)}")
 
     def keep(self, nodes: Array, now: ClockReadings, running: bool, left_on: float | None = None) -> None:
-        """Write bounds in one call; a file that is cut short all the same counts as hot.
+        """Write bounds in one call; a file that is cut short nevertheless counts as hot.
 
-        left_on : what its supply would bring it to [degC] if the run died, where the run may switch one on.
+        nodes : bounds of hottest phase, mean of the phases and housing [degC].
+        left_on : temperature that a supply, if the run may switch one on, would bring the winding to if the run
+            died [degC].
 
         Raises
         ------
@@ -121,23 +128,23 @@ class Memory:
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
         text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
-        if self._held is not None and not state_folder.in_place(self._held, self.path):
+        if self._descriptor is not None and not state_folder.in_place(self._descriptor, self.path):
             self.let_go()
-        if self._held is None:
-            self._held = state_folder.opened(self.path, self._place.shared)
-        if write_at(self._held, text, 0) < len(text):
+        if self._descriptor is None:
+            self._descriptor = state_folder.opened(self.path, self._place.shared)
+        if write_at(self._descriptor, text, 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if os.fstat(self._held).st_size > len(text):  # something else has written here
-            os.ftruncate(self._held, len(text))
+        if os.fstat(self._descriptor).st_size > len(text):  # another program has written here
+            os.ftruncate(self._descriptor, len(text))
 
     def let_go(self) -> None:
         """Close the file that is kept open between writings."""
-        held, self._held = self._held, None
-        if held is not None:
-            os.close(held)
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            os.close(descriptor)
 
     def cold(self) -> Recalled:
-        """At ambient throughout, as a person says."""
+        """Return bounds at ambient throughout, for an actuator that a person says is cold."""
         start = self._ambient + Box.of(self._motor).ambient_rise
         return Recalled(np.full(3, start), "said to be cold")
 
@@ -145,43 +152,51 @@ class Memory:
         return Recalled(np.full(3, self._limit), f"counts as hot: {why}")
 
     def _warm_housing(self, bound: ThermalBound) -> None:
-        """What a housing takes up while its winding is held at the limit, until a writing is overdue."""
-        rest = bound.state[:HOUSING].copy()
+        """Warm the housing of a bound for `OVERDUE_S` while its winding is held where it is."""
+        winding = bound.state[:HOUSING].copy()
         for _ in range(math.ceil(OVERDUE_S)):
             bound.step(1.0, np.zeros(1), np.zeros(1), np.zeros(1), self._ambient)
-            bound.state[:HOUSING] = rest
+            bound.state[:HOUSING] = winding
 
     def _read(self, path: Path) -> tuple[Array, ClockReadings, bool, float | None]:
-        kept = json.loads(state_folder.read(path))
-        if kept["format"] != FORMAT or kept["format_version"] != VERSION:
-            raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
-        if kept["actuator"] != self.actuator:
-            raise ValueError(f"it is of actuator '{kept['actuator']}'")
-        if kept["motor_sha256"] != self._digest:
-            raise ValueError(f"it is of another motor file ('{kept['motor']}')")
-        nodes = kept["nodes_degC"]
+        """Return nodes [degC], time of writing, `running` and `left_on` [degC] of a file.
+
+        Raises
+        ------
+        OSError, ValueError, KeyError, TypeError : the file cannot be used.
+        """
+        document = json.loads(state_folder.read(path))
+        if document["format"] != FORMAT or document["format_version"] != VERSION:
+            raise ValueError(
+                f"format {document['format']} {document['format_version']}, {FORMAT} {VERSION} was expected"
+            )
+        if document["actuator"] != self.actuator:
+            raise ValueError(f"it is of actuator '{document['actuator']}'")
+        if document["motor_sha256"] != self._digest:
+            raise ValueError(f"it is of another motor file ('{document['motor']}')")
+        nodes = document["nodes_degC"]
         if not (
             isinstance(nodes, list)
             and len(nodes) == 3
             and all(type(value) in (int, float) and COLDEST_DEGC <= value <= HOTTEST_DEGC for value in nodes)
         ):
             raise ValueError(f"nodes_degC {nodes}: three temperatures in degC were expected")
-        if not isinstance(kept["boot"], str):
+        if not isinstance(document["boot"], str):
             raise TypeError("boot: the identifier of a boot was expected")
-        if type(kept["running"]) is not bool:
+        if type(document["running"]) is not bool:
             raise ValueError("running: true or false was expected")
-        left_on = kept["left_on_degC"]
+        left_on = document["left_on_degC"]
         if left_on is not None and not (type(left_on) in (int, float) and left_on <= HOTTEST_DEGC):
             raise ValueError(f"left_on_degC {left_on!r}: null or a temperature in degC was expected")
         for key in ("time", "since_boot_s"):
-            if type(kept[key]) not in (int, float):
-                raise ValueError(f"{key} {kept[key]!r}: seconds were expected")
-        moment = ClockReadings(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
-        return np.array(nodes, float), moment, kept["running"], left_on
+            if type(document[key]) not in (int, float):
+                raise ValueError(f"{key} {document[key]!r}: seconds were expected")
+        written = ClockReadings(float(document["time"]), document["boot"], float(document["since_boot_s"]))
+        return np.array(nodes, float), written, document["running"], left_on
 
 
 class Keeper:
-    """Writes the bounds of a run every second from a thread of its own, so that no disk holds up the loop."""
+    """Writes the bounds of a run every second from a separate thread, so that no disk delays the loop."""
 
     def __init__(
         self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], ClockReadings]
@@ -190,18 +205,18 @@ class Keeper:
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
-        self.beside: Callable[[], None] = lambda: None  # what else is to be looked after as often
-        self.left_on: dict[str, float] = {}  # degC, that a supply may bring each role's winding to if this process dies
-        self.seen_off = False  # whether every device was confirmed safe since
-        self.doubted = False  # whether something may go on heating them when the run has ended
+        self.beside: Callable[[], None] = lambda: None  # called before each writing of the thread
+        self.left_on: dict[str, float] = {}  # degC by role, to which a supply may bring a winding if this process dies
+        self.seen_off = False  # whether every device has been confirmed safe
+        self.doubted = False  # whether a device may still heat the windings after the run
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
     def start(self) -> None:
-        """Write once, and go on from the thread.
+        """Write once, then start the thread.
 
         Raises
         ------
-        InputError : the state cannot be kept.
+        InputError : the file cannot be written.
         """
         try:
             self._write(running=True)
@@ -210,12 +225,12 @@ class Keeper:
         self._thread.start()
 
     def fault(self) -> str:
-        """Why nothing has been written for too long; empty where all is well."""
+        """Return why nothing has been written for `OVERDUE_S`; empty if the last writing is more recent."""
         since = self._clock().since_boot - self._written.since_boot
         return f"the windings' state was not written for {since:.0f} s: {self._fault}" if since > OVERDUE_S else ""
 
     def stop(self) -> None:
-        """Write a last time, at rest where nothing is doubted; where that fails, the next run takes it all as hot."""
+        """Write a last time, as at rest unless `doubted`; if that fails, all counts as hot in the next run."""
         self._ended.set()
         self._thread.join(OVERDUE_S)
         with suppress(OSError):
@@ -243,7 +258,8 @@ def _file_name(actuator: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", actuator)
 
 
-def _told(time: float) -> str:
+def _time_text(time: float) -> str:
+    """Return a time of the wall clock [s] in ISO 8601, or as a number where no calendar has it."""
     from datetime import UTC, datetime
 
     try:

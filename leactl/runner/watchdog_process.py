@@ -1,6 +1,7 @@
-"""The watchdog's own process: `python -m leactl.runner.watchdog_process MEMORY`, started by `leactl.runner.watchdog`.
+"""The process of the watchdog: `python -m leactl.runner.watchdog_process MEMORY`, started by `leactl.runner.watchdog`.
 
-It is told by lines on stdin, whose end is the run's death; what it does then it does over connections of its own.
+The run sends it lines on stdin, whose end means that the run's process has ended. To stop the devices, the watchdog
+opens its own connections.
 """
 
 import ctypes
@@ -25,17 +26,17 @@ from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, ti
 
 MCL_CURRENT = 1  # <sys/mman.h>
 OOM_SCORE, KILLED_LAST = Path("/proc/self/oom_score_adj"), "-1000"
-LOOKS = 10  # within an allowed silence
-IDLE_S = 0.1  # between two looks while no silence counts
-KILLED_S = 5.0  # until the end of a killed process shows
-SPARE = 16  # descriptors that are held for connections where the system has no more by then
-STDERR_S = 0.1  # that a line may wait to be taken
+LOOKS = 10  # checks within an allowed silence
+IDLE_S = 0.1  # between two checks while the silence is not limited
+KILLED_S = 5.0  # longest wait for the end of a killed process
+SPARE = 16  # descriptors reserved for connections, in case the system has no more by then
+STDERR_S = 0.1  # longest wait until stderr takes a line
 
 
 class Inbox:
-    """What the run says: where it is recorded, that it is done; the end of the pipe says that it is no more.
+    """Messages of the run: path of its recording, its orderly end, and the end of the pipe when its process ends.
 
-    `unsafe` is what a run that ends in order could not confirm.
+    `unsafe` is the text on devices that a run could not confirm safe at its orderly end.
     """
 
     def __init__(self) -> None:
@@ -43,25 +44,25 @@ class Inbox:
         self._line = b""
 
     def first(self) -> bytes:
-        """The line of orders; empty where the run ended before it."""
+        """Wait for the line of orders and return it; empty if the run ended before."""
         while b"\n" not in self._line and not self.ended:
             self._read()
         line, _, self._line = self._line.partition(b"\n")
         return line
 
     def wait(self, seconds: float) -> None:
-        """Take what comes within a time."""
+        """Wait up to `seconds` for messages and take them."""
         if self.ended:
             time.sleep(seconds)
         elif select.select([0], [], [], seconds)[0]:
             self._read()
         *lines, self._line = self._line.split(b"\n")
         for line in lines:
-            word, _, rest = line.partition(b" ")
+            word, _, value = line.partition(b" ")
             if word == b"run":
-                self.run = os.fsdecode(rest)
+                self.run = os.fsdecode(value)
             if word == b"unsafe":
-                self.unsafe = os.fsdecode(rest)
+                self.unsafe = os.fsdecode(value)
             self.done = self.done or word == b"done"
 
     def _read(self) -> None:
@@ -71,7 +72,7 @@ class Inbox:
 
 
 def main() -> None:
-    """Watch a run, and end it where it does not end itself."""
+    """Watch a run, and end it if it does not end itself."""
     # the terminal's signals are the run's; where the whole group is asked to end, the run still needs its watchdog
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -109,7 +110,7 @@ def main() -> None:
 
 
 def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
-    """Watch until the run's end; the cause where that is not an orderly one, else empty."""
+    """Watch until the run's end; return the cause of an end that is not orderly, else an empty string."""
     seen, since = -1, 0
     while True:
         allowed = sign[ALLOWED_NS]
@@ -129,20 +130,20 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
 
 
 def hold_on() -> None:
-    """Be the last that the kernel ends for want of memory, and keep what is in memory there, as far as it permits."""
+    """Ask the kernel to end this process last for lack of memory, and lock its memory, as far as it permits."""
     with suppress(OSError):
         OOM_SCORE.write_text(KILLED_LAST, encoding="ascii")
-    ctypes.CDLL(None).mlockall(MCL_CURRENT)  # refused where RLIMIT_MEMLOCK is less than what is in use
+    ctypes.CDLL(None).mlockall(MCL_CURRENT)  # refused if RLIMIT_MEMLOCK is less than the memory in use
 
 
 def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
-    """Take the power away, end the process, take the power away again where that was in doubt, and latch the bench."""
+    """Make the devices safe, end the run's process, make them safe again if unconfirmed, and latch the bench."""
     devices = bench.in_order_of_stop if bench else []
     safe = stopped(bench)
     say(cause)
     if not (inbox.ended or inbox.unsafe):
         end(process, time_to_end_s(len(devices)), inbox)
-        if unconfirmed_devices(safe):  # the process may have held what no second connection could have
+        if unconfirmed_devices(safe):  # the process may have held a line that allows no second connection
             safe = stopped(bench)
     for device, confirmation in safe.items():
         say(f"{device}: {confirmation.detail}")
@@ -155,7 +156,7 @@ def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbo
 
 
 def stopped(bench: Bench | None) -> dict[str, Confirmation]:
-    """Make every device safe over fresh connections, and let them go."""
+    """Make every device safe over fresh connections, and close these."""
     if bench is None:
         return {}
     safe = make_safe(bench.in_order_of_stop)
@@ -164,9 +165,9 @@ def stopped(bench: Bench | None) -> dict[str, Confirmation]:
 
 
 def end(process: int, grace_s: float, inbox: Inbox) -> None:
-    """End the hung process: asked first, for its own orderly end, then killed."""
+    """End the hung process: ask it for an orderly end first, then kill it."""
     ask(process, signal.SIGTERM)
-    ask(process, signal.SIGCONT)  # one that was stopped, by Ctrl-Z say, can end itself as well
+    ask(process, signal.SIGCONT)  # a process stopped by Ctrl-Z can then end itself as well
     until = time.monotonic() + grace_s
     while not (inbox.done or inbox.ended) and time.monotonic() < until:
         inbox.wait(IDLE_S)
@@ -180,13 +181,13 @@ def end(process: int, grace_s: float, inbox: Inbox) -> None:
 
 
 def ask(process: int, number: signal.Signals) -> None:
-    """Send a signal to the parent; once it is gone its number may be another's."""
+    """Send a signal to the run's process while it is the parent; later its number may be another process's."""
     if os.getppid() == process:
         os.kill(process, number)
 
 
 def say(text: str) -> None:
-    """One line on stderr, if there still is one and it takes it: a terminal held by Ctrl-S must not hold the end."""
+    """Write one line to stderr if it takes it: a terminal held by Ctrl-S must not delay the end."""
     with suppress(OSError):
         if select.select([], [2], [], STDERR_S)[1]:
             os.write(2, f"leactl watchdog: {text}\n".encode())

@@ -1,26 +1,26 @@
-"""How far a setpoint of angle mode may be from the one before: what the shaft may turn meanwhile."""
+"""Base angle and time from which a drive in angle mode may turn to its next setpoint."""
 
 import math
 
 
 class AnglePath:
-    """Where the setpoints of angle mode have led so far, so that none is further away than the shaft may turn."""
+    """Angle [rad] and time [s] of the last setpoint that a drive follows, or of the shaft while it follows none."""
 
     def __init__(self, measured: float, now: float) -> None:
         self.sent, self.sent_at = measured, now  # of the last exchange
-        self._asked: tuple[float, float] | None = None  # since then
-        self._held = False
+        self._pending: tuple[float, float] | None = None  # setpoint and time for the next exchange
+        self._was_engaged = False
 
     def ask(self, value: float, now: float) -> None:
-        """A setpoint for the exchange to come; the last one before it counts."""
-        self._asked = value, now
+        """Take a setpoint for the next exchange; the last one before the exchange counts."""
+        self._pending = value, now
 
     def exchanged(self, measured: float, engaged: bool, now: float) -> None:
-        """An exchange has ended: until the drive follows its setpoint, that is wherever the shaft is."""
+        """Update after an exchange; until the drive follows its setpoint, the base is the measured angle."""
         if not engaged or math.isnan(self.sent):
             self.sent, self.sent_at = (self.sent if math.isnan(measured) else measured), now
-        elif self._held and self._asked is not None:
-            self.sent, self.sent_at = self._asked
+        elif self._was_engaged and self._pending is not None:
+            self.sent, self.sent_at = self._pending
         else:
             self.sent_at = now
-        self._held, self._asked = engaged, None
+        self._was_engaged, self._pending = engaged, None

@@ -1,4 +1,4 @@
-"""What no channel shows by itself: a reading that stands still while others move, a velocity beside its angle."""
+"""Checks of one channel against others: readings that are stuck, and velocities that contradict the angle."""
 
 import math
 from collections.abc import Container, Mapping, Sequence
@@ -7,30 +7,31 @@ from leactl.safety.interlocks import Interlocks, VelocityDisagreement
 from leactl.safety.thermal.turning import Rotor
 from leactl.safety.watching import Panel, Trip, Watch
 
-TEMPERATURE_STUCK_S = 600.0  # of a temperature without `stuck_s`: its noise or drift shows in steps finer than 0.1 degC
-TURNING_RAD_S = 0.1  # mean speed over a stretch, far above a velocity's offset: below, an angle or a velocity may stand
-APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
-LOOKS = 16  # at the other channels in a stretch: a look in each cycle would cost more, and motion shows soon
+TEMPERATURE_STUCK_S = 600.0  # for a temperature without `stuck_s`: noise or drift shows in steps below 0.1 degC
+TURNING_RAD_S = 0.1  # mean speed over a stretch, far above a velocity's offset; below, a repeated value is no fault
+APART_CYCLES = 3  # between the measurements of a torque and a current that arrive in one cycle, at the most
+LOOKS = 16  # comparisons of the other channels in a stretch: one in each cycle would cost more
 
 
 class _StillChannel:
-    """One channel over one stretch of time: the value that it began with, and what it is held against."""
+    """One channel over one stretch of time: its first value, and the values of other channels to compare."""
 
     def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
-        self.shaft, self.least, self.most = 0.0, 0.0, 0.0  # rad, of an angle or a velocity: by the other of the two
-        self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were looked at last
-        self.look_at = -math.inf  # when the other channels are looked at next
-        self.unread = math.nan  # since when the channel has had no reading, at a look that was due
+        # rad, for an angle or a velocity: position of the shaft and its extremes, by the other of the two
+        self.shaft, self.least, self.most = 0.0, 0.0, 0.0
+        self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were compared last
+        self.look_at = -math.inf  # when the other channels are compared next
+        self.unread = math.nan  # since when a comparison has been due without a reading of this channel
         self.others: list[list[float]] = []  # the first number of each other channel in the stretch
-        self.alone = True  # so far: no other channel has moved
+        self.alone = True  # whether no other channel has moved in the stretch so far
         role = watch.channel.role
-        place = {other.channel.quantity: other.index for other in panel.watches if other.channel.role == role}
+        indices = {peer.channel.quantity: peer.index for peer in panel.watches if peer.channel.role == role}
         quantity = watch.channel.quantity
-        self.velocity = place.get("velocity") if quantity == "angle" else None
-        self.angle = place.get("angle") if quantity == "velocity" else None
-        self.enabled = place.get("drive_enabled") if quantity == "q_axis_current" else None
+        self.velocity = indices.get("velocity") if quantity == "angle" else None
+        self.angle = indices.get("angle") if quantity == "velocity" else None
+        self.enabled = indices.get("drive_enabled") if quantity == "q_axis_current" else None
 
     def is_read(self) -> bool:
         """Whether the latest reading is a number."""
@@ -38,11 +39,11 @@ class _StillChannel:
         return value == value
 
     def is_off(self) -> bool:
-        """Whether it is the current of a drive out of operation, which may report 0 without measuring a current."""
+        """Whether this is the current of a drive that is off, which may report 0 without measuring a current."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
     def begin(self, panels: Sequence[Panel], now: float) -> None:
-        """Begin a stretch with what the channels read now."""
+        """Begin a stretch with the present values of all channels."""
         self.value, self.began, self.ends = self.panel.values[self.watch.index], now, now + self.stuck_s
         self.followed = self.looked = now
         self.look_at = now + self.stuck_s / LOOKS
@@ -53,9 +54,10 @@ class _StillChannel:
         self.others = [list(panel.values) for panel in panels]
 
     def follow(self, now: float) -> None:
-        """Follow the shaft of an angle by its velocity, or of a velocity by its angle, where that one is a number.
+        """Update the position of the shaft, for an angle by the velocity and for a velocity by the angle.
 
-        The reach counts: a shaft that swings comes back to where it began, and stands still at each end.
+        A velocity or angle that is NaN leaves the position as it is. The extremes count: a shaft that swings comes back
+        to where it began, and stands still at each end.
         """
         values = self.panel.values
         if self.velocity is not None and values[self.velocity] == values[self.velocity]:
@@ -69,20 +71,20 @@ class _StillChannel:
             self.most = self.shaft
 
     def is_stuck(self) -> bool:
-        """Whether another channel has moved; of an angle or a velocity, whether the other of the two shows a motion."""
+        """Whether another channel has moved; for an angle or a velocity, whether the other of the two shows motion."""
         if self.velocity is None and self.angle is None:
             return not self.alone
         return self.most - self.least > TURNING_RAD_S * self.stuck_s
 
 
 class Stuck:
-    """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
+    """Trips on a channel that repeats one value through a stretch of its `stuck_s` while any other channel moves.
 
-    A shaft at rest repeats its angle and its velocity. Either trips only if the other, in the same stretch, differs by
-    more than `TURNING_RAD_S` times `stuck_s` in angle. A drive that is off may repeat a current of exactly 0: that time
-    lengthens the stretch. A sample that is NaN is passed over. Stretches follow one another, so that a channel that
-    freezes trips one to two of them later. One that changes is not compared again until its next stretch begins. Of
-    samples that come many at a time, the last of each block is compared.
+    A shaft at rest repeats its angle and its velocity. Either of the two trips only if the other shows, in the same
+    stretch, a motion of more than `TURNING_RAD_S` times `stuck_s`. A drive that is off may repeat a current of exactly
+    0: that time lengthens the stretch. A sample that is NaN is ignored. Stretches follow one another, so that a channel
+    that freezes trips one to two stretches later. A channel that changes is not compared again until its next stretch
+    begins. Of a block of samples, the last one is compared.
     """
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
@@ -100,7 +102,7 @@ class Stuck:
         self.due = -math.inf if self._channels else math.inf
 
     def look(self, now: float) -> None:
-        """Compare; call it in every cycle once `due` has come.
+        """Compare the channels; call it in every cycle once `due` has come.
 
         Raises
         ------
@@ -138,8 +140,8 @@ class Stuck:
         self._next = min(item.ends for item in self._channels)
 
     def _look_at_others(self, item: _StillChannel, now: float) -> None:
-        """Look at what other channels do meanwhile, but not while a drive is out of operation: its time is put back."""
-        if not item.is_read():  # nor is it known whether a drive is off
+        """Compare the other channels; time in which the drive is off or the channel unread lengthens the stretch."""
+        if not item.is_read():  # it is not known either whether a drive is off
             item.unread = item.unread if item.unread <= now else now
             return
         if item.unread <= now:  # that time counts neither as operation nor as a stretch
@@ -153,6 +155,7 @@ class Stuck:
             item.alone = not self._others_moved(item)
 
     def _others_moved(self, item: _StillChannel) -> bool:
+        """Whether any other channel differs from its first number in the stretch."""
         for panel, before in zip(self._panels, item.others, strict=True):
             for watch in panel.watches:
                 index = watch.index
@@ -167,19 +170,20 @@ class Stuck:
 
 
 class Velocities:
-    """Trips on a velocity that contradicts the angle, by what the guard's rotors have looked at.
+    """Trips on a velocity that contradicts the angle, by the motion that the guard's rotors have measured.
 
-    An angle that changes unevenly from cycle to cycle is no measure of the speed at one moment: so much is allowed for,
-    and in angle mode, where a drive goes from one setpoint to the next and rests when it is sampled, nothing is judged.
+    An angle that changes unevenly from cycle to cycle is no measure of the speed at one moment: the unevenness is added
+    to the tolerance. Nothing is judged in angle mode, where a drive goes from one setpoint to the next and rests when
+    it is sampled.
     """
 
     def __init__(self, settings: VelocityDisagreement, rotors: Mapping[str, Rotor], trip: Trip) -> None:
         self._settings, self._rotors, self._trip = settings, rotors, trip
-        self._lasting = dict.fromkeys(rotors, 0.0)  # s
+        self._lasting = dict.fromkeys(rotors, 0.0)  # s, for which each velocity has contradicted its angle
         self._advanced = math.nan
 
     def look(self, advanced: float, judged: Container[str]) -> None:
-        """Judge a step of the guard that has ended at this time, once; only the roles that are `judged`.
+        """Judge the step of the guard that has ended at the time `advanced`, once, for the roles in `judged`.
 
         Raises
         ------
@@ -195,10 +199,10 @@ class Velocities:
                 self._lasting[role] = 0.0
                 continue
             allowed = settings.tolerance_rad_s + 0.01 * settings.share_percent * motion.speed + motion.unsteady
-            self._lasting[role] = self._lasting[role] + step if motion.apart > allowed else 0.0
+            self._lasting[role] = self._lasting[role] + step if motion.difference > allowed else 0.0
             if self._lasting[role] >= settings.for_s:
                 self._trip(
-                    f"{role} velocity is {motion.apart:.3g} rad/s from the change of the angle in the mean of"
+                    f"{role} velocity is {motion.difference:.3g} rad/s from the change of the angle in the mean of"
                     f" {self._lasting[role]:.3g} s, at {motion.speed:.3g} rad/s; {allowed:.3g} rad/s are allowed: is it"
                     " noisy, or are the two of different shafts?"
                 )

@@ -1,4 +1,4 @@
-"""A drive's q-axis current against its demand: a dead sensor, a turned sign, a current that nobody asked for.
+"""Check of a drive's q-axis current against its demand: a dead sensor, a turned sign, a current nobody demanded.
 
 In velocity and angle mode the drive chooses its current by itself, and nothing is compared.
 """
@@ -14,28 +14,28 @@ from leactl.safety.interlocks import CurrentDisagreement
 from leactl.safety.limits import Limits
 from leactl.safety.watching import Trip
 
-FLOOR = 0.005  # of the bench's limit: what the zeros of current sensors are good for
-OFF = 8.0  # times the floor, of a drive that is off: nothing regulates the zero of its reading away
+FLOOR = 0.005  # of the bench's limit: accuracy of the zeros of current sensors
+OFF = 8.0  # times the floor, for a drive that is off: no controller removes the zero of its reading
 
 
 class VoltageNeed(NamedTuple):
-    """What drives a current through a winding, SI, power invariant: back-EMF and resistance, the latter when hot."""
+    """Constants for the voltage that a current needs, SI, power invariant: back-EMF constant and hot resistance."""
 
     back_emf_constant: float = 0.0
     resistance: float = 0.0
     winding: WindingType = "wye"
 
     def of(self, current: float, velocity: float) -> float:
-        """The most that a current may need at a speed [V]."""
+        """Return the highest voltage that a current may need at a speed [V]."""
         return self.back_emf_constant * abs(velocity) + self.resistance * abs(current)
 
 
 class CurrentTracking:
     """Trips on a current that stays away from its demand.
 
-    A demand that the bus voltage cannot drive at the shaft's speed is not judged, by the lowest voltage that the bench
-    allows: what is short of it then is the voltage's. A reading that is no number neither begins nor ends a
-    disagreement; its age tells.
+    A demand that the lowest bus voltage of the bench cannot drive at the shaft's speed is not judged: the voltage then
+    explains a lower current. A reading that is no number neither begins nor ends a disagreement; its age is checked
+    elsewhere.
     """
 
     def __init__(
@@ -52,18 +52,18 @@ class CurrentTracking:
         self._floor = settings.floor_A or FLOOR * limits.current_A
         self._available = voltage_ceiling(limits.bus_voltage_low_V, need.winding)
         self._demands: deque[float] = deque(maxlen=APART_CYCLES + 1)
-        self.since, self._cycles = math.nan, 0  # when the disagreement began that goes on
+        self.since, self._cycles = math.nan, 0  # when the present disagreement began, and its cycles
         self.turn_to(judges=False)
 
     def turn_to(self, judges: bool) -> None:
-        """Begin anew in another mode, of which `judges` tells whether its current is known."""
+        """Begin anew in another mode; `judges` is whether the demanded current is known in it."""
         self._judges = judges
         self._demands.clear()
         self.since = math.nan
         self.ask(0.0)
 
     def ask(self, demand: float) -> None:
-        """Take a new demand: any reading within `low` to `high` agrees with it, others are for `look` to judge."""
+        """Take a new demand [A]; readings from `low` to `high` agree with it, all others need `look`."""
         self._asked = True
         self._demands.append(demand)
         if self._judges:
@@ -73,7 +73,7 @@ class CurrentTracking:
             self.low, self.high = -math.inf, math.inf
 
     def look(self, current: float, velocity: float, now: float) -> None:
-        """Judge a reading that the latest demand does not account for, by all the demands that it may be of.
+        """Judge a reading outside `low` to `high` by all demands that it may belong to.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Room on the disk of the run file: enough for the plan before it starts, and never too little while it runs."""
+"""Free space on the disk of the run file: enough for the plan before a run starts, and never too little in it."""
 
 import math
 import shutil
@@ -37,10 +37,12 @@ class Disk:
 
 
 def free_bytes(path: Path) -> float:
-    """What is free where this file or directory is, or will be made."""
-    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
-    usage = shutil.disk_usage(there)
-    return float(usage.free) if usage.total else math.inf  # a file system without a size: whoever writes is told
+    """Return the free space [bytes] of the disk where this file or directory is, or will be made."""
+    existing = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    usage = shutil.disk_usage(existing)
+    return (
+        float(usage.free) if usage.total else math.inf
+    )  # a file system without a size: a full one shows when writing fails
 
 
 def planned_bytes(
@@ -50,18 +52,21 @@ def planned_bytes(
     duration_s: float,
     fast_hz: Mapping[str, float],
 ) -> float:
-    """What a run takes at the most: the loop's stream as recorded, of any other a row a cycle, or at its own rate."""
+    """Return the most that a run takes [bytes].
+
+    The stream of the loop counts at its recording rate, any other at one row per cycle or its own higher rate.
+    """
     rates = {name: max(rate_hz, fast_hz.get(name, 0.0)) for name in streams} | {"loop": record_hz}
     rows = duration_s * sum((1 + len(channels)) * rates[name] for name, channels in streams.items())
     return COPIES * BYTES_A_VALUE * rows
 
 
 def check_room(settings: DiskSpace, free: float, planned: float, what: str = "the run") -> None:
-    """Refuse a run, or whatever else is named, that the disk may not take.
+    """Refuse a run, or what `what` names, that may not fit on the disk.
 
     Raises
     ------
-    InputError : with what is free and what was expected.
+    InputError : the disk has too little free space, with what is free and what was expected.
     """
     needed = planned + 1e6 * settings.trip_MB
     if free < needed:

@@ -1,4 +1,4 @@
-"""Whether the loop keeps its pace and the bench's clock goes as a clock does, seen from one check to the next."""
+"""Checks of the loop's pace and of the bench's clock, from one check of the loop to the next."""
 
 import math
 from collections import deque
@@ -15,18 +15,18 @@ class Pace:
     def __init__(self, overruns: LoopOverruns, clock: ClockJump, trip: Trip, now: float) -> None:
         self._overruns, self._clock, self._trip = overruns, clock, trip
         self.period, self._longest = math.inf, math.inf
-        self.last, self.latest = now, math.inf  # a check between the two keeps the pace, and need not be looked at
+        self.last, self.latest = now, math.inf  # a check between these times keeps the pace, and needs no `look`
         self._in_a_row, self._late_at, self._most = 0, math.nan, math.inf
         self._late: deque[float] = deque()
 
     def begin(self, period: float, now: float) -> None:
-        """The loop begins with cycles of this length."""
+        """Begin with cycles of `period` [s] at the time `now` [s]."""
         self.period, self.last, self.latest = period, now, now + period
         self._longest = max(self._clock.jump_s, LEAST_JUMP_CYCLES * period)
         self._most = self._overruns.share_percent / 100 * self._overruns.window_s / period
 
     def look(self, now: float) -> None:
-        """Judge a check that came back in time, or late: more than a period after it was due, as the loop counts it.
+        """Judge a check whose time went back, or that came more than a period after it was due.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What is refused before a run starts: setpoints beyond the limits, and a loop too slow for its drives."""
+"""Refusals before a run starts: setpoints beyond the limits, and a loop too slow for its drives."""
 
 from collections.abc import Mapping
 
@@ -6,7 +6,7 @@ from leactl.errors import InputError
 from leactl.quantities import UNITS
 from leactl.safety.limits import Limits
 
-SIGNS_OF_LIFE = 3  # that fall into the time a device goes on without any: two may be lost
+SIGNS_OF_LIFE = 3  # at least, within the time that a device continues without one: two may be lost
 
 
 def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
@@ -14,7 +14,7 @@ def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> N
 
     Raises
     ------
-    InputError : one line for each setpoint that is.
+    InputError : one line for each setpoint outside of its limits.
     """
     faults = []
     for (role, quantity), peak in peaks.items():
@@ -27,11 +27,11 @@ def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> N
 
 
 def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
-    """Refuse a loop so slow that a device which waits for the host's sign of life would stop between two.
+    """Refuse a loop so slow that a device which needs signs of life of the host would stop between two.
 
     Parameters
     ----------
-    silences : how long each device goes on without a sign of life; None where it listens for none.
+    silences : how long each device continues without a sign of life [s]; None where it needs none.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The one supervisor: every setpoint passes through it to a device, every sample on its way to the file.
+"""The supervisor: every setpoint passes through it to a device, and it judges every sample that is recorded.
 
-It holds the only references to the drives and supplies that the runner may command. A trip latches; every end brings
-all devices to their safe state in a fixed order, and says what could not be confirmed.
+It holds the only references to the drives and supplies that the runner may command. A trip latches; at every end all
+devices are brought to their safe state in a fixed order, and each confirms it or not.
 """
 
 import math
@@ -30,7 +30,7 @@ from leactl.safety.watching import UNLIMITED, Panel
 from leactl.safety.witnesses import Account, ByTorque, ByVoltage, TorqueModel, Witnesses
 
 CURRENT_REFERENCE = "q_axis_current_reference"
-STALL_CYCLES = 2.5  # between two, from which a loop has stalled
+STALL_CYCLES = 2.5  # periods between two checks, from which on the loop has stalled
 SETPOINT_QUANTITY = {
     Mode.CURRENT: CURRENT_REFERENCE,
     Mode.TORQUE_PROFILE: CURRENT_REFERENCE,
@@ -38,7 +38,7 @@ SETPOINT_QUANTITY = {
     Mode.ANGLE: "angle_reference",
 }
 DEFAULTS = Interlocks()
-NAN = math.nan  # by a name of this module in what runs every cycle
+NAN = math.nan  # a name of this module is faster in code that runs every cycle
 NOTHING_PASSES = (NAN, NAN)
 
 
@@ -51,28 +51,30 @@ class Axis(NamedTuple):
 
 @dataclass(slots=True)
 class _Guarded:
+    """One axis with the state of its supervision."""
+
     axis: Axis
     panel: Panel
-    current: int  # where the q-axis current stands among the values
-    direct: int | None  # where the d-axis current stands, of a drive that measures it
+    current: int  # index of the q-axis current among the values
+    direct: int | None  # index of the d-axis current, if the drive measures it
     velocity: int | None
     angle: int | None
     tracking: CurrentTracking
-    quantity: str = "setpoint"  # that the engaged mode sets
+    quantity: str = "setpoint"  # of the engaged mode
     bounds: tuple[float, float] = UNLIMITED
     heats: bool = False  # whether the engaged mode sets a current
     demand: float = 0.0  # A, of a current reference
-    asked: float = 0.0  # A^2 of a current reference, which heats
-    held: float = 0.0  # A^2, the same as the exchange before left it, which its reading tells of
-    scaled: bool = False  # whether its last setpoint was more than the winding may carry
+    demand_square: float = 0.0  # A^2, of a current reference, which heats
+    previous_square: float = 0.0  # A^2, the same at the exchange before, to which the present reading belongs
+    scaled: bool = False  # whether the last setpoint was more than the winding may carry
     path: AnglePath | None = None  # in angle mode alone
 
     def turn_to(self, mode: Mode, limits: Limits, now: float) -> None:
-        """Take the limits of what this mode sets."""
+        """Take the limits of the setpoints of this mode."""
         quantity = SETPOINT_QUANTITY.get(mode)
         self.quantity, self.heats = quantity or "setpoint", quantity == CURRENT_REFERENCE
-        self.demand, self.asked, self.path = 0.0, 0.0, None
-        self.tracking.turn_to(mode in (Mode.CURRENT, Mode.OFF))  # of a profile, only the drive knows its ramp
+        self.demand, self.demand_square, self.path = 0.0, 0.0, None
+        self.tracking.turn_to(mode in (Mode.CURRENT, Mode.OFF))  # only the drive knows the ramp of a profile
         if mode is Mode.ANGLE:
             self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
             self.path = AnglePath(self.measured_angle, now)
@@ -80,8 +82,8 @@ class _Guarded:
             self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
 
     @property
-    def places(self) -> tuple[int, int | None, int | None, int | None]:
-        """Where q-axis current, d-axis current, angle and velocity stand among the values."""
+    def indices(self) -> tuple[int, int | None, int | None, int | None]:
+        """Indices of q-axis current, d-axis current, angle and velocity among the values."""
         return self.current, self.direct, self.angle, self.velocity
 
     @property
@@ -91,7 +93,7 @@ class _Guarded:
 
 
 class Supervisor:
-    """Limits, interlocks, thermal guard, latch, and the orderly end."""
+    """Passes setpoints on within limits, judges samples, trips, latches, and makes all devices safe at the end."""
 
     def __init__(
         self,
@@ -104,10 +106,10 @@ class Supervisor:
         torque_models: Mapping[str, TorqueModel] | None = None,
         voltage_needs: Mapping[str, VoltageNeed] | None = None,
     ) -> None:
-        """The guard knows the axes by the same roles.
+        """Supervise the drives `axes`, by role, and the devices `others`; `guard` uses the same roles.
 
-        A role without a torque model is not held against the torque sensor: nothing couples the two. Without voltage
-        needs every current counts as one that the bus can drive, and no voltage tells of a current.
+        A role without a torque model is not compared with the torque sensor: nothing couples the two. Without voltage
+        needs the bus counts as able to drive every current, and no current is compared with a voltage.
         """
         self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
         self._thermal, self._worst = guard, limits.current_A**2
@@ -120,26 +122,26 @@ class Supervisor:
         streams = [
             stream for device in (*[axis.driver for axis in axes.values()], *others) for stream in device.streams
         ]
-        self._own = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
-        self._lasting = [self._own[stream.name] for stream in streams if not stream.ends]
+        self._panels = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
+        self._lasting = [self._panels[stream.name] for stream in streams if not stream.ends]
         leads = Leads(guard)
         self._measured = MeasuredStreams(guard, streams, self.trip, leads)
         self.supplies = Supplies(others, limits, guard, leads, self.refuse_latched, self.trip)
         self._heating_streams = self._measured.streams | self.supplies.streams
-        guard.undriven = frozenset(place for place, role in enumerate(guard.roles) if role not in self._axes)
-        panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
+        guard.undriven = frozenset(index for index, role in enumerate(guard.roles) if role not in self._axes)
+        panels = [*[guarded.panel for guarded in self._axes.values()], *self._panels.values()]
         self._stuck = Stuck(panels, interlocks)
         self._velocities = self._by_angle()
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
         self._witnesses = [*self._by_torque(torque_models or {}), *self._by_voltage()]
         self._due = self._ages_due = -math.inf
-        # by names of their own: `check` runs in every cycle
+        # gathered once: `check` runs in every cycle
         self._witnessed = [witnesses.logged for witnesses in self._witnesses]
         self._judged = [
-            (place, each, each.tracking, each.axis.motion, *each.places, each.panel.look, guard.logs[place])
-            for role, each in self._axes.items()
-            for place in [guard.roles.index(role)]
+            (index, item, item.tracking, item.axis.motion, *item.indices, item.panel.look, guard.logs[index])
+            for role, item in self._axes.items()
+            for index in [guard.roles.index(role)]
         ]
         guard.begin(now)
         self._heating = guard.flowing, math.inf
@@ -152,33 +154,34 @@ class Supervisor:
         return panel
 
     def _guard(self, role: str, axis: Axis, now: float) -> _Guarded:
+        """Put an axis under supervision."""
         channels = axis.motion.loop_channels
-        place = {channel.quantity: index for index, channel in enumerate(channels)}
+        indices = {channel.quantity: index for index, channel in enumerate(channels)}
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
         need = self._voltage_needs.get(role, VoltageNeed())
         settings = self._interlocks.current_disagreement
         tracking = CurrentTracking(role, axis.motion, settings, self._limits, need, self.trip)
         tracking.turn_to(judges=True)
-        direct, velocity, angle = (place.get(name) for name in ("d_axis_current", "velocity", "angle"))
-        return _Guarded(axis, panel, place["q_axis_current"], direct, velocity, angle, tracking)
+        direct, velocity, angle = (indices.get(name) for name in ("d_axis_current", "velocity", "angle"))
+        return _Guarded(axis, panel, indices["q_axis_current"], direct, velocity, angle, tracking)
 
     def _by_torque(self, models: Mapping[str, TorqueModel]) -> list[Witnesses]:
-        """What holds currents against the torque sensor, where there is one."""
+        """Return the comparison of currents with the torque sensor, in a list that is empty without one."""
         settings = self._interlocks.torque_disagreement
         if settings is None or not models:
             return []
-        for panel in self._own.values():
+        for panel in self._panels.values():
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
                     senses = {role: 1.0 if role == "test" else -1.0 for role in models}
-                    told = [self._account(role, ByTorque(settings, models[role], senses[role])) for role in models]
-                    accounts = [account for account in told if account is not None]
+                    drives = [self._account(role, ByTorque(settings, models[role], senses[role])) for role in models]
+                    accounts = [account for account in drives if account is not None]
                     return [Witnesses(settings.for_s, panel, watch.index, accounts, self.trip)] if accounts else []
         return []
 
     def _by_voltage(self) -> list[Witnesses]:
-        """What holds currents against the voltages at their windings, where drives tell those."""
+        """Return a comparison of current and winding voltage for each drive that reports the voltage."""
         settings = self._interlocks.voltage_disagreement
         if settings is None:
             return []
@@ -194,27 +197,30 @@ class Supervisor:
         return witnesses
 
     def _by_angle(self) -> Velocities | None:
-        """What holds velocities against angles."""
+        """Return the comparison of velocities with angles, or None where no interlock asks for it."""
         settings, guard = self._interlocks.velocity_disagreement, self._thermal
         rotors = {role: rotor for role, rotor in zip(guard.roles, guard.rotors, strict=True) if role in self._axes}
         return None if settings is None else Velocities(settings, rotors, self.trip)
 
     def _account(self, role: str, witness: ByTorque | ByVoltage) -> Account | None:
-        """The current of a role, where its drive tells it and how fast it turns."""
+        """Return the account of a role's current, or None without a drive that reports its velocity."""
         guarded = self._axes.get(role)
         if guarded is None or guarded.velocity is None:
             return None
         return Account(f"{role} q_axis_current", witness, guarded.panel, guarded.current, guarded.velocity)
 
     def begin(self, period: float) -> None:
-        """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
+        """Begin with cycles of `period` [s].
+
+        Ages of readings count from now: opening devices and making a file may have taken any time.
+        """
         now, self._period = self._clock.now(), period
         guard = self._thermal
         guard.begin(now)
         self._heating = guard.flowing, STALL_CYCLES * period
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
-        for panel in self._own.values():
+        for panel in self._panels.values():
             panel.begin(now, self._limits.age_s)
         self._pace.begin(period, now)
         for witnesses in self._witnesses:
@@ -224,11 +230,11 @@ class Supervisor:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def refuse_latched(self) -> None:
-        """Let nothing begin after a trip.
+        """Raise if a trip is latched.
 
         Raises
         ------
-        SafetyTrip : one is latched.
+        SafetyTrip : a trip is latched.
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
@@ -242,7 +248,7 @@ class Supervisor:
         """
         self.refuse_latched()
         guarded = self._axes[role]
-        guarded.axis.motion.engage(mode)  # what the drive refuses leaves the limits as they are
+        guarded.axis.motion.engage(mode)  # if the drive refuses, the limits stay as they are
         guarded.turn_to(mode, self._limits, self._clock.now())
 
     def release(self, role: str) -> None:
@@ -256,7 +262,7 @@ class Supervisor:
         return self._axes[role].axis.motion.engaged
 
     def scales(self, role: str) -> bool:
-        """True while the winding may not carry all of the current that was asked for last."""
+        """True while the winding may not carry all of the current that was commanded last."""
         return self._axes[role].scaled
 
     def command(self, role: str, value: float) -> None:
@@ -281,13 +287,13 @@ class Supervisor:
                 guarded.scaled = False
             if value != guarded.demand:
                 guarded.tracking.ask(value)
-            guarded.demand, guarded.asked = value, value * value
+            guarded.demand, guarded.demand_square = value, value * value
         if guarded.path is not None:
             self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
 
     def _scaled(self, role: str, guarded: _Guarded, value: float, allowed: float) -> float:
-        """As much of a current as the winding may carry; said once each time that this becomes less than all of it."""
+        """Return the part of a current [A] that the winding may carry; warn once as scaling begins."""
         if not guarded.scaled:
             guarded.scaled = True
             self.warnings.append(
@@ -297,6 +303,7 @@ class Supervisor:
         return math.copysign(allowed, value)
 
     def _judge_angle(self, role: str, path: AnglePath, value: float) -> None:
+        """Trip on an angle setpoint that is further away than the shaft may turn; note it for the next exchange."""
         if math.isnan(path.sent):
             self.trip(f"{role} angle_reference of {value:g} rad while the shaft's angle is not known")
         now, period = self._clock.now(), self._period
@@ -332,40 +339,40 @@ class Supervisor:
             pace.look(now)
         flowing, stall = self._heating
         on_time = elapsed < stall
-        for place, guarded, tracking, motion, where, direct, angle, velocity, look, log in self._judged:
+        for index, guarded, tracking, motion, q_axis, direct, angle, velocity, look, log in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
-            current = values[where]
+            current = values[q_axis]
             if tracking.low <= current and current <= tracking.high:
                 tracking.since = NAN
             else:
                 speed = NAN if velocity is None else values[velocity]
                 tracking.look(current, speed, now)
-            square, asked = current * current, guarded.asked
+            square, demand_square = current * current, guarded.demand_square
             if direct is not None:
-                square += values[direct] ** 2  # it makes no torque, and as much heat
-            if not square >= guarded.held:  # a reading that is no number is the worst that may flow
-                square = guarded.held if square == square else self._worst
-            # a stall of the loop is longer than a cycle: what flowed before it may have gone on
-            heat = (square if on_time or square > flowing[place] else flowing[place]) * elapsed
+                square += values[direct] ** 2  # the d-axis current makes no torque, but as much heat
+            if not square >= guarded.previous_square:  # a reading that is no number counts as the largest current
+                square = guarded.previous_square if square == square else self._worst
+            # in a stall, longer than a cycle, the current before it may have continued
+            heat = (square if on_time or square > flowing[index] else flowing[index]) * elapsed
             log += (
                 elapsed,
                 heat,
                 NAN if angle is None else values[angle],
                 NAN if velocity is None else values[velocity],
             )
-            guarded.held = asked
-            flowing[place] = square if square > asked else asked
-        for rows, evidence, place, drive, velocity, current, other, second in self._witnessed:
-            read = drive.values
-            rows.append((evidence.values[place], read[velocity], read[current], other.values[second]))
+            guarded.previous_square = demand_square
+            flowing[index] = square if square > demand_square else demand_square
+        for rows, evidence, index, first, velocity, current, second, second_current in self._witnessed:
+            readings = first.values
+            rows.append((evidence.values[index], readings[velocity], readings[current], second.values[second_current]))
         if now >= self._due:
             self._look_at_all(now)
 
     def _look_at_all(self, now: float) -> None:
-        """What need not be looked at in every cycle: windings, ages of the devices' own streams, what stands still."""
+        """Judge what is not due in every cycle: windings, ages of the other streams, stuck channels, second sensors."""
         guard = self._thermal
         if now >= guard.due:
             too_hot = guard.check(now)
@@ -385,7 +392,7 @@ class Supervisor:
         self._due = due
 
     def receive(self, row: Row | SampleBlock) -> None:
-        """Judge a sample of a device's own stream, or many.
+        """Judge a sample, or a block of samples, of a device that samples by its own clock.
 
         Raises
         ------
@@ -394,28 +401,28 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         if isinstance(row, SampleBlock):
-            self._own[row.stream].look_through(row)
+            self._panels[row.stream].look_through(row)
             self._measured.look_through(row)
             return
-        stream, time, values, fault = row  # at once: each by its name takes as long
+        stream, time, values, fault = row  # one unpacking takes as long as one access by name
         if fault:
             self.trip(fault)
-        self._own[stream].look(values, time)
+        self._panels[stream].look(values, time)
         if stream in self._heating_streams:
             self._measured.look(row)
             self.supplies.look(row)
 
     def free_space(self, free_bytes: float) -> None:
-        """Judge what is left on the disk that takes the recording.
+        """Judge the free space on the disk of the recording [bytes].
 
         Raises
         ------
-        SafetyTrip : too little.
+        SafetyTrip : there is too little.
         """
         self._disk.look(free_bytes)
 
     def take_warnings(self) -> list[str]:
-        """What has crossed a warning since the last call, one line a crossing."""
+        """Return the warnings since the last call, one line each, and clear them."""
         warnings = list(self.warnings)
         self.warnings.clear()
         return warnings
@@ -431,10 +438,12 @@ class Supervisor:
         raise SafetyTrip(self.tripped)
 
     def latch(self, cause: str) -> None:
-        """Let nothing pass from here on, take the setpoint from every drive, and cut every supply at the leads."""
+        """Latch a trip: refuse all commands from now on, release every drive, and switch off every supply at leads."""
         self.tripped = self.tripped or cause or "the run has ended"
         for guarded in self._axes.values():
-            with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
+            with suppress(
+                Exception
+            ):  # a driver that fails here is made safe by `make_safe` later, and must hide no trip
                 guarded.axis.motion.release()
         self.supplies.cut()
 
@@ -444,6 +453,6 @@ class Supervisor:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
         safe = safe_state.make_safe((*drives, *self._others))
-        with suppress(Exception):  # what flowed last is not in the bounds yet that the next run starts from
+        with suppress(Exception):  # the bounds that the next run starts from lack the last heat so far
             self._thermal.end(self._clock.now())
         return safe

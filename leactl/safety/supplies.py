@@ -1,7 +1,8 @@
-"""Supplies of direct current under supervision: what each may put out, and what its leads heat by.
+"""Supplies of direct current under supervision: limits of their output, and the heat in the leads that they feed.
 
-A current counts as it is measured. From a command until two readings have come since, of which the first may be of
-before it, whatever was asked for counts; where a reading is no number, the most that the supply can give.
+The measured current counts as heat. After a command, until two readings have come (the first may have been measured
+before the command), the commanded current counts if it is higher. A reading that is no number counts as the highest
+current of the supply.
 """
 
 import math
@@ -17,16 +18,16 @@ from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.measured import Leads
 
 QUANTITY = "line_current"
-TRUSTED = 2  # readings after a command, from which on they tell what came of it
-SEEN_S = 10.0  # that a supply may be seen to give more than is outlived: it settles, and windings take minutes
+TRUSTED = 2  # number of the first reading after a command that surely shows its effect
+SEEN_S = 10.0  # for which readings may exceed what a winding endures: supplies settle, windings take minutes
 Levels = tuple[str, float, float]  # role, V, A
 
 
 class Ending(NamedTuple):
-    """What ends some levels of a supply that nobody switches off, or what its winding outlives."""
+    """Protection level that ends the current of a supply left on, or the current that its winding endures."""
 
     trips_at: float | None = None  # V, of the supply's own protection
-    most: float = math.inf  # A
+    most: float = math.inf  # A, that the winding endures
 
 
 NEVER = Ending()
@@ -39,13 +40,13 @@ class _Fed:
     device: PowerSupply
     role: str
     stream: str
-    place: int  # of the current in a row of that stream
-    asked: float = 0.0  # A, that may flow as far as the commands go
-    flowing: float = 0.0  # A, that counts
+    index: int  # of the current in a row of that stream
+    commanded: float = 0.0  # A, that may flow by the latest commands
+    flowing: float = 0.0  # A, that counts as heat
     last: float = 0.0  # A, of the latest reading
     readings: int = 0  # since the latest command
-    most: float = math.inf  # A, that its winding outlives if nobody switches it off
-    more_since: float = math.nan  # s, from when on readings are above that
+    most: float = math.inf  # A, that its winding endures if nobody switches it off
+    more_since: float = math.nan  # s, since when readings are above `most`
 
 
 class Supplies:
@@ -60,7 +61,9 @@ class Supplies:
         refuse_latched: Callable[[], None],
         trip: Callable[[str], NoReturn],
     ) -> None:
-        """Of all devices of a bench; its supervisor tells what is latched, and trips.
+        """Take the supplies at leads among all devices of a bench.
+
+        `refuse_latched` raises after a trip, and `trip` trips: both are the supervisor's.
 
         Raises
         ------
@@ -74,7 +77,7 @@ class Supplies:
 
     @property
     def streams(self) -> frozenset[str]:
-        """Names of those that tell what a supply gives."""
+        """Names of the streams that measure the current of a supply."""
         return frozenset(self._by_stream)
 
     @property
@@ -83,7 +86,7 @@ class Supplies:
         return {role: fed.device.most for role, fed in self._fed.items()}
 
     def put_out(self, role: str, voltage: float, current: float) -> None:
-        """Set levels [V, A] and switch on.
+        """Set the levels of the supply of a role [V, A] and switch it on.
 
         Raises
         ------
@@ -111,19 +114,19 @@ class Supplies:
         fed.device.switch_on()
 
     def switch_off(self, role: str) -> None:
-        """Switch off; what flowed counts until readings tell otherwise.
+        """Switch off the supply of a role; its current counts as heat until readings show less.
 
         Raises
         ------
         InputError : the role has no supply.
-        DeviceError : its line is gone.
+        DeviceError : the line to the supply is gone.
         """
         fed = self._of(role)
         self._command(fed, 0.0)
         fed.device.switch_off()
 
     def supplying(self, role: str) -> bool:
-        """True from when the supply itself has reported its output on until it has reported it off.
+        """True from when the supply reports its output as on until it reports it as off.
 
         Raises
         ------
@@ -132,7 +135,7 @@ class Supplies:
         return self._of(role).device.supplying
 
     def cut(self) -> None:
-        """Switch off whatever was switched on or may be; never raises."""
+        """Switch off every supply that is on or may be; never raises."""
         for fed in self._fed.values():
             with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
                 if fed.flowing or fed.device.supplying:
@@ -140,28 +143,28 @@ class Supplies:
                     fed.device.switch_off()
 
     def look(self, row: Row) -> None:
-        """Take what a supply has measured.
+        """Take a row of any stream; judge it if it measures the current of a supply.
 
         Raises
         ------
-        SafetyTrip : for `SEEN_S` it has given more than its winding outlives.
+        SafetyTrip : for `SEEN_S` the current has been above what its winding endures.
         """
         fed = self._by_stream.get(row.stream)
         if fed is None:
             return
-        reading = abs(row.values[fed.place])
+        reading = abs(row.values[fed.index])
         fed.readings += 1
-        # the larger of the last two held at some time in between
-        told = max(reading, fed.last) if reading == reading else fed.device.most[1]
-        fed.last = told if reading != reading else reading
-        self._count(fed, told if fed.readings >= TRUSTED else max(told, fed.asked))
+        # the larger of the last two readings flowed at some time in between
+        amperes = max(reading, fed.last) if reading == reading else fed.device.most[1]
+        fed.last = amperes if reading != reading else reading
+        self._count(fed, amperes if fed.readings >= TRUSTED else max(amperes, fed.commanded))
         if reading <= fed.most:
             fed.more_since = math.nan
-        elif reading > fed.most and not row.time - fed.more_since < SEEN_S:  # no number neither begins nor ends it
+        elif reading > fed.most and not row.time - fed.more_since < SEEN_S:  # NaN neither begins nor ends it
             self._give_too_much(fed, reading, row.time)
 
     def _give_too_much(self, fed: _Fed, reading: float, now: float) -> None:
-        """Begin to count, or trip: what is left on may be more than it is set to."""
+        """Note when a current above `most` began, or trip: a supply left on may give more than its setting."""
         if math.isnan(fed.more_since):
             fed.more_since = now
             return
@@ -171,8 +174,9 @@ class Supplies:
         )
 
     def _command(self, fed: _Fed, current: float) -> None:
-        fed.asked, fed.readings = max(current, fed.flowing), 0
-        self._count(fed, fed.asked)
+        """Count the higher of a commanded current [A] and the one that flows, until readings show its effect."""
+        fed.commanded, fed.readings = max(current, fed.flowing), 0
+        self._count(fed, fed.commanded)
 
     def _count(self, fed: _Fed, amperes: float) -> None:
         fed.flowing = amperes
@@ -199,10 +203,10 @@ def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _Fed
     roles = tuple(roles)
     for device in devices:
         for stream in device.streams if isinstance(device, PowerSupply) else ():
-            for place, channel in enumerate(stream.channels):
+            for index, channel in enumerate(stream.channels):
                 if channel.quantity == QUANTITY and channel.role in roles:
                     if channel.role in by_role:
                         raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
                     assert isinstance(device, PowerSupply)
-                    by_role[channel.role] = _Fed(device, channel.role, stream.name, place)
+                    by_role[channel.role] = _Fed(device, channel.role, stream.name, index)
     return by_role

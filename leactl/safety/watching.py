@@ -1,7 +1,7 @@
-"""What each channel may do, watched reading by reading: outside its limits, for too long, too fast, or not there.
+"""Checks of each channel, reading by reading: outside its limits for too long, too fast, or absent.
 
-A reading inside every window costs a comparison and nothing else: what needs memory is looked at only from the first
-reading that leaves a window until all is quiet again.
+A reading inside every window costs one comparison: states are updated only from the first reading that leaves a window
+until all channels are quiet again.
 """
 
 import math
@@ -14,7 +14,7 @@ from leactl.safety.interlocks import Interlocks, QuantityLimits
 from leactl.safety.limits import Limits
 
 UNLIMITED = (-math.inf, math.inf)
-REARM_S = 1.0  # a warning is told again only after so long without it: noise at the threshold is one crossing
+REARM_S = 1.0  # time inside the window before a warning is repeated: noise at the threshold is one crossing
 KELVIN_AT_ZERO_DEGC = 273.15
 
 Trip = Callable[[str], NoReturn]
@@ -22,7 +22,7 @@ Warn = Callable[[str], None]
 
 
 class Window:
-    """A window that a value must not leave for longer than a time, and a narrower one that it leaves with a warning."""
+    """A window that a value must not leave for longer than `for_s`, and a narrower one that warns when it is left."""
 
     def __init__(
         self, word: str, trip: tuple[float, float], warn: tuple[float, float] = UNLIMITED, for_s: float = 0.0
@@ -31,15 +31,15 @@ class Window:
         self.low, self.high = trip
         self.warn_low, self.warn_high = warn
         self.since = math.nan  # when the value left; NaN while it is inside
-        self.told, self.told_at = False, -math.inf
+        self.warned, self.warned_at = False, -math.inf
 
     @property
     def quiet(self) -> tuple[float, float]:
-        """Where neither is left."""
+        """Lowest and highest value inside both windows."""
         return max(self.low, self.warn_low), min(self.high, self.warn_high)
 
     def look(self, watch: "Watch", value: float, now: float) -> bool:
-        """Judge a number; True where nothing has to be remembered of it."""
+        """Judge a number; return True if the window has no state to remember."""
         if not self.low <= value <= self.high:
             if not self.since <= now:
                 self.since = now
@@ -53,14 +53,14 @@ class Window:
         else:
             self.since = math.nan
         if not self.warn_low <= value <= self.warn_high:
-            if not self.told:
+            if not self.warned:
                 low = value < self.warn_low
                 passed, bound = ("fell below", self.warn_low) if low else ("passed", self.warn_high)
                 watch.warn(f"{watch.label} of {value:.4g} {watch.unit} {passed} {bound:g} {watch.unit}, where it warns")
-            self.told, self.told_at = True, now
-        elif self.told and now - self.told_at > REARM_S:
-            self.told = False
-        return not self.told and self.since != self.since
+            self.warned, self.warned_at = True, now
+        elif self.warned and now - self.warned_at > REARM_S:
+            self.warned = False
+        return not self.warned and self.since != self.since
 
 
 class Watch:
@@ -91,16 +91,16 @@ class Watch:
 
     @property
     def quiet(self) -> tuple[float, float]:
-        """The narrowest of all windows."""
+        """Lowest and highest value inside all windows."""
         bounds = [window.quiet for window in self.windows]
         return max(low for low, _ in bounds), min(high for _, high in bounds)
 
     def begin(self, now: float, age: float) -> None:
-        """Count the age from now, against this one where the channel has none of its own."""
+        """Count the age from now; `age` [s] is allowed unless an interlock of the channel states another."""
         self.seen, self.age = now, (age if math.isnan(self.own_age) else self.own_age)
 
     def look(self, value: float, now: float) -> bool:
-        """Judge a value that may be no number, which only its age tells against; True where all is quiet."""
+        """Judge a value, of which NaN only adds to the age; return True if all windows are quiet."""
         if value != value:
             if now - self.seen > self.age:
                 self.too_old(now)
@@ -120,17 +120,17 @@ class Watch:
         return quiet
 
     def too_old(self, now: float) -> NoReturn:
-        """Trip on the age."""
+        """Trip because the last reading is too old."""
         self.trip(f"{self.label}: no reading for {now - self.seen:.3f} s, {self.age:g} s are allowed")
 
     def hint(self, value: float) -> str:
-        """What a temperature that no bench has may mean."""
+        """Return a hint for a temperature that would be plausible in kelvin, else an empty string."""
         celsius = value - KELVIN_AT_ZERO_DEGC
         return f" (kelvin? {celsius:.1f} degC would be)" if self.temperature and -40 <= celsius <= 120 else ""
 
 
 class Panel:
-    """The channels that come together: of one exchange with a drive, or of one stream of a device."""
+    """The channels of one exchange with a drive, or of one stream of a device, which arrive together."""
 
     def __init__(
         self, channels: Sequence[ChannelSpec], limits: Limits, interlocks: Interlocks, trip: Trip, warn: Warn
@@ -138,7 +138,7 @@ class Panel:
         self.watches = [
             Watch(index, channel, limits, interlocks.of(channel.quantity, channel.role), trip, warn)
             for index, channel in enumerate(channels)
-            if not channel.quantity.endswith("_reference")  # no number in any other mode than its own
+            if not channel.quantity.endswith("_reference")  # a reference is a number in its own mode alone
         ]
         self.values: Sequence[float] = ()  # the latest
         self._windows = [
@@ -150,13 +150,13 @@ class Panel:
         self.looked = -math.inf
 
     def begin(self, now: float, age: float) -> None:
-        """Ages count from here."""
+        """Count ages from now; see `Watch.begin`."""
         self._quiet, self.looked = False, now
         for watch in self.watches:
             watch.begin(now, age)
 
     def look(self, values: Sequence[float], now: float) -> None:
-        """Judge the values that came together, in the order of the channels.
+        """Judge one value of each channel, in the order of the channels.
 
         Raises
         ------
@@ -188,9 +188,9 @@ class Panel:
         self._quiet, self.looked = quiet, now
 
     def look_through(self, block: SampleBlock) -> None:
-        """Judge many samples that came one after the other.
+        """Judge a block of samples.
 
-        All at once where they are quiet and none has a rate to keep; one by one where they are not.
+        The extremes suffice while all are quiet and no channel has a limit of its rate; else each row is judged.
 
         Raises
         ------
@@ -205,13 +205,13 @@ class Panel:
             self.look(row.values, row.time)
 
     def _remember(self) -> None:
-        """Up to the last look all was quiet, and nothing was kept of each channel."""
+        """Bring the state of each watch up to the last look, for quiet looks leave it as it was."""
         for watch in self.watches:
             watch.seen = watch.last_at = self.looked
             watch.last = self._last[watch.index]
 
     def check_age(self, now: float) -> float:
-        """Trip where a channel is too old or stamped ahead of now; the time when the next one may be.
+        """Trip on a channel that is too old or stamped ahead of now; return when the next one may be too old [s].
 
         Raises
         ------

@@ -20,7 +20,7 @@ from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, InputError
-from leactl.runner.locks import _place
+from leactl.runner.locks import _bus_key
 from tests.bench.test_serial_lines import SUPPLY
 
 ROOT = Path(__file__).parents[2]
@@ -191,7 +191,7 @@ def write(tmp_path, resource, driver="scpi_supply"):
 def test_a_resource_names_address_and_port(tmp_path, resource):
     file = benchfile.load(write(tmp_path, resource))[0]
     assert file.buses["lan"].address == ("192.168.0.5", 5025)
-    assert _place(file.buses["lan"])[0] == "tcp-192.168.0.5-5025"
+    assert _bus_key(file.buses["lan"])[0] == "tcp-192.168.0.5-5025"
 
 
 @pytest.mark.parametrize(

@@ -149,7 +149,7 @@ def run(
     status, reason, warnings = _loop(plan, bench, supervisor)
     bench.time.sleep_until(bench.time.now() + AFTER_S)
     scaled = any(SCALED in text for text in warnings)
-    return _course(bench, status, reason, scaled, guard.kept)
+    return _course(bench, status, reason, scaled, guard.node_bounds)
 
 
 def run_free(plan: Plan, truth: Truth, seed: int) -> Course:

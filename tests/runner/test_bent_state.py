@@ -282,7 +282,7 @@ def test_a_run_whose_file_goes_is_found_again(how):
             path.parent.rmdir()
         run.renew()
         [found], faults = runs_underway.running()
-        assert (found.bench, found.told()["run"], faults) == ("rig", "here.h5", [])
+        assert (found.bench, found.facts()["run"], faults) == ("rig", "here.h5", [])
         found.ask_to_stop()
         assert run.asked()
         found.close()

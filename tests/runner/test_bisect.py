@@ -107,7 +107,7 @@ def test_the_whole_interval_has_to_lie_within_its_limit(low, high, unit, met):
 
 def test_a_search_that_was_never_done_keeps_no_limit():
     [verdict] = Outcomes().verdicts([SearchLimit("s", 0.0, 1.0, "A")])
-    assert (verdict.met, verdict.told) == (False, "s was not done, 0 to 1 A was required")
+    assert (verdict.met, verdict.summary) == (False, "s was not done, 0 to 1 A was required")
 
 
 # -- whole runs --------------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ def test_limits_that_are_kept_and_not_are_told_in_rows_lines_and_events(spin):
     assert 0.7 < row["value"] < 1.5
     with Run.open(outcome.path) as run:
         events = [(event.level, event.source, event.message) for event in run.events]
-    told = [verdict.told for verdict in outcome.verdicts]
+    told = [verdict.summary for verdict in outcome.verdicts]
     assert [event for event in events if event[1] == "acceptance"] == [
         ("info", "acceptance", told[0]),
         ("warning", "acceptance", told[1]),
@@ -97,7 +97,7 @@ def test_every_step_of_the_name_must_keep_the_limit_and_the_worst_is_told():
 def test_a_step_in_which_nothing_was_read_does_not_keep_it():
     verdict, _notes = judged("mean", [[1.0], [math.nan]], high=3.0)
     assert not verdict.met
-    assert "nothing was read in 1 of 2 steps" in verdict.told
+    assert "nothing was read in 1 of 2 steps" in verdict.summary
 
 
 def test_readings_outside_of_the_judged_part_do_not_count():

@@ -92,7 +92,7 @@ def test_a_latch_is_set_without_memory_for_its_words(ready, monkeypatch, tmp_pat
     def exhausted(*_words):
         raise MemoryError
 
-    monkeypatch.setattr(latch, "_told", exhausted)
+    monkeypatch.setattr(latch, "_content", exhausted)
     ready.set("too fast", tmp_path)
     assert trip_of("emulated").cause == "unknown, for want of memory"
 

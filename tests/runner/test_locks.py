@@ -70,14 +70,14 @@ def test_links_to_one_adapter_are_one_bus(tmp_path):
         benchfile.CanBus(kind="can", interface="slcan", channel=c) for c in ("/dev/null@115200", f"{tmp_path}/by-id")
     ]
     line = benchfile.SerialBus(kind="serial", port=f"{tmp_path}/by-id")
-    assert {locks._place(bus) for bus in (*there, line)} == {("device-1-3", "/dev/null")}
+    assert {locks._bus_key(bus) for bus in (*there, line)} == {("device-1-3", "/dev/null")}
 
 
 def test_a_default_that_is_written_out_is_the_same_bus():
     bus = benchfile.CanBus(kind="can", interface="udp_multicast", channel="239.74.163.2")
-    assert locks._place(bus) == locks._place(bus.model_copy(update={"options": {"port": 43113}}))
+    assert locks._bus_key(bus) == locks._bus_key(bus.model_copy(update={"options": {"port": 43113}}))
     lo = benchfile.CanBus(kind="can", channel="lo")
-    assert locks._place(lo)[0] == "socketcan-lo"
+    assert locks._bus_key(lo)[0] == "socketcan-lo"
 
 
 def test_a_killed_run_lets_go(holder, real_bench):

@@ -72,7 +72,7 @@ def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
     )
     (run,) = found
     assert run.wait(time.monotonic())
-    told = run.told()
+    told = run.facts()
     run.close()
     assert (told["status"], told["reason"]) == ("tripped", outcome.reason)
     assert told["run"] == str(outcome.path)
@@ -91,7 +91,7 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     holder.kill()
     holder.wait()
     assert run.wait(time.monotonic())
-    assert "status" not in run.told()
+    assert "status" not in run.facts()
     run.close()
     assert len(files()) == 1
     assert runs_underway.running() == ([], [])

@@ -89,7 +89,7 @@ def test_windings_of_a_real_bench_are_recalled_by_every_user_the_hottest_of_what
     monkeypatch.setenv("LEACTL_MACHINE_STATE", "/proc/nowhere")
     file, devices, _document = benchfile.load(str(testbed))
     warm = Windings(file, devices, cold=True)
-    warm.guard.kept["test"][:] = 90.0
+    warm.guard.node_bounds["test"][:] = 90.0
     warm.keep_as_found()  # in the user's own place, while there is none of the machine
     monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
     found = Windings(file, devices)

@@ -99,7 +99,7 @@ class TurnsAlways(Wrong):
 
         def span(log, duration):
             found = whole(log, duration)
-            found.turned = found.swept = found.turned_moment = found.swept_moment = 0.0
+            found.angle_phasor = found.velocity_phasor = found.angle_phasor_moment = found.velocity_phasor_moment = 0.0
             return found
 
         rotor.span = span
@@ -116,7 +116,7 @@ class NoNoise(Wrong):
     """Takes every change of the angle for travel."""
 
     def spoil(self, rotor):
-        rotor._gone_back = np.zeros_like
+        rotor._travel_back = np.zeros_like
 
 
 class AngleAlone(Wrong):
@@ -127,7 +127,7 @@ class AngleAlone(Wrong):
 
         def span(log, duration):
             found = whole(log, duration)
-            found.swept = found.swept_moment = 0.0
+            found.velocity_phasor = found.velocity_phasor_moment = 0.0
             return found
 
         rotor.span = span

@@ -26,8 +26,8 @@ def test_an_angle_may_be_held_while_the_current_varies_for_any_time(seconds):
 
 def test_a_housing_at_rest_behind_a_winding_that_heats_costs_no_halved_steps(monkeypatch):
     tries = []
-    one = ThermalBound._tried
-    monkeypatch.setattr(ThermalBound, "_tried", lambda self, *told: tries.append(1) or one(self, *told))
+    one = ThermalBound._trial_step
+    monkeypatch.setattr(ThermalBound, "_trial_step", lambda self, *told: tries.append(1) or one(self, *told))
     bound = ThermalBound([Box.of(LEA), Box.of(LEA)], 28.0)
     bound.step(1.0, np.array([900.0, 0.0]), np.ones(2), np.zeros(2), 25.0)
     assert len(tries) <= 4

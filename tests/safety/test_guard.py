@@ -17,7 +17,7 @@ from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.bound import HOTTEST, ThermalBound
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.turning import Rotor, detour, fastest
+from leactl.safety.thermal.turning import Rotor, detour, largest_acceleration
 from tests.driver.elmo_bench import ElmoBench
 from tests.safety.guards import LEA, SETTINGS, guard_of, passed
 from tests.safety.phases import STEP_S, Plant, advance
@@ -60,7 +60,7 @@ def test_a_trip_comes_early_enough_for_a_drive_that_goes_on(reserve):
     assert cause.startswith("test winding: its hottest phase may be at ")
     assert f"{reserve:g} s on; the limit is 120 degC" in cause
     bound = ThermalBound([Box.of(LEA)], 25.0)
-    bound.set(guard.kept["test"][:, None])
+    bound.set(guard.node_bounds["test"][:, None])
     bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, late=0.0)
     assert 116.0 < bound.hottest()[0] <= 120.0
 
@@ -106,7 +106,7 @@ def test_a_velocity_that_is_not_known_heats_the_housing_by_the_fastest():
     fed(known, 60.0)
     fed(unknown, 60.0, moves=lambda now: (math.nan, math.nan))
     friction = 0.9 * (0.208 + 0.0238 * SETTINGS.most_speed) * SETTINGS.most_speed  # W
-    assert unknown.kept["test"][2] - known.kept["test"][2] > 0.5 * friction * 60.0 / 469.1
+    assert unknown.node_bounds["test"][2] - known.node_bounds["test"][2] > 0.5 * friction * 60.0 / 469.1
 
 
 def test_a_clock_that_goes_back_ends_the_run():
@@ -169,7 +169,7 @@ def test_each_role_is_told_by_itself():
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.1)
     assert guard.estimate["test"] < 28.0
     assert guard.hottest["load"] > 37.0
-    assert 29.0 < guard.estimate["load"] < guard.kept["load"][1] < guard.hottest["load"]
+    assert 29.0 < guard.estimate["load"] < guard.node_bounds["load"][1] < guard.hottest["load"]
 
 
 def test_a_trip_names_the_role_that_is_hot():
@@ -267,7 +267,7 @@ def test_no_plant_of_the_box_passes_its_limit_whatever_is_asked_or_done(period, 
     assert rig.peak <= 130.0
     rig.supervisor.make_safe()
     rig.pass_time(STEP_S)  # the plant is up to a step behind
-    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max()
+    assert rig.guard.node_bounds["test"][HOTTEST] >= rig.state[:3].max()
     rig.drive.close()
 
 
@@ -307,7 +307,7 @@ def test_a_current_that_is_not_known_counts_as_the_bench_s_limit():
     assert rig.guard.hottest["test"] + 5.0 >= rig.state[:3].max()  # heat since the last step is not told yet
     rig.supervisor.make_safe()
     rig.pass_time(STEP_S)  # the plant is up to a step behind
-    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max()
+    assert rig.guard.node_bounds["test"][HOTTEST] >= rig.state[:3].max()
 
 
 def test_a_loop_that_stalls_counts_what_flowed_before_it():
@@ -331,7 +331,7 @@ def test_runs_shorter_than_a_step_of_the_guard_are_not_forgotten(seconds):
         if rig.follow([(seconds, 0.0, 0.0, 25.0)]):
             break
         rig.supervisor.make_safe()
-        state, nodes = rig.state, rig.guard.kept["test"]
+        state, nodes = rig.state, rig.guard.node_bounds["test"]
         assert nodes[HOTTEST] >= state[:3].max()
         assert nodes[HOTTEST] >= state[3]
     assert rig.peak <= 130.0
@@ -437,7 +437,7 @@ def test_the_shares_that_the_pages_tell_are_those_of_the_code():
     told = re.search(
         r"LEA ([\d.]+) % of the heat at 1 kHz, (\d+) % at 500 Hz, and all of it.*?below (\d+) Hz", text, re.S
     )
-    at_1_khz = 1e-6 * detour(LEA, fastest([LEA], SETTINGS.most_current, SETTINGS.most_speed))
+    at_1_khz = 1e-6 * detour(LEA, largest_acceleration([LEA], SETTINGS.most_current, SETTINGS.most_speed))
     assert [float(number) for number in told.groups()] == [
         round(100.0 * at_1_khz, 1),
         round(400.0 * at_1_khz),
@@ -479,7 +479,7 @@ def led(plant, state, current):
 
 def test_the_slower_of_two_rotors_on_a_shaft_is_accelerated_by_the_faster_one():
     strong = LEA.model_copy(update={"torque_constant": 3.0 * LEA.torque_constant})
-    both, own, other = (fastest(motors, 30.0, 40.0) for motors in ([LEA, strong], [LEA], [strong]))
+    both, own, other = (largest_acceleration(motors, 30.0, 40.0) for motors in ([LEA, strong], [LEA], [strong]))
     assert own < other == both
 
 
@@ -489,14 +489,14 @@ def test_the_path_by_the_velocity_has_a_gap_where_it_is_not_known_or_was_not_loo
 
     def passes(angle=0.0, velocity=7.0):
         rotor.span(np.array([[0.001, 0.2, 0.0, 7.0], [0.001, 0.2, angle, velocity], [0.001, 0.2, 0.0, 7.0]]), 0.003)
-        return rotor.lost
+        return rotor.path_has_gap
 
     assert passes()  # nothing is known of what was before
     assert not passes()
     assert not passes(angle=math.nan)
     assert passes(velocity=math.nan)
     assert not passes()
-    rotor.unlooked_at(1e-6, [7.0], 0.001)
-    assert rotor.lost
+    rotor.loose_span(1e-6, [7.0], 0.001)
+    assert rotor.path_has_gap
     assert passes()
     assert not passes()

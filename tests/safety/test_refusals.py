@@ -11,7 +11,7 @@ from leactl.safety.disk import BYTES_A_VALUE, COPIES, planned_bytes
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.refusals import SIGNS_OF_LIFE, check_rate
 from leactl.safety.thermal.box import Box, Range
-from leactl.safety.thermal.turning import top
+from leactl.safety.thermal.turning import highest_speed
 from tests.safety.guards import LEA
 from tests.safety.rig import LIMITS
 
@@ -56,10 +56,10 @@ def test_a_lone_temperature_is_the_hot_side():
 
 
 def test_where_a_speed_is_not_known_it_is_the_highest_that_the_bench_lets_pass():
-    assert top([], 40.0) == 0.0
-    assert top([3.0, -5.0], 40.0) == 5.0
-    assert top([3.0, math.nan, -5.0], 40.0) == 40.0
-    assert top([3.0, -math.inf], 40.0) == 40.0
+    assert highest_speed([], 40.0) == 0.0
+    assert highest_speed([3.0, -5.0], 40.0) == 5.0
+    assert highest_speed([3.0, math.nan, -5.0], 40.0) == 40.0
+    assert highest_speed([3.0, -math.inf], 40.0) == 40.0
 
 
 def test_the_coolest_corner_has_every_tolerance_on_its_cool_side():

@@ -169,7 +169,7 @@ def test_two_leads_heat_two_phases_by_half_each_and_no_phase_by_two_thirds():
     """Against the bound itself, stepped without a guard, which allows for heat that comes late within a step."""
     rig = SupplyRig()
     rig.heat()
-    before = rig.guard.kept["test"][:, None]
+    before = rig.guard.node_bounds["test"][:, None]
     rig.cycle(30 * 20 + 15)  # a cold bound is told of heat once a second
     half, most = (stepped(before, aligned) for aligned in (0.5, 1.0))
     assert half < rig.guard.hottest["test"] < half + 3.0 < most - 3.0

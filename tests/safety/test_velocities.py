@@ -12,7 +12,7 @@ from leactl.safety.thermal.turning import SensedMotion
 STEP_S = 0.125
 STEPS = 4  # of `for_s`
 SETTINGS = VelocityDisagreement(tolerance_rad_s=0.2, share_percent=5.0, for_s=STEPS * STEP_S)
-APART = SensedMotion(apart=0.71, speed=10.0, unsteady=0.0)
+APART = SensedMotion(difference=0.71, speed=10.0, unsteady=0.0)
 
 
 class LookedAtRotor:
@@ -62,7 +62,7 @@ def test_a_step_of_the_guard_counts_once_however_often_it_is_looked_at():
         judged.step(APART)
 
 
-@pytest.mark.parametrize("between", [(None, ("test",)), (APART, ()), (APART._replace(apart=0.0), ("test",))])
+@pytest.mark.parametrize("between", [(None, ("test",)), (APART, ()), (APART._replace(difference=0.0), ("test",))])
 def test_a_step_that_is_not_known_not_judged_or_sound_begins_the_time_anew(between):
     judged = Judged()
     for _ in range(STEPS - 1):

@@ -1,4 +1,4 @@
-"""The order of a check: first what devices say and read at rest; where nothing of that is wrong, a small current."""
+"""Procedure of a bench check: first identities and readings at rest, then, if all are right, a small current."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -28,8 +28,8 @@ from leactl.safety.thermal.box import Box
 READ_S = 0.8  # shorter than a stretch of `stuck_s: 1`: a dead channel is named, and does not trip the bench
 STEP_S = 1e-3  # of the forecast of a move: a hundredth of the time constants of actuators, or less
 LEAST_SHARE, MOST_SHARE = 0.03, 0.2  # of the continuous current
-OVER_FRICTION = 2.0  # times the current that friction of the motor files takes
-OF_VELOCITY = 0.5  # of its limit, that a motor of the least friction may reach
+OVER_FRICTION = 2.0  # current over that which overcomes the friction of the motor files
+OF_VELOCITY = 0.5  # of the velocity limit, that a motor of the least friction may reach
 
 
 @dataclass(frozen=True)
@@ -68,21 +68,21 @@ class Move:
 
 @dataclass(frozen=True)
 class Examined:
-    """What a check has shown, and the runs that it rests on."""
+    """Statements of a check, and the runs that they are based on."""
 
     bench: str
     statements: Sequence[Statement]
     outcomes: Sequence[Outcome] = ()
-    error: BaseException | None = None  # that ended it early
+    error: BaseException | None = None  # that ended the check early
 
     def as_json(self) -> dict[str, Any]:
-        """The answer of `--json`."""
+        """Return the output of `--json`."""
         checks = [each.as_json() for each in self.statements]
         runs = [outcome.as_json() for outcome in self.outcomes]
         return {"bench": self.bench, "checks": checks, "runs": runs}
 
     def end(self) -> BaseException | None:
-        """What the command ends with."""
+        """Return the error that the command ends with, or None."""
         faults = wrong(self.statements)
         if self.error is not None or not faults:
             return self.error
@@ -134,35 +134,35 @@ def turning(
 
 
 def examine(
-    rest: Request,
-    turn: tuple[Request, Move] | None,
+    reading_run: Request,
+    turning_run: tuple[Request, Move] | None,
     perform: Callable[[Request], Outcome],
     agrees: Callable[[], bool],
 ) -> Examined:
-    """Check a bench at rest and then, if asked for, agreed to, and nothing is wrong so far, by turning its shaft.
+    """Check a bench at rest, and then by turning its shaft if that is asked for, agreed to, and nothing is wrong.
 
     Parameters
     ----------
-    rest, turn : as `reading` and `turning` return them.
+    reading_run, turning_run : as `reading` and `turning` return them.
     agrees : asks the person at the bench; called just before the shaft is turned.
 
     Raises
     ------
     InputError, SafetyTrip, DeviceError, RecordingFailed : as of any run, before it begins.
     """
-    name = rest.bench.name
+    name = reading_run.bench.name
     try:
-        first = perform(rest)
+        first = perform(reading_run)
     except DeviceError as error:
-        return Examined(name, opening_statements(failures(rest)), (), error)
+        return Examined(name, opening_statements(failures(reading_run)), (), error)
     with Run.open(first.path) as run:
-        statements = at_rest(run, rest, first.reported)
+        statements = at_rest(run, reading_run, first.reported)
         examined = Examined(name, statements, (first,), first.error)
-        if turn is None or examined.end() is not None:
+        if turning_run is None or examined.end() is not None:
             return examined
-        request, move = turn
+        request, move = turning_run
         try:
-            move.check_room(run, rest.bench)
+            move.check_room(run, reading_run.bench)
         except InputError as error:
             return replace(examined, error=error)
     if not agrees():
@@ -176,7 +176,7 @@ def examine(
     return Examined(name, statements, (first, second), second.error)
 
 
-def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str) -> Move:
+def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: str) -> Move:
     """Return the currents of a move, and the most speed and travel of any friction that the motor files allow.
 
     Raises
@@ -188,8 +188,8 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
         motor, shaft = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
         friction = sum(Box.of(each).coulomb_friction.high for each in shaft) / motor.torque_constant
         rated = motor.continuous_current or limits.current_A
-        current = given or min(max(OVER_FRICTION * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
-        while _swing(motor, shaft, current)[0] > OF_VELOCITY * limits.velocity_rad_s and not given:
+        current = chosen or min(max(OVER_FRICTION * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
+        while _swing(motor, shaft, current)[0] > OF_VELOCITY * limits.velocity_rad_s and not chosen:
             current /= 2.0
         currents[role] = float(f"{current:.3g}")
         reached.append(_swing(motor, shaft, currents[role]))
@@ -205,13 +205,16 @@ def _move(file: BenchFile, roles: Sequence[str], given: float | None, setup: str
 
 
 def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float, float]:
-    """Speed [rad/s] and travel to either side [rad] that a swing by this current [A] and the rest after it reach.
+    """Return the highest speed [rad/s] and travel [rad] of a swing by this current [A] and the pause after it.
 
-    That is the most by any friction that the motor files allow: a little lets a shaft go farther to one side than none.
+    The maximum over all friction that the motor files allow: with a little friction a shaft may go farther to one side
+    than with none.
     """
     boxes = [Box.of(each) for each in shaft]
     losses = [box.coulomb_friction for box in boxes], [box.viscous_damping for box in boxes]
-    levels = (np.linspace(sum(r.low for r in ranges), sum(r.high for r in ranges), 5) for ranges in losses)
+    levels = (
+        np.linspace(sum(bounds.low for bounds in ranges), sum(bounds.high for bounds in ranges), 5) for ranges in losses
+    )
     friction, damping = (grid.ravel() for grid in np.meshgrid(*levels))
     inertia = sum(each.rotor_inertia for each in shaft)
     beat = by_hand.swing(np.arange(round(by_hand.SWING_S * by_hand.RATE_HZ)) / by_hand.RATE_HZ)
@@ -219,8 +222,8 @@ def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float,
     speed = angle = fastest = farthest = np.zeros(len(friction))
     for torque in np.repeat(motor.torque_constant * current * cycles, round(1.0 / by_hand.RATE_HZ / STEP_S)):
         pulled = speed + STEP_S / inertia * (torque - damping * speed)
-        kept = np.abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
-        speed = np.copysign(np.maximum(kept, 0.0), pulled)
+        remaining = np.abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
+        speed = np.copysign(np.maximum(remaining, 0.0), pulled)
         angle = angle + STEP_S * speed
         fastest, farthest = np.maximum(fastest, np.abs(speed)), np.maximum(farthest, np.abs(angle))
     return float(fastest.max()), float(farthest.max())

@@ -1,7 +1,7 @@
-"""What a small current shows: which way the shaft goes, whether channels agree with each other and with the motor file.
+"""Checks by a small current: direction of the shaft, and agreement of channels with each other and the motor file.
 
-Each relation is a slope over the whole move, with the standard error that the autocorrelation of what it leaves over
-gives it. Torque on the shaft is T = T0 + Kt i - c sign(w) - b w - J dw/dt of the test actuator, and the negative of it
+Each relation is a slope over the whole move, with a standard error that takes the autocorrelation of its residuals into
+account. Torque on the shaft is T = T0 + Kt i - c sign(w) - b w - J dw/dt of the test actuator, and the negative of it
 for the load actuator, whether a drive is on or off: turning the shaft by the other drive shows friction and inertia
 alone, so that the slope over the current is Kt.
 """
@@ -27,16 +27,16 @@ from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
 
 Array = npt.NDArray[np.float64]
 
-UNALIKE = 3.0  # times the inertia of the motor files, that couplings and sensors may add: counts are off by 4
-SLOW = 0.2  # of the highest speed, below which friction turns back between two samples
+UNALIKE = 3.0  # inertia over that of the motor files, by couplings and sensors; wrong counts give a factor of 4
+SLOW = 0.2  # of the highest speed, below which friction may change its sign between two samples
 FEWEST = 20  # samples of a slope
-WINDOW = 5  # samples, over which the change of the angle is held against the velocity
-TURNED_RAD = 0.02  # by which a shaft has turned, far above its winding-up and the counts of an encoder
-LAGS = 0.01  # of a ratio of two channels of motion, that a filter's lag may leave
-LOOP = 0.1  # of a current, by which a drive may miss a demand that swings at 2 Hz
-ALIKE = 0.1  # of each other, within which the factors of both drives speak of the torque sensor
+WINDOW = 5  # samples, over which the change of the angle is compared with the velocity
+TURNED_RAD = 0.02  # from which on a shaft counts as turned, far above its torsion and the counts of an encoder
+LAGS = 0.01  # error of a ratio of two channels of motion, by the lag of a filter
+LOOP = 0.1  # relative error of a current whose demand swings at 2 Hz
+ALIKE = 0.1  # relative difference of the factors of both drives, up to which the torque sensor is the cause
 ENDED = "the move ended early"
-SENSES = {"test": 1.0, "load": -1.0}  # of the torque that a role's current puts on the sensor
+SENSES = {"test": 1.0, "load": -1.0}  # sign of a role's torque at the sensor
 COUNTS = ("counts_per_turn",)
 CONSTANT, INERTIA = 0, 3  # of the coefficients of a torque
 
@@ -81,7 +81,7 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
     inverse = np.linalg.inv(design.T @ design)
     coefficients = inverse @ design.T @ values
     influence = len(values) * (design * (values - design @ coefficients)[:, np.newaxis]) @ inverse
-    return [Slope(float(c), standard_error(part)) for c, part in zip(coefficients, influence.T, strict=True)]
+    return [Slope(float(value), standard_error(part)) for value, part in zip(coefficients, influence.T, strict=True)]
 
 
 def of_size_one(slope: Slope) -> bool:
@@ -91,7 +91,7 @@ def of_size_one(slope: Slope) -> bool:
 
 
 def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
-    """What a wrong factor of an angle or a velocity is near to; empty where it is near nothing known."""
+    """Return a text on the cause that a factor of an angle or a velocity suggests; empty if none is known."""
     size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
     error = SURE * slope.std / size
     if of_size_one(slope):
@@ -102,10 +102,10 @@ def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     if number is None:
         return f"turned, and by {size:.4g}, which is no usual factor" if turned else ""
     inverse = "1/" if size < 1.0 else ""
-    meant = (
+    cause = (
         "pole pairs" if number == pole_pairs else "lines for counts" if number in (2, 4) else "a gear, or pole pairs"
     )
-    return " and ".join(filter(None, (turned, f"near {inverse}{number}: {meant}")))
+    return " and ".join(filter(None, (turned, f"near {inverse}{number}: {cause}")))
 
 
 class Turning:
@@ -120,7 +120,7 @@ class Turning:
         self._motors = motors_of(request.bench)
 
     def statements(self) -> Iterator[Statement]:
-        """Yield what the move shows of each drive, of the shaft between them, and of the torque sensor."""
+        """Yield the statements on each drive, on the shaft between them, and on the torque sensor."""
         for (quantity, role), silence in self._silences.items():
             why = f"{silence}: is its cable, or its bus, loose?"
             yield Statement(silence.device, f"{quantity} of {role}", StatementVerdict.WRONG, why=why)
@@ -133,7 +133,7 @@ class Turning:
             yield from self._torque(torques)
 
     def _drive(self, role: str) -> Iterator[Statement]:
-        """Whether a drive's current is its demand, which way that turns the shaft, and whether its motion agrees."""
+        """Yield the statements on a drive's current over its demand, its direction, and its velocity and angle."""
         motion, name = self._motions[role], self._drives[role].name
         demanded = motion.on & (motion.demand != 0.0)
         if fitted := slopes(motion.demand[demanded, np.newaxis], motion.current[demanded]):
@@ -147,12 +147,12 @@ class Turning:
         yield self._velocity(role, *motion.travels())
 
     def _silence_of(self, role: str, *quantities: str) -> str:
-        """Which of these channels of a role fell silent, and from when on; empty where none did."""
+        """Return which of these channels of a role fell silent, and since when; empty if none did."""
         silent = [(name, self._silences[name, role]) for name in quantities if (name, role) in self._silences]
         return "; ".join(f"{name} of {role}: {silence}" for name, silence in silent)
 
     def _turned(self, role: str) -> Statement:
-        """Whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
+        """State whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
         motion, name, about = self._motions[role], self._drives[role].name, "inertia that its current turns"
         moving = motion.on & (np.abs(motion.velocity) > TURNING_RAD_S)
         rate = np.gradient(motion.velocity, motion.time) if len(motion.time) > 1 else motion.velocity
@@ -178,7 +178,7 @@ class Turning:
         return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
 
     def _velocity(self, role: str, by_velocity: Array, by_angle: Array) -> Statement:
-        """Whether the change of the angle is the integral of the velocity."""
+        """State whether the change of the angle is the integral of the velocity."""
         device, about = self._drives[role], "angle over integral of velocity"
         rows = len(by_velocity) // WINDOW * WINDOW
         windows = np.stack([part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle)])
@@ -188,9 +188,9 @@ class Turning:
         if max(reach) < TURNED_RAD:
             return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has not turned")
         if not velocity.any() or not angle.any():
-            stands = "velocity" if reach[0] < reach[1] else "angle"
+            frozen = "velocity" if reach[0] < reach[1] else "angle"
             return Statement(
-                device.name, about, StatementVerdict.WRONG, why=f"frozen: the {stands} stands while the other moves"
+                device.name, about, StatementVerdict.WRONG, why=f"frozen: the {frozen} stands while the other moves"
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
@@ -203,7 +203,7 @@ class Turning:
         return replace(judged, why=near, change=setting(self._request, device, COUNTS, advice))
 
     def _shaft(self, torques: Mapping[str, Sequence[Slope]]) -> Statement:
-        """Whether the velocities of both drives are those of one shaft."""
+        """State whether the velocities of both drives are those of one shaft."""
         test, load = (self._motions[role].velocity for role in ("test", "load"))
         about, device = "velocity over that of test", self._drives["load"]
         moving = (np.abs(test) > TURNING_RAD_S) | (np.abs(load) > TURNING_RAD_S)
@@ -231,14 +231,14 @@ class Turning:
         return replace(judged, why=why, change=setting(self._request, device, COUNTS, advice))
 
     def _off_by_inertia(self, role: str, fit: Sequence[Slope]) -> float:
-        """How far the inertia that a drive's motion shows is from its motor file, as a logarithm."""
+        """Return |log| of the inertia that a drive's motion shows over that of its motor file."""
         inertia = fit[INERTIA].value / self._motors[role].rotor_inertia
         return abs(math.log(inertia)) if inertia > 0.0 else math.inf
 
     def _torques(self) -> dict[str, Sequence[Slope]]:
-        """Of each role whose torque passes the sensor: torque constant, friction, damping and inertia.
+        """Fit torque constant, friction, damping and inertia of each role whose torque passes the sensor.
 
-        A role is left out where the other drive has not turned the shaft: its own friction is then part of its torque.
+        A role is left out if the other drive has not turned the shaft: friction of the role is then part of its torque.
         """
         fits: dict[str, Sequence[Slope]] = {}
         whole = self._run.has("torque") and self._run.status == "complete"
@@ -262,7 +262,7 @@ class Turning:
         return fits
 
     def _torque(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
-        """Whether the torque sensor shows what the motor files make of the currents."""
+        """State whether the torque sensor agrees with the currents and the torque constants of the motor files."""
         about, judged = "torque of its current over the motor file's", dict[str, Statement]()
         for role in self._drives if self._request.plan.setup == "coupled" else ():
             fit = fits.get(role)
@@ -282,7 +282,7 @@ class Turning:
             yield self._named(role, each, shared) if role in off else each
 
     def _named(self, role: str, judged: Statement, sensor: bool) -> Statement:
-        """Name what a wrong torque comes of: the sensor where both drives show it, else current or motor file."""
+        """Name the cause of a wrong torque: the sensor if both drives show it, else the current or the motor file."""
         factor, margin = judged.measured, SURE * judged.std
         size = abs(factor)
         known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)

@@ -242,7 +242,7 @@ def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: P
 
 
 def _with_variation(step: CampaignStep, change: Variation, location: Location) -> CampaignStep:
-    kept = {
+    unchanged = {
         setting: location for setting, location in step.settings.items() if setting.partition("=")[0] not in change.set
     }
     return replace(
@@ -250,7 +250,7 @@ def _with_variation(step: CampaignStep, change: Variation, location: Location) -
         actuators=change.actuators or step.actuators,
         conditions=_conditions(change.conditions, location) or step.conditions,
         repeats=change.repeats or step.repeats,
-        settings=kept | _settings(change.set, location),
+        settings=unchanged | _settings(change.set, location),
     )
 
 

@@ -209,9 +209,9 @@ class _Conductor:
 
 def clock(seconds: float) -> str:
     """Format seconds as hours, minutes and seconds: 4000 as `1:06:40`."""
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, remaining = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"
+    return f"{hours}:{minutes:02d}:{remaining:02d}"
 
 
 def _unmet(plan: Plan, run: Path) -> tuple[str, ...]:

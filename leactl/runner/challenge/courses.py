@@ -1,7 +1,7 @@
 """Courses of current and angle that a bench could run, each made of genes between 0 and 1.
 
-A rotor is accelerated by no more than the bench's largest current; the current stays as it is within a cycle. Kinds are
-those that heat one phase more than their samples seem to say: what keeps step with the rotor, or with the samples.
+A rotor is accelerated by no more than the bench's largest current; the current is constant within a cycle. The kinds
+are courses that heat one phase more than their samples suggest: they keep step with the rotor, or with the samples.
 """
 
 import math
@@ -19,15 +19,15 @@ GENES = 12
 KINDS = ("ripple", "detents", "swing", "crawl", "in step")
 READINGS = ("true", "noisy", "stuck", "lost", "drifting")
 HARMONICS = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
-FINE_S = 0.00025  # at the most between two angles that the plant passes
-LEAST_CURRENT = 0.25  # of the bench's
-AT_REST_S = 0.15  # that a drive takes to follow its setpoint, in which no current flows
-INSTANT_S = 1e-7  # over which a velocity is taken
+FINE_S = 0.00025  # longest time between two angles of the plant
+LEAST_CURRENT = 0.25  # of the bench's largest
+AT_REST_S = 0.15  # time without current, which a drive takes to follow its setpoint
+INSTANT_S = 1e-7  # to either side, for the derivative of an angle
 
 
 @dataclass(frozen=True)
 class ChallengeCourse:
-    """What happens, and what of the rotor is read."""
+    """Currents and angles of a course, and the readings of the rotor."""
 
     kind: str
     interval: float  # s
@@ -40,7 +40,7 @@ class ChallengeCourse:
 def course(
     genes: Array, motor: Motor, settings: GuardSettings, interval: float, seconds: float, reading: str
 ) -> ChallengeCourse:
-    """The course of some genes, as one of `READINGS` tells it."""
+    """Return the course of some genes, with readings of one of the kinds `READINGS`."""
     kind = KINDS[int(genes[0] * len(KINDS))]
     cycles, parts = max(int(seconds / interval), 8), max(4, math.ceil(interval / FINE_S))
     moves = _motion(kind, genes, motor, settings, interval)
@@ -56,14 +56,14 @@ def course(
     ends: Array = starts + interval
     angles = moves(ends)
     velocities = (moves(ends + INSTANT_S) - moves(ends - INSTANT_S)) / (2.0 * INSTANT_S)
-    told = _read(reading, genes, motor, interval, angles, velocities)
-    return ChallengeCourse(kind, interval, currents, moves(fine).reshape(cycles, parts), *told)
+    readings = _read(reading, genes, motor, interval, angles, velocities)
+    return ChallengeCourse(kind, interval, currents, moves(fine).reshape(cycles, parts), *readings)
 
 
 def _motion(
     kind: str, genes: Array, motor: Motor, settings: GuardSettings, interval: float
 ) -> Callable[[Array], Array]:
-    """Angle [rad] over time [s]."""
+    """Return a function for the angle [rad] over time [s]."""
     fastest = motor.torque_constant * settings.most_current / motor.rotor_inertia  # rad/s^2
     half = math.pi / motor.pole_pairs
     phase = 2.0 * math.pi * genes[6]
@@ -73,10 +73,10 @@ def _motion(
         period = moving * (1.0 + 6.0 * genes[3])
         if genes[4] > 0.3:  # in step with the samples
             period = max(1, math.ceil(period / interval)) * interval
-        return lambda t: half * halves * _stepped(t / period + genes[6], moving / period)
+        return lambda time: half * halves * _stepped(time / period + genes[6], moving / period)
     if kind == "crawl":
         speed = 0.001 * 10.0 ** (3.0 * genes[1])
-        return lambda t: speed * t
+        return lambda time: speed * time
     if kind == "ripple":
         speed = min(0.05 * 10.0 ** (2.8 * genes[1]), settings.most_speed)
         harmonic = HARMONICS[int(genes[2] * len(HARMONICS))]
@@ -89,11 +89,11 @@ def _motion(
         speed = min(speed, settings.most_speed)
         rate, most = 2.0 * math.pi / period, 0.3
     amplitude = genes[3] * min(fastest / rate**2, most)
-    return lambda t: speed * t + amplitude * np.sin(rate * t + phase)
+    return lambda time: speed * time + amplitude * np.sin(rate * time + phase)
 
 
 def _stepped(turns: Array, share: float) -> Array:
-    """Steps of one, each in a share of a turn, accelerated and braked alike."""
+    """Round turns down, with a smooth step of 1 in the first `share` of each turn, accelerated and braked alike."""
     whole, part = np.divmod(turns, 1.0)
     moved = np.clip(part / share, 0.0, 1.0)
     return np.asarray(whole + np.where(moved < 0.5, 2.0 * moved**2, 1.0 - 2.0 * (1.0 - moved) ** 2), np.float64)
@@ -102,7 +102,7 @@ def _stepped(turns: Array, share: float) -> Array:
 def _read(
     reading: str, genes: Array, motor: Motor, interval: float, angles: Array, velocities: Array
 ) -> tuple[Array, Array]:
-    """Angle and velocity as a drive tells them."""
+    """Return angles and velocities as a drive reports them."""
     amount, begins = genes[11], int(genes[5] * len(angles))
     random = np.random.default_rng(int(1e6 * genes[5]))
     if reading == "noisy":

@@ -1,6 +1,7 @@
-"""The search for a course and a plant whose winding becomes hotter than its bound, or than the limit.
+"""Search for a course and a plant in which a winding becomes hotter than its bound, or than the limit.
 
-Courses end in a trip, as runs do; the current goes on standing for as long as a drive does without its host.
+A trip ends a course, as it ends a run. The current then continues, with the rotor at its worst angle, for as long as a
+drive continues without its host.
 """
 
 import math
@@ -19,32 +20,32 @@ from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 Array = npt.NDArray[np.float64]
-PART_S = 0.005  # that the plant goes on at once: a thousandth of what a winding takes to warm
+PART_S = 0.005  # step of the plant: a thousandth of the time that a winding takes to warm
 SECONDS = 8.0  # of a course
-WARM = 0.2  # of the way from the start to the limit, from which on a bound is held against the plant
-STARTS = (0.0, 0.0, 0.6, 0.9)  # of that way, at which a course begins
+WARM = 0.2  # of the way from the start to the limit, from which on the bound is compared with the plant
+STARTS = (0.0, 0.0, 0.6, 0.9)  # of the way from ambient to the limit, at which a course begins
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One course in one plant."""
+    """Result of one course in one plant."""
 
     kind: str
     genes: Array
-    over_k: float  # K, of any node over its bound; below zero where the bound holds
+    over_k: float  # K, the most that any node is over its bound; negative if the bound holds
     peak: float  # degC, of the hottest phase
     tripped: bool
 
 
 @dataclass(frozen=True)
 class Hunted:
-    """What a search found on one motor at one rate."""
+    """Result of a search on one motor at one rate."""
 
     role: str
     rate_hz: float
     reading: str
     attempts: int
-    nearest: Attempt  # to its bound, or farthest above it
+    nearest: Attempt  # the one nearest to its bound, or farthest above it
     hottest: Attempt
 
     def held(self, limit: float) -> bool:
@@ -63,7 +64,7 @@ def hunt(
     guard_of: Callable[..., ThermalGuard] = ThermalGuard,
     optimiser: str = "changes",
 ) -> Hunted:
-    """Search for so long [s], or for one attempt if that takes longer.
+    """Search for `seconds`, or for one attempt if that takes longer.
 
     Parameters
     ----------
@@ -95,55 +96,55 @@ def run_attempt(
     reading: str,
     guard_of: Callable[..., ThermalGuard] = ThermalGuard,
 ) -> Attempt:
-    """Simulate one course: each cycle the guard limits the current and the plant heats; a trip ends it."""
+    """Simulate one course: in each cycle the guard limits the current and the plant heats; a trip ends it."""
     box = Box.of(motor)
     start = settings.ambient + STARTS[int(genes[-1] * len(STARTS))] * (settings.limit - settings.ambient)
     start += box.ambient_rise
-    told = course(genes[:GENES], motor, settings, 1.0 / rate_hz, SECONDS, reading)
+    challenge = course(genes[:GENES], motor, settings, 1.0 / rate_hz, SECONDS, reading)
     ends = np.rint(genes[GENES:-1]) if genes[5] > 0.2 else genes[GENES:-1]  # corners of the box are the hottest
     plant = Phases(box, ends, settings.ambient, start)
     guard = guard_of({"test": motor}, settings, {"test": np.full(3, start)})
     guard.begin(0.0)
     warm = start + WARM * (settings.limit - start)
     over, peak = -math.inf, start
-    flows, means = told.currents.copy(), turned(told, motor.pole_pairs)
+    currents, means = challenge.currents.copy(), turned(challenge, motor.pole_pairs)
     tripped = False
-    for first, after in _parts(told):
+    for first, after in _parts(challenge):
         for cycle in range(first, after):
-            flows[cycle] = min(flows[cycle], guard.allowed["test"])
-            square = float(flows[cycle]) ** 2
-            motion = float(told.angles[cycle]), float(told.velocities[cycle])
-            guard.logs[0] += (told.interval, square * told.interval, *motion)
+            currents[cycle] = min(currents[cycle], guard.allowed["test"])
+            square = float(currents[cycle]) ** 2
+            motion = float(challenge.angles[cycle]), float(challenge.velocities[cycle])
+            guard.logs[0] += (challenge.interval, square * challenge.interval, *motion)
             guard.flowing[0] = square
-        now = after * told.interval
-        plant.heat(flows[first:after] ** 2, means[first:after], (after - first) * told.interval)
+        now = after * challenge.interval
+        plant.heat(currents[first:after] ** 2, means[first:after], (after - first) * challenge.interval)
         peak = max(peak, plant.hottest)
         if now < guard.due:
             continue
         tripped = bool(guard.check(now))
-        bounds = guard.kept["test"]
+        bounds = guard.node_bounds["test"]
         if plant.hottest >= warm and guard.advanced == now:
             over = max(over, float(np.max(plant.nodes - bounds)))
-        if tripped:  # a drive that hears of no stop goes on with what flowed, wherever its rotor stands
-            plant.heat(flows[after - 1 : after] ** 2, plant.worst, settings.reserve_s)
+        if tripped:  # a drive without its host continues with the last current, here at the worst angle
+            plant.heat(currents[after - 1 : after] ** 2, plant.worst, settings.reserve_s)
             peak = max(peak, plant.hottest)
             break
-    return Attempt(told.kind, genes, over, peak, tripped)
+    return Attempt(challenge.kind, genes, over, peak, tripped)
 
 
-def _parts(told: ChallengeCourse) -> Iterator[tuple[int, int]]:
-    """First and last of the cycles that the plant goes through at once."""
-    each = max(1, round(PART_S / told.interval))
-    for first in range(0, len(told.currents), each):
-        yield first, min(first + each, len(told.currents))
+def _parts(challenge: ChallengeCourse) -> Iterator[tuple[int, int]]:
+    """Yield the first cycle of each step of the plant, and the first cycle after it."""
+    count = max(1, round(PART_S / challenge.interval))
+    for first in range(0, len(challenge.currents), count):
+        yield first, min(first + count, len(challenge.currents))
 
 
 def hunts(
     motors: Sequence[tuple[str, Motor]], rates_hz: Sequence[float], readings: Sequence[str]
 ) -> list[tuple[str, Motor, float, str]]:
-    """Everything that is searched, one after the other; a motor that stands in two roles is searched once."""
+    """Return role, motor, rate and reading of each search; a motor in two roles is searched once."""
     different: list[tuple[str, Motor]] = []
     for role, motor in motors:
-        if all(motor != other for _, other in different):
+        if all(motor != known for _, known in different):
             different.append((role, motor))
-    return [(*one, rate, reading) for one in different for rate in rates_hz for reading in readings]
+    return [(*pair, rate, reading) for pair in different for rate in rates_hz for reading in readings]

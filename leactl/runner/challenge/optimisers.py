@@ -1,4 +1,4 @@
-"""How the adversary chooses what it tries next: its own changes of what came nearest, or CMA-ES."""
+"""Optimisers of a challenge: random changes of the genes that came nearest to a bound, or CMA-ES."""
 
 from collections.abc import Callable, Generator
 from typing import Protocol
@@ -9,14 +9,14 @@ import numpy.typing as npt
 from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
-FIRST, KEPT, RANDOM = 6, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
+FIRST, KEPT, RANDOM = 6, 4, 0.3  # draws at first, best genes kept of each kind, and share of later draws
 CHANGED, SPREAD = 0.35, 0.15
-COLD_K = -1e3  # over its bound, of a course that has warmed nothing
+COLD_K = -1e3  # over the bound, counted for a course that has warmed nothing
 MISSING = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
 
 
 class TriedGenes(Protocol):
-    """What became of some genes."""
+    """Genes of a course that was tried, and their result."""
 
     @property
     def kind(self) -> str: ...  # noqa: D102 (of a course)
@@ -30,17 +30,17 @@ Proposals = Generator[Array, TriedGenes, None]
 
 
 def by_changes(count: int, random: np.random.Generator) -> Proposals:
-    """Draw some of so many genes, then change the nearest of each kind of course a little, and draw now and then."""
+    """Propose `count` genes: draw some, then slightly change the nearest of each kind of course, or draw again."""
     by_kind: dict[str, list[TriedGenes]] = {}
-    tried = 0
+    attempts = 0
     while True:
         genes = random.random(count)
-        if tried >= FIRST and random.random() > RANDOM:
+        if attempts >= FIRST and random.random() > RANDOM:
             kind = by_kind[str(random.choice(sorted(by_kind)))]
             genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
-        one = yield genes
-        tried += 1
-        by_kind[one.kind] = sorted([*by_kind.get(one.kind, []), one], key=lambda other: -other.over_k)[:KEPT]
+        attempt = yield genes
+        attempts += 1
+        by_kind[attempt.kind] = sorted([*by_kind.get(attempt.kind, []), attempt], key=lambda past: -past.over_k)[:KEPT]
 
 
 def _changed(genes: Array, random: np.random.Generator) -> Array:
@@ -53,7 +53,7 @@ def _inside(genes: Array) -> Array:
 
 
 def by_cma(count: int, random: np.random.Generator) -> Proposals:
-    """From the nearest of a few draws by CMA-ES until that gets no nearer, then again from others (Hansen, 2016).
+    """Propose by CMA-ES (Hansen, 2016) from the nearest of a few draws until it stops, then again from new draws.
 
     Raises
     ------
@@ -67,15 +67,15 @@ def by_cma(count: int, random: np.random.Generator) -> Proposals:
         drawn: list[TriedGenes] = []
         for _ in range(FIRST):
             drawn.append((yield random.random(count)))  # noqa: PERF401 (a comprehension cannot yield)
-        start = max(drawn, key=lambda one: one.over_k).genes
+        start = max(drawn, key=lambda attempt: attempt.over_k).genes
         options = {"bounds": [0.0, 1.0], "verbose": -9, "seed": int(random.integers(1, 2**31)), "tolfun": 1e-2}
         strategy = cma.CMAEvolutionStrategy(start, SPREAD, options)
         while not strategy.stop():
-            asked, missed = strategy.ask(), []
-            for genes in asked:
-                one = yield _inside(np.asarray(genes))
-                missed.append(-max(one.over_k, COLD_K))
-            strategy.tell(asked, missed)
+            population, distances = strategy.ask(), []
+            for genes in population:
+                attempt = yield _inside(np.asarray(genes))
+                distances.append(-max(attempt.over_k, COLD_K))
+            strategy.tell(population, distances)
 
 
 OPTIMISERS: dict[str, Callable[[int, np.random.Generator], Proposals]] = {"changes": by_changes, "cma": by_cma}

@@ -1,4 +1,4 @@
-"""The box of thermal parameters that an actuator may have: the motor file's values and its tolerances."""
+"""The box of thermal parameters of an actuator: for each parameter the range that the motor file's tolerance allows."""
 
 from dataclasses import dataclass
 
@@ -21,18 +21,21 @@ class Range:
 
     @classmethod
     def around(cls, value: float, tolerance: float) -> "Range":
-        """A value and its relative tolerance."""
+        """Return the range of a value with a relative tolerance."""
         return cls(value * (1.0 - tolerance), value * (1.0 + tolerance))
 
     def cells(self, count: int) -> tuple[Array, Array]:
-        """Lower and upper edges of as many cells, even on a logarithmic scale."""
+        """Return lower and upper edges of `count` cells of equal width on a logarithmic scale, shape (count,) each."""
         edges = np.geomspace(self.low, self.high, count + 1)
         return edges[:-1], edges[1:]
 
 
 @dataclass(frozen=True)
 class Box:
-    """Ranges of the network, the resistance, friction, current reading and ambient of one actuator, SI, degC."""
+    """Ranges of thermal network, winding resistance, friction, current reading and ambient of one actuator.
+
+    SI units, temperatures in degC.
+    """
 
     phase_resistance: Range
     resistance_coefficient: Range
@@ -45,55 +48,55 @@ class Box:
     viscous_damping: Range
     coulomb_friction: Range
     current_gain: float  # true current over its reading, at the most
-    ambient_rise: float  # K, of the true ambient over the one that is told, at the most
+    ambient_rise: float  # K, of the true ambient over the one in the bench file, at the most
     winding_limit: float  # degC, of the hottest phase
     temperature_rise: float  # share of the true rise above ambient that the network's may lack
 
     def limit(self, also: float, ambient: float) -> float:
-        """What the network's hottest phase may reach [degC] so that the true one stays below the motor's limit.
+        """Return the limit of the network's hottest phase [degC] that keeps the true one below the motor's limit.
 
         Parameters
         ----------
         also : another limit of the true temperature [degC].
-        ambient : as told [degC]; the rise is largest where the true one is as low as it may be.
+        ambient : as in the bench file [degC]; the rise is largest where the true ambient is lowest.
         """
         limit = min(self.winding_limit, also)
         return limit - self.temperature_rise * (limit - (ambient - self.ambient_rise))
 
     @classmethod
     def of(cls, motor: Motor) -> "Box":
-        """The box of a motor file.
+        """Return the box of a motor file.
 
         Raises
         ------
         InputError : the file has no `tolerances:`; without them nothing can be promised of a winding.
         """
-        t = motor.tolerances
-        if t is None:
+        tolerances = motor.tolerances
+        if tolerances is None:
             raise InputError(
                 f"motor '{motor.name}': no `tolerances:`; a bound of its winding's temperature has to know how far off"
                 " each parameter may be"
             )
-        return cls._around(motor, t.model_dump())
+        return cls._around(motor, tolerances.model_dump())
 
     @classmethod
     def exact(cls, motor: Motor) -> "Box":
-        """A box without width: the motor file's values as they are."""
+        """Return a box without width, which holds the values of the motor file."""
         return cls._around(motor, {})
 
     @classmethod
     def favourable(cls, motor: Motor) -> "Box":
-        """The corner at which an actuator stays coolest, as a box without width."""
+        """Return the corner of the box at which an actuator stays coolest, as a box without width."""
         whole = cls.of(motor)
-        kept = {name: getattr(whole, name) for name in cls.__annotations__}
-        ranges = {name: one for name, one in kept.items() if isinstance(one, Range)}
+        values = {name: getattr(whole, name) for name in cls.__annotations__}
+        ranges = {name: value for name, value in values.items() if isinstance(value, Range)}
         corner = {
             name: Range(end, end)
-            for name, one in ranges.items()
-            for end in [one.high if name.endswith("capacitance") else one.low]
+            for name, bounds in ranges.items()
+            for end in [bounds.high if name.endswith("capacitance") else bounds.low]
         }
         cool = {"current_gain": 2.0 - whole.current_gain, "ambient_rise": -whole.ambient_rise}
-        return cls(**kept | corner | cool | {"temperature_rise": -whole.temperature_rise})
+        return cls(**values | corner | cool | {"temperature_rise": -whole.temperature_rise})
 
     @classmethod
     def _around(cls, motor: Motor, tolerances: dict[str, float]) -> "Box":

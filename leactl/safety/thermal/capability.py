@@ -1,6 +1,6 @@
-"""What an actuator can carry: continuous current and torque, and peak current against duration.
+"""Currents and torques that an actuator can carry: continuous ones, and peaks against duration.
 
-Each figure comes three times: guaranteed over the tolerances of the motor file, of the file's own values, and of the
+Each figure comes three times: guaranteed over the tolerances of the motor file, by the values of the file, and at the
 most favourable corner of the box.
 """
 
@@ -14,11 +14,11 @@ from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
-STEPS = 400  # of time, until peaks are told
+STEPS = 400  # of time, up to the longest peak
 CURRENTS = 200
 LEAST_A, HARDEST_A = 0.5, 500.0
 SOONEST_S = 0.02
-FOLLOWED = 0.5  # of the rise to the limit, beyond which a current is not followed any further
+FOLLOWED = 0.5  # of the rise to the limit: how far above the limit a current is followed
 TURNING, STANDING = 0.0, 1.0
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 
@@ -34,7 +34,7 @@ class Carried:
 
 @dataclass(frozen=True)
 class ContinuousLimits:
-    """What may be carried for ever in one kind of motion."""
+    """Current and torque that may be carried for ever in one kind of motion."""
 
     motion: str
     speed: float  # rad/s
@@ -44,7 +44,7 @@ class ContinuousLimits:
 
 @dataclass(frozen=True)
 class Nominal:
-    """Currents [A] that take the hottest phase to its limit, of the motor file's own values."""
+    """Currents [A] that take the hottest phase to its limit, by the values of the motor file."""
 
     slowly: float  # for ever, turning
     standing: float  # for ever, at one angle
@@ -54,7 +54,7 @@ class Nominal:
 
 @dataclass(frozen=True)
 class Peak:
-    """What may be carried once, from ambient, for a duration."""
+    """Current and torque that may be carried once, from ambient, for a duration."""
 
     duration_s: float
     current: Carried  # A
@@ -62,7 +62,7 @@ class Peak:
 
 
 def continuous_current(motor: Motor, ambient: float, aligned: float, speed: float) -> Carried:
-    """Current that may be held for ever [A], power invariant.
+    """Return the current that may be held for ever [A], power invariant.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[ContinuousLimits]:
-    """Continuous current and torque turning slowly, standing, and at these speeds [rad/s]; ambient in degC.
+    """Return continuous currents and torques turning slowly, standing, and at these speeds [rad/s]; ambient in degC.
 
     Raises
     ------
@@ -92,37 +92,42 @@ def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Co
 
 
 def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak]:
-    """What may be held for each duration [s] at standstill, the actuator being at ambient before; ambient in degC.
+    """Return the peak for each duration [s] at standstill, from an actuator at ambient; ambient in degC.
 
     Raises
     ------
     InputError : the motor file has no tolerances.
     """
-    held = [_held_for(box, ambient, durations) for box in _boxes(motor)]
-    currents = [Carried(*values) for values in zip(*held, strict=True)]
-    return [Peak(duration, one, torque(motor, one)) for duration, one in zip(durations, currents, strict=True)]
+    by_box = [_held_for(box, ambient, durations) for box in _boxes(motor)]
+    currents = [Carried(*values) for values in zip(*by_box, strict=True)]
+    return [
+        Peak(duration, current, torque(motor, current)) for duration, current in zip(durations, currents, strict=True)
+    ]
 
 
 def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal:
-    """What a motor file's own values promise, for one without tolerances too; ambient in degC, durations in s."""
+    """Return the currents by the values of a motor file, which needs no tolerances; ambient in degC, durations in s."""
     box = Box.exact(motor)
     limit, motions = box.limit(math.inf, ambient), (TURNING, STANDING)
-    held = [at_limit(box, limit, ambient, settled(ambient, aligned, 0.0)) for aligned in motions]
-    short = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in motions]
-    return Nominal(held[0], held[1], short[0], short[1])
+    continuous_currents = [at_limit(box, limit, ambient, settled(ambient, aligned, 0.0)) for aligned in motions]
+    peak_currents = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in motions]
+    return Nominal(continuous_currents[0], continuous_currents[1], peak_currents[0], peak_currents[1])
 
 
 def _held_for(box: Box, ambient: float, durations: Sequence[float], aligned: float = STANDING) -> list[float]:
-    """Many currents side by side; between two of them a chord, which lies above the convex temperature over current."""
+    """Return the largest current [A] for each duration [s], by many currents stepped side by side.
+
+    Interpolated along a chord between two of them, which lies above the convex temperature over current.
+    """
     limit = box.limit(math.inf, ambient)
     currents = np.geomspace(LEAST_A, HARDEST_A, CURRENTS)
     bound = ThermalBound([box] * CURRENTS, ambient + box.ambient_rise)
-    still, standing = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
+    speeds, alignments = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
     beyond = limit + FOLLOWED * (limit - ambient)
     followed, hottest, last = np.ones(CURRENTS, bool), np.zeros(CURRENTS), 0.0
     by_duration = {}
     for time in np.union1d(np.geomspace(SOONEST_S, max(durations), STEPS), durations):
-        bound.step(time - last, np.where(followed, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
+        bound.step(time - last, np.where(followed, currents, 0.0) ** 2, alignments, speeds, ambient, late=0.0)
         followed &= bound.hottest() < beyond
         hottest, last = np.where(followed, bound.hottest(), np.inf), time
         if time in durations:
@@ -131,24 +136,31 @@ def _held_for(box: Box, ambient: float, durations: Sequence[float], aligned: flo
 
 
 def _below(limit: float, currents: Array, hottest: Array) -> float:
-    """The highest current that does not pass the limit; where the next one is not followed, the last that keeps it."""
+    """Return the highest current [A] that does not pass the limit.
+
+    It is interpolated up to the lowest current above the limit; where that one is no longer followed, it is the highest
+    of `currents` below the limit.
+    """
     above = int(np.argmax(hottest >= limit)) if (hottest >= limit).any() else len(currents)
     if above == 0:
         return 0.0
-    kept = slice(above - 1, above + 1)
+    neighbours = slice(above - 1, above + 1)
     if above == len(currents) or not np.isfinite(hottest[above]):
         return float(currents[above - 1])
-    return float(np.interp(limit, hottest[kept], currents[kept]))
+    return float(np.interp(limit, hottest[neighbours], currents[neighbours]))
 
 
 def torque(motor: Motor, current: Carried) -> Carried:
-    """Torque of a current [N*m], by the torque constant; saturation is not in it."""
+    """Return the torque of a current [N*m], by the torque constant; saturation is left out."""
     values = (current.guaranteed, current.nominal, current.favourable)
     return Carried(*(motor.torque_constant * value for value in values))
 
 
 def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
-    """Where the hottest phase ends [degC] under a constant current [A]."""
+    """Return a function for the temperature at which the hottest phase settles [degC] under a constant current [A].
+
+    Ambient in degC, speed in rad/s, `aligned` as in `ThermalBound.step`.
+    """
 
     def hottest(bound: ThermalBound, current: float) -> float:
         bound.settle(np.array([current**2]), np.array([aligned]), np.array([speed]), ambient)
@@ -158,7 +170,7 @@ def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBo
 
 
 def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
-    """The current that takes the hottest phase to its limit [A]."""
+    """Return the current that takes the hottest phase to its limit [A]; 0 if `LEAST_A` takes it there."""
     from scipy.optimize import brentq
 
     bound = ThermalBound([box], ambient)

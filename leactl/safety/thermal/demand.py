@@ -1,7 +1,7 @@
-"""What a plan asks of the drives, action by action: currents where they are planned, and the most where they are not.
+"""Currents and speeds that a plan demands of the drives, action by action, and upper bounds where none is planned.
 
-A drive that follows a speed or an angle takes what friction, inertia and the other drive's torque make it take. Where a
-current is planned the speed may be anything up to the bench's limit, or none at all.
+The current of a drive that follows a speed or an angle is bounded by friction, inertia and the torque of the other
+drive. Where a current is planned, the speed may be anything from zero up to the limit of the bench.
 """
 
 import itertools
@@ -29,33 +29,33 @@ from leactl.safety.limits import LEADS
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import GuardSettings
 
-TURNING_RAD_S = 0.1  # from which on a rotor that is to turn does so one way
+TURNING_RAD_S = 0.1  # planned speed from which a rotor surely turns in the planned direction
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 
 
 @dataclass(frozen=True)
 class PlanState:
-    """One action with the modes and setpoints that hold in it."""
+    """One action of a plan with the modes and setpoints that hold during it."""
 
     name: str
     duration: float
     modes: Mapping[str, Mode]
     setpoints: Mapping[str, SetpointProfile]
     leads: Mapping[str, float]  # A, through two leads of a role
-    shortest: float  # s, after which it may end: its duration but where it ends by a criterion
+    shortest: float  # s, after which the action may end: its duration, or less where it ends by a criterion
 
     @property
     def constant(self) -> bool:
-        """Whether every setpoint stays as it is, wherever that may be."""
+        """Whether no setpoint changes during the action; one that is still sought counts as constant."""
         return all(isinstance(profile, Sought) or profile.low == profile.high for profile in self.setpoints.values())
 
     @property
     def ends(self) -> "list[PlanState]":
-        """The state with every setpoint that is still to be chosen at either of its ends; itself where none is."""
+        """The state at each combination of ends of the setpoints that are still sought; itself where none is."""
         sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, Sought)}
         if not sought:
             return [self]
-        chosen = itertools.product(*((Constant(one.low), Constant(one.high)) for one in sought.values()))
+        chosen = itertools.product(*((Constant(profile.low), Constant(profile.high)) for profile in sought.values()))
         return [replace(self, setpoints={**self.setpoints, **dict(zip(sought, ends, strict=True))}) for ends in chosen]
 
     @property
@@ -65,7 +65,10 @@ class PlanState:
 
 
 def states(plan: Plan) -> Iterator[PlanState]:
-    """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
+    """Yield the state of every action of a plan.
+
+    Waits for a person or a reading last 0 s here; the guard watches them.
+    """
     modes: dict[str, Mode] = {}
     setpoints: dict[str, SetpointProfile] = {}
     leads: dict[str, float] = {}
@@ -81,7 +84,14 @@ def states(plan: Plan) -> Iterator[PlanState]:
         shortest = duration
         if isinstance(action, Segment) and action.until is not None:
             shortest = min(duration, action.settle_s + action.until.window_s)
-        yield PlanState(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v}, shortest)
+        yield PlanState(
+            name,
+            duration,
+            dict(modes),
+            dict(setpoints),
+            {role: current for role, current in leads.items() if current},
+            shortest,
+        )
         if isinstance(action, Segment):
             setpoints |= {
                 role: profile if isinstance(profile, Sought) else Constant(profile.at(action.duration_s))
@@ -97,170 +107,184 @@ def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class HeldTorque:
-    """Bounds of the torque with which a drive holds its shaft [N*m], and the setpoint at which it does."""
+    """Bounds of the torque with which a drive holds its shaft [N*m], and the setpoint of that drive."""
 
     low: float
     high: float
-    told: float
+    setpoint: float
 
     def strained(self, balance: float, least: float, most: float) -> "HeldTorque":
-        """Of a shaft at rest, where the other drive asks for `balance` and friction carries from `least` to `most`.
+        """Return the bounds for a shaft at rest.
 
-        A torque stays as it is while friction can carry the difference, and follows at that distance where it cannot.
+        The torque stays constant while friction can carry its difference from `balance`, and where friction cannot, it
+        follows `balance` at the distance that friction carries.
+
+        Parameters
+        ----------
+        balance : torque that balances the other drive [N*m].
+        least, most : lowest and highest torque that friction may carry [N*m].
         """
         low = min(balance + least, max(self.low, balance - most))
         high = max(balance - least, min(self.high, balance + most))
-        return HeldTorque(low, high, self.told)
+        return HeldTorque(low, high, self.setpoint)
 
-    def joined(self, other: "HeldTorque") -> "HeldTorque":
-        """Bounds that hold whichever of the two has come to be; none, where they hold the shaft elsewhere."""
-        if self.told != other.told:
-            return HeldTorque(-math.inf, math.inf, self.told)
-        return HeldTorque(min(self.low, other.low), max(self.high, other.high), self.told)
+    def joined(self, alternative: "HeldTorque") -> "HeldTorque":
+        """Return bounds that hold for either of two torques; infinite ones where their setpoints differ."""
+        if self.setpoint != alternative.setpoint:
+            return HeldTorque(-math.inf, math.inf, self.setpoint)
+        return HeldTorque(min(self.low, alternative.low), max(self.high, alternative.high), self.setpoint)
 
 
-def either(held: Mapping[int, HeldTorque], other: Mapping[int, HeldTorque]) -> dict[int, HeldTorque]:
-    """Bounds by place among the roles, whichever of two courses was taken."""
-    both = {place: held[place].joined(other[place]) for place in held.keys() & other.keys()}
-    alone = {**other, **held}
-    return {place: both.get(place, HeldTorque(-math.inf, math.inf, one.told)) for place, one in alone.items()}
+def either(first: Mapping[int, HeldTorque], second: Mapping[int, HeldTorque]) -> dict[int, HeldTorque]:
+    """Return bounds by role index that hold after either of two courses; infinite for a role of one course alone."""
+    both = {index: first[index].joined(second[index]) for index in first.keys() & second.keys()}
+    union = {**second, **first}
+    return {index: both.get(index, HeldTorque(-math.inf, math.inf, torque.setpoint)) for index, torque in union.items()}
 
 
 class Demand:
-    """Currents and speeds of all actuators of a bench under its plans, from one moment to the next."""
+    """Currents and speeds that a plan demands of all actuators of a bench, from one moment to the next."""
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings) -> None:
         self._motors, self._settings, self._roles = dict(motors), settings, tuple(motors)
-        self.held: Mapping[int, HeldTorque] = {}  # by place among the roles, as the latest moment left them
+        self.held: Mapping[int, HeldTorque] = {}  # by index of the role, at the latest moment of `heats`
 
     def heats(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Square currents at these moments, electrical speeds at the least and speeds at the most [rad/s] of all roles.
+        """Return the heat and motion of all roles at the moments `at` [s] of an action, and remember held torques.
 
-        The next call goes on from the last of these moments.
+        Square currents [A^2], shape (roles, moments); lowest electrical speeds and highest speeds [rad/s], shape
+        (roles,). The next call continues from the last of these moments.
         """
         squares, turned, speeds, self.held = self._followed(plan, state, at)
         return squares, turned, speeds
 
     def squares(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """The same for moments that are only looked ahead to."""
+        """Return the same as `heats` for moments ahead; held torques stay as they are."""
         return self._followed(plan, state, at)[:3]
 
     def _followed(
         self, plan: Plan, state: PlanState, at: Sequence[float]
     ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
-        """Square currents, both speeds and strains; of each actuator the worst of the ends of what is not chosen yet.
+        """Return square currents, lowest and highest speeds and held torques, the worst over all ends of the state.
 
-        No setpoint between the ends asks for more: a role's own current is largest at one of them, and the bounds of
-        what another drive holds against it rise with it.
+        No setpoint between the ends demands more: the current of its role is largest at one end, and the bounds of the
+        torque that another drive holds against it rise with it.
         """
         courses = [self._followed_at(plan, end, at) for end in state.ends]
-        squares, turned, speeds, helds = courses[0]
-        for other in courses[1:]:
-            squares, speeds = np.maximum(squares, other[0]), np.maximum(speeds, other[2])
-            turned, helds = np.minimum(turned, other[1]), either(helds, other[3])
-        return squares, turned, speeds, helds
+        squares, turned, speeds, held = courses[0]
+        for course in courses[1:]:
+            squares, speeds = np.maximum(squares, course[0]), np.maximum(speeds, course[2])
+            turned, held = np.minimum(turned, course[1]), either(held, course[3])
+        return squares, turned, speeds, held
 
     def _followed_at(
         self, plan: Plan, state: PlanState, at: Sequence[float]
     ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
+        """Return the same as `_followed` for a state whose setpoints are all known."""
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
-        speeds, planned = self._speeds(plan, state, at)
+        speeds, lowest_speeds = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
-        helds: dict[int, HeldTorque] = {}
-        for k, role in enumerate(self._roles):
+        held: dict[int, HeldTorque] = {}
+        for index, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
-                currents[k] = [state.setpoints[role].at(t) for t in at]
+                currents[index] = [state.setpoints[role].at(time) for time in at]
         squares = currents**2
-        for k, role in enumerate(self._roles):
+        for index, role in enumerate(self._roles):
             if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                torques, helds[k] = self._held_torques(plan, state, k, currents, at, speeds, accelerations)
-                wanted = torques / self._motors[role].torque_constant
-                currents[k] = np.minimum(wanted, most)
-                # what asks for more than may flow takes the longer: the same impulse at the most that may
-                longer = wanted * currents[k]
-                squares[k] = longer * most**2 / max(most**2, float(np.mean(longer)))
-            if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
-                squares[k] = LEADS * state.leads[role] ** 2
-        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
-        return squares, turned, speeds, helds
+                torques, held[index] = self._held_torques(plan, state, index, currents, at, speeds, accelerations)
+                demanded = torques / self._motors[role].torque_constant
+                currents[index] = np.minimum(demanded, most)
+                # a current above the limit is limited and lasts longer, for the same impulse
+                stretched = demanded * currents[index]
+                squares[index] = stretched * most**2 / max(most**2, float(np.mean(stretched)))
+            if role in state.leads:  # a heated set-up has no drive beside the supply
+                squares[index] = LEADS * state.leads[role] ** 2
+        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * lowest_speeds
+        return squares, turned, speeds, held
 
     def _held_torques(
         self,
         plan: Plan,
         state: PlanState,
-        place: int,
+        held_index: int,
         currents: Array,
         at: Sequence[float],
         speeds: Array,
         accelerations: Array,
     ) -> tuple[Array, HeldTorque]:
-        """What a drive that follows a speed or an angle needs at the most: the other's torque, friction and inertia.
+        """Bound the torque of a drive that follows a speed or an angle [N*m], at each moment and at the last one.
 
-        Friction helps to hold what drives a shaft onward and adds to what drives it back. One that hardly turns may
-        stick either way; one at rest keeps its strain until the other drive's torque overcomes friction.
+        The torque balances the other drive, friction and inertia. Friction helps against a torque that drives the shaft
+        onward, and adds to one that drives it back. A shaft that hardly turns may stick in either direction; a shaft at
+        rest keeps its held torque until the torque of the other drive overcomes friction.
         """
-        mode, profile = state.modes[self._roles[place]], state.setpoints[self._roles[place]]
-        told = np.array([profile.at(t) for t in at])
-        velocities = told if mode is Mode.VELOCITY else np.zeros(len(told))
+        mode, profile = state.modes[self._roles[held_index]], state.setpoints[self._roles[held_index]]
+        setpoints = np.array([profile.at(time) for time in at])
+        velocities = setpoints if mode is Mode.VELOCITY else np.zeros(len(setpoints))
         most = 0.0
-        least, driving, inertia = (np.zeros(len(told)) for _ in range(3))
-        for k, role in enumerate(self._roles):
-            if k == place or plan.setup == "coupled":
+        least, driving, inertia = (np.zeros(len(setpoints)) for _ in range(3))
+        for index, role in enumerate(self._roles):
+            if index == held_index or plan.setup == "coupled":
                 motor, box = self._motors[role], Box.of(self._motors[role])
                 least += box.coulomb_friction.low + box.viscous_damping.low * np.abs(velocities)
-                most += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
-                inertia += motor.rotor_inertia * accelerations[place]
-                if k != place:
-                    driving += motor.torque_constant * currents[k]
+                most += box.coulomb_friction.high + box.viscous_damping.high * speeds[index]
+                inertia += motor.rotor_inertia * accelerations[held_index]
+                if index != held_index:
+                    driving += motor.torque_constant * currents[index]
         turning = np.sign(velocities) * (np.abs(velocities) >= TURNING_RAD_S)
-        resting = velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(told), profile.low == profile.high)
-        held = self.held.get(place, HeldTorque(-most, most, 0.0))  # engaged at no current
-        if mode is Mode.ANGLE and held.told != told[0]:
-            held = HeldTorque(-math.inf, math.inf, told[0])
-        torques = np.empty(len(told))
-        for n, (balance, low) in enumerate(zip((-driving).tolist(), least.tolist(), strict=True)):
-            if turning[n]:
-                ends = balance + turning[n] * low, balance + turning[n] * most
-                held = HeldTorque(min(ends), max(ends), told[n])
-            elif resting[n]:
-                held = held.strained(balance, low, most)
+        resting = velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(setpoints), profile.low == profile.high)
+        held = self.held.get(held_index, HeldTorque(-most, most, 0.0))  # a drive engages with zero current
+        if mode is Mode.ANGLE and held.setpoint != setpoints[0]:
+            held = HeldTorque(-math.inf, math.inf, setpoints[0])
+        torques = np.empty(len(setpoints))
+        for moment, (balance, carried) in enumerate(zip((-driving).tolist(), least.tolist(), strict=True)):
+            if turning[moment]:
+                ends = balance + turning[moment] * carried, balance + turning[moment] * most
+                held = HeldTorque(min(ends), max(ends), setpoints[moment])
+            elif resting[moment]:
+                held = held.strained(balance, carried, most)
             else:
-                held = HeldTorque(balance - most, balance + most, told[n])
-            torques[n] = max(abs(held.low), abs(held.high))
+                held = HeldTorque(balance - most, balance + most, setpoints[moment])
+            torques[moment] = max(abs(held.low), abs(held.high))
         return torques + inertia, held
 
     def _speeds(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array]:
-        """Of each role: the speed at the most, and the speed that it keeps at the least."""
+        """Return the highest and the lowest speed of each role in these moments [rad/s], shape (roles,) each."""
         count = len(self._roles)
         if plan.setup in ("locked", "heated"):
             return np.zeros(count), np.zeros(count)
         most, least = np.zeros(count), np.zeros(count)
-        for k, role in enumerate(self._roles):
+        for index, role in enumerate(self._roles):
             mode = state.modes.get(role)
             if mode is Mode.VELOCITY:
-                told = [abs(state.setpoints[role].at(t)) for t in at]
-                most[k], least[k] = max(told), min(told)
+                setpoints = [abs(state.setpoints[role].at(time)) for time in at]
+                most[index], least[index] = max(setpoints), min(setpoints)
             elif mode is Mode.ANGLE:
-                told = [state.setpoints[role].at(t) for t in at]
-                most[k] = float(np.max(np.abs(np.diff(told)))) / (at[1] - at[0]) if len(at) > 1 else 0.0
+                setpoints = [state.setpoints[role].at(time) for time in at]
+                most[index] = float(np.max(np.abs(np.diff(setpoints)))) / (at[1] - at[0]) if len(at) > 1 else 0.0
             elif mode in CURRENT_MODES:
-                most[k] = self._settings.most_speed
+                most[index] = self._settings.most_speed
         if plan.setup == "coupled":
-            led = [k for k, role in enumerate(self._roles) if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE)]
-            most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
+            followers = [
+                index for index, role in enumerate(self._roles) if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE)
+            ]
+            most[:], least[:] = (most[followers[0]], least[followers[0]]) if followers else (most.max(), 0.0)
         return most, least
 
     def _accelerations(self, plan: Plan, state: PlanState, at: Sequence[float]) -> Array:
-        """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
+        """Return the acceleration of each role at each moment [rad/s^2], shape (roles, moments).
+
+        0 unless the role follows a speed or a list of angles; a jump of a setpoint between two actions adds none.
+        """
         accelerations = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):
             return accelerations
-        for k, role in enumerate(self._roles):
+        for index, role in enumerate(self._roles):
             mode, profile = state.modes.get(role), state.setpoints.get(role)
             if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
                 order = 1 if mode is Mode.VELOCITY else 2
                 spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
-                told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
-                changes = np.abs(np.diff(told, order)) / spacing**order
-                accelerations[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
+                setpoints = [profile.at(time) for time in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
+                changes = np.abs(np.diff(setpoints, order)) / spacing**order
+                accelerations[index] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
         return accelerations

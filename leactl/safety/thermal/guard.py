@@ -1,10 +1,11 @@
-"""The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
+"""The thermal guard of a bench: takes the heat of every cycle, bounds the windings, trips and limits currents.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles, at the angles
-that the rotor passed in each. The bound is advanced every `STEP_S` where anything that may flow could take a winding to
-its limit before the next step, else every `COLD_STEP_S`; budgets are looked at every `LOOK_S`, or `COLD_LOOK_S`. It
-must hold for longer than now: a drive that loses its host goes on with its last current until its own watchdog stops
-it, so that the bound is looked at `reserve_s` ahead, at the current that flows and standing at one electrical angle.
+Heat is the larger of the current that a drive reports and the current that is demanded of it, squared, times the
+measured time between cycles, at the angles that the rotor passed in each. The bound is advanced every `STEP_S` where
+the largest current could take a winding to its limit before the next step, else every `COLD_STEP_S`; budgets of heat
+are checked every `LOOK_S`, or `COLD_LOOK_S`. The bound must hold for some time ahead: a drive that loses its host
+continues with its last current until its own watchdog stops it. The bound is therefore also computed `reserve_s` ahead,
+for the current that flows and a rotor that stands at one electrical angle.
 """
 
 import math
@@ -17,30 +18,39 @@ import numpy as np
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box, Range
-from leactl.safety.thermal.turning import FIELDS, HEAT, LED_LOOSE, VELOCITY, Rotor, Span, fastest, top
+from leactl.safety.thermal.turning import (
+    FIELDS,
+    HEAT,
+    LED_LOOSE,
+    VELOCITY,
+    Rotor,
+    Span,
+    highest_speed,
+    largest_acceleration,
+)
 
 LOOK_S, COLD_LOOK_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
-LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
-HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
-MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
-LITTLE_K_S = 0.05  # that heat may warm a phase by, if it takes two thirds, without being looked at any closer
-SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
+LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # longest time left that is computed, and growth of its steps
+HORIZON_S = 1.0  # time ahead for which the allowed current keeps a winding below its limit
+MARGIN_K = 0.5  # below the limit, at which a bench is stopped: what the largest current heats in LOOK_S
+LITTLE_K_S = 0.05  # warming of a phase that takes two thirds of the heat, below which the heat counts as all loose
+SCALED_K = 1.0  # below the limit, to which a current is scaled, so that a scaled hold is not stopped
 
 
 @dataclass(frozen=True)
 class GuardSettings:
-    """What a guard needs to know of its bench."""
+    """Limits and ambient temperature of the bench under guard."""
 
     limit: float  # degC, of the hottest phase
-    ambient: float  # degC, as told
+    ambient: float  # degC, as in the bench file
     most_current: float  # A, that the bench lets pass
-    most_speed: float  # rad/s, the same
-    reserve_s: float  # that a drive may go on for without its host
+    most_speed: float  # rad/s, that the bench lets pass
+    reserve_s: float  # for which a drive may continue without its host
 
 
 class Budgets:
-    """How much heat may pass before a bound is looked at again."""
+    """Heat that may pass before the bounds have to be advanced."""
 
     def __init__(self, boxes: Sequence[Box], settings: GuardSettings) -> None:
         self._limit = settings.limit - MARGIN_K
@@ -55,17 +65,17 @@ class Budgets:
             for box in boxes
         ]
 
-    def left(self, hottest: Iterable[float]) -> list[float]:
-        """Of each actuator [A^2 s], from bounds of the hottest phases [degC]."""
-        return [(self._limit - one) / heating for one, heating in zip(hottest, self.heating, strict=True)]
+    def remaining(self, hottest: Iterable[float]) -> list[float]:
+        """Return the budget of each actuator [A^2 s], given bounds of the hottest phases [degC]."""
+        return [(self._limit - bound) / heating for bound, heating in zip(hottest, self.heating, strict=True)]
 
     def step(self, budgets: Iterable[float]) -> float:
-        """How long a step may be [s]: the longer one where nothing that may flow takes any winding to its limit."""
+        """Return how long a step may be [s]: `COLD_STEP_S` where the largest current exhausts no budget in it."""
         return COLD_STEP_S if all(self._most < budget for budget in budgets) else STEP_S
 
 
 class ThermalGuard:
-    """Bounds of all actuators of a bench, beside estimates for display: the same network in a box without width."""
+    """Bounds of all actuators of a bench, and estimates for display, from boxes without width."""
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings, start: Mapping[str, Array]) -> None:
         """Begin from bounds of hottest phase, mean of the phases and housing [degC] of each role.
@@ -77,59 +87,65 @@ class ThermalGuard:
         self.roles, self._settings = tuple(motors), settings
         self.limit = settings.limit  # degC, of the hottest phase of any role
         self.boxes = {role: Box.of(motor) for role, motor in motors.items()}
-        self.told_ambient = settings.ambient  # degC
+        self.ambient = settings.ambient  # degC, as in the bench file
         boxes = list(self.boxes.values())
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
-        # of each role the cycles since the last step, to which the supervisor adds: how long it took [s], heat [A^2 s],
-        # angle [rad] and velocity [rad/s], one after the other
+        # for each role the cycles since the last step, appended by the supervisor: duration [s], heat [A^2 s], angle
+        # [rad] and velocity [rad/s], one after the other
         self.logs: list[list[float]] = [[] for _ in boxes]
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
-        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
-        self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
+        self.leads: dict[int, float] = {}  # A^2 by role index, q-axis equivalent of the currents through leads
+        self.undriven: frozenset[int] = frozenset()  # indices of roles without a drive: only leads heat them
         self.due = -math.inf  # when `check` is to be called again
-        turned = fastest(motors.values(), settings.most_current, settings.most_speed)
-        self.rotors = [Rotor(motor, settings.most_speed, turned) for motor in motors.values()]
-        # how much of each log is counted, and heat in that and through leads [A^2 s]
+        acceleration = largest_acceleration(motors.values(), settings.most_current, settings.most_speed)
+        self.rotors = [Rotor(motor, settings.most_speed, acceleration) for motor in motors.values()]
+        # numbers of each log that are counted, and heat in them and through leads since the last step [A^2 s]
         self._counted, self._squares = [0] * len(boxes), [0.0] * len(boxes)
-        self._led, self._led_moments = [0.0] * len(boxes), [0.0] * len(boxes)  # A^2 s, A^2 s^2 of the latter by now
-        self._unseen = 0.0  # s, between two looks of this step at the longest
+        self._led, self._led_moments = [0.0] * len(boxes), [0.0] * len(boxes)  # heat through leads [A^2 s], [A^2 s^2]
+        self._longest_gap = 0.0  # s, between two looks since the last step
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._budgets_of = Budgets(boxes, settings)
-        self._looked = self.advanced = 0.0  # s, when heat was counted and until when the bounds hold
+        self._looked = self.advanced = 0.0  # s, when heat was counted last and up to when the bounds are advanced
         self._step = STEP_S
-        # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
+        # the state of the bound at the beginning of the latest spans, and these spans, each taken as one step
         self._anchor, self._spans = self._bound.state, [Span() for _ in boxes]
-        self._forgotten: Callable[[], str] = str
+        self._memory_fault: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
-        self._standing = [1.0] * len(boxes)  # how far what flows stands at one electrical angle where no rotor turns
-        self.hottest = {role: float(nodes[HOTTEST, k]) for k, role in enumerate(self.roles)}  # degC, at the most
-        self.estimate = {role: float(nodes[MEAN, k]) for k, role in enumerate(self.roles)}  # degC, for display alone
+        self._standing = [1.0] * len(
+            boxes
+        )  # alignment of the flowing current while no rotor turns; see `ThermalBound.step`
+        self.hottest = {
+            role: float(nodes[HOTTEST, index]) for index, role in enumerate(self.roles)
+        }  # degC, at the most
+        self.estimate = {
+            role: float(nodes[MEAN, index]) for index, role in enumerate(self.roles)
+        }  # degC, for display alone
         self.allowed = dict.fromkeys(self.roles, math.inf)
-        self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}  # bounds of all nodes, for a memory
+        self.node_bounds = {role: nodes[:, index] for index, role in enumerate(self.roles)}  # degC, bounds of all nodes
 
     def remember(self, fault: Callable[[], str]) -> None:
-        """Ask here why the bounds cannot be kept beyond this process; a guard that is forgotten stops the bench."""
-        self._forgotten = fault
+        """Call `fault` after each step for the reason why the bounds cannot be stored; any reason stops the bench."""
+        self._memory_fault = fault
 
     def resistances(self, role: str) -> Range:
-        """Of a phase, from what it is at the coldest ambient to what it is where its bound stands [ohm]."""
+        """Return the range of a phase's resistance [ohm], from the coldest air to the bound of the hottest phase."""
         box = self.boxes[role]
         coldest = self._settings.ambient - box.ambient_rise - box.reference_temperature
         warmest = self.hottest[role] - box.reference_temperature
-        slow, fast = box.resistance_coefficient.low, box.resistance_coefficient.high
+        rise_low, rise_high = box.resistance_coefficient.low, box.resistance_coefficient.high
         return Range(
-            box.phase_resistance.low * (1.0 + min(slow * coldest, fast * coldest)),
-            box.phase_resistance.high * (1.0 + max(slow * warmest, fast * warmest)),
+            box.phase_resistance.low * (1.0 + min(rise_low * coldest, rise_high * coldest)),
+            box.phase_resistance.high * (1.0 + max(rise_low * warmest, rise_high * warmest)),
         )
 
     def begin(self, now: float) -> None:
-        """Time counts from here."""
+        """Start the clock: heat is counted from this time [s]."""
         self.advanced = self._looked = self.due = now
 
     def check(self, now: float) -> str:
-        """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
+        """Count the heat and advance the bounds where due; return why the bench must stop, or an empty string."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
         every = LOOK_S if self._step == STEP_S else COLD_LOOK_S
@@ -145,19 +161,24 @@ class ThermalGuard:
         return self._advance(now, since) if since > 0.0 else ""
 
     def end(self, now: float) -> None:
-        """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
+        """Bring `node_bounds` to the end of the run.
+
+        They cover the time until now and `reserve_s` more, in which drives may continue.
+        """
         reserve = self._settings.reserve_s
-        standing, on = [1.0] * len(self.roles), max(now - self._looked, 0.0)
+        standing, unlooked = [1.0] * len(self.roles), max(now - self._looked, 0.0)
         most = self._settings.most_speed
         self._speeds = [
-            max(speed, top(log[VELOCITY::FIELDS], most)) for speed, log in zip(self._speeds, self.logs, strict=True)
+            max(speed, highest_speed(log[VELOCITY::FIELDS], most))
+            for speed, log in zip(self._speeds, self.logs, strict=True)
         ]
         self._look(max(now, self._looked))
         since = max(now - self.advanced, 0.0)
         nodes = self._bound.nodes()
         if since > 0.0:
             squares = [
-                (square + flowing * on) / since for square, flowing in zip(self._squares, self.flowing, strict=True)
+                (square + flowing * unlooked) / since
+                for square, flowing in zip(self._squares, self.flowing, strict=True)
             ]
             self._bound.step(since, *self._twice(squares, standing, self._speeds), self._settings.ambient)
             nodes = self._bound.nodes()
@@ -167,12 +188,12 @@ class ThermalGuard:
         self._keep(np.maximum(nodes, self._bound.nodes()))
 
     def _keep(self, nodes: Array) -> None:
-        self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
+        self.node_bounds = {role: nodes[:, index] for index, role in enumerate(self.roles)}
 
     def _look(self, now: float) -> None:
-        """Count the heat since the last look."""
+        """Add the heat since the last look to that of this step."""
         since = now - self._looked
-        self._unseen = max(self._unseen, since)
+        self._longest_gap = max(self._longest_gap, since)
         for index, log in enumerate(self.logs):
             self._squares[index] += sum(log[self._counted[index] + HEAT :: FIELDS])
             self._counted[index] = len(log)
@@ -187,14 +208,15 @@ class ThermalGuard:
         self._looked = now
 
     def _forget(self) -> None:
-        """The next step begins; the supervisor keeps the lists."""
+        """Clear the logs and sums for the next step; the lists stay the same, for the supervisor holds them."""
         for log in self.logs:
             log.clear()
         self._counted = [0] * len(self.roles)
         self._squares, self._led, self._led_moments = ([0.0] * len(self.roles) for _ in range(3))
-        self._unseen = 0.0
+        self._longest_gap = 0.0
 
     def _advance(self, now: float, duration: float) -> str:
+        """Advance the bounds by one step; return why the bench must stop, or an empty string."""
         if now > self._looked:
             self._look(now)
         fresh = []
@@ -202,111 +224,115 @@ class ThermalGuard:
         lanes = zip(self.rotors, self.logs, self._squares, led, self._budgets_of.heating, strict=True)
         for rotor, log, square, (through_leads, moment), heating in lanes:
             if square * heating < LITTLE_K_S * duration:
-                span = rotor.unlooked_at(square - through_leads, log[VELOCITY::FIELDS], duration)
+                span = rotor.loose_span(square - through_leads, log[VELOCITY::FIELDS], duration)
             else:
                 span = rotor.span(np.reshape(log, (-1, FIELDS)), duration)
-            span.lead(through_leads, moment, self._unseen)
+            span.add_lead_heat(through_leads, moment, self._longest_gap)
             fresh.append(span)
         self._speeds = [span.speed for span in fresh]
         self._forget()
         self._follow(fresh)
         self.advanced = now
-        return self._judge(self._speeds) or self._forgotten()
+        return self._judge(self._speeds) or self._memory_fault()
 
     def _follow(self, fresh: list[Span]) -> None:
-        """One step of the bound: from where the last one ended, or over again from where the span began.
+        """Advance the bound by the new spans, or by the latest spans joined with them from where those began.
 
-        Either is a bound. The longer one is taken where it leaves less of the same heat in a phase: where rotors crawl.
+        Either is a bound. The longer spans are taken where they leave less of the same heat in a phase: where rotors
+        crawl.
         """
         bound, decay = self._bound, self._bound.decay_s
         joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
-        gap = any(rotor.lost for rotor in self.rotors)  # across which no two angles by the velocity belong together
+        gap = any(rotor.path_has_gap for rotor in self.rotors)  # no angles by the velocity are comparable across it
         longer = not gap and self._spans[0].duration > 0.0 and joined[0].duration <= LONGEST_STEP_S
-        if longer and self._left(joined, joined) < self._left(self._spans, joined):
+        if longer and self._remaining_heat(joined, joined) < self._remaining_heat(self._spans, joined):
             self._spans = joined
             bound.state = self._anchor
         else:
             self._anchor, self._spans = bound.state, fresh
         spans = self._spans
-        whole = spans[0].duration
+        duration = spans[0].duration
         heat = self._twice(
-            [span.square / whole for span in spans], [s.aligned for s in spans], [s.speed for s in spans]
+            [span.square / duration for span in spans], [span.aligned for span in spans], [span.speed for span in spans]
         )
         late = [span.late(decay) for span in spans]
-        bound.step(whole, *heat, self._settings.ambient, np.array(late + late))
+        bound.step(duration, *heat, self._settings.ambient, np.array(late + late))
 
-    def _left(self, spans: list[Span], heat: list[Span]) -> float:
-        """Of some heat, what the hottest phases keep if it is shared as in these spans."""
+    def _remaining_heat(self, spans: list[Span], heat: list[Span]) -> float:
+        """Return what the hottest phases keep of `heat` if it is distributed as in `spans`, up to a constant factor."""
         decay = self._bound.decay_s
         return sum(
-            one.square * (1.0 + span.aligned) * (1.0 + span.late(decay) / decay)
-            for one, span in zip(heat, spans, strict=True)
+            source.square * (1.0 + span.aligned) * (1.0 + span.late(decay) / decay)
+            for source, span in zip(heat, spans, strict=True)
         )
 
     def _judge(self, speeds: list[float]) -> str:
-        """Look ahead from where the bound stands: trip, scale, and how much heat may pass before the next look."""
+        """Look ahead from the present bounds; set budgets and allowed currents, and return why the bench must stop."""
         settings, bound = self._settings, self._bound
         nodes = bound.nodes()
         hottest, estimates = nodes[HOTTEST], nodes[MEAN, len(self.roles) :]
         self._keep(nodes)
         before = list(self.hottest.values())
-        for k, role in enumerate(self.roles):
-            self.hottest[role], self.estimate[role] = float(hottest[k]), float(estimates[k])
-        self._budgets = self._budgets_of.left(self.hottest.values())
+        for index, role in enumerate(self.roles):
+            self.hottest[role], self.estimate[role] = float(hottest[index]), float(estimates[index])
+        self._budgets = self._budgets_of.remaining(self.hottest.values())
         self._step = self._budgets_of.step(self._budgets)
         if self._step > STEP_S:
             self.allowed = dict.fromkeys(self.roles, math.inf)
             return ""
-        still = [1.0] * len(self.roles)
-        held = self._ahead(self.flowing, self._standing, speeds, settings.reserve_s)
-        most = self._ahead([settings.most_current**2] * len(self.roles), still, speeds, HORIZON_S)
+        standing = [1.0] * len(self.roles)
+        reserved = self._ahead(self.flowing, self._standing, speeds, settings.reserve_s)
+        at_most = self._ahead([settings.most_current**2] * len(self.roles), standing, speeds, HORIZON_S)
         cause = ""
-        for k, role in enumerate(self.roles):
-            # what starts above the limit may cool there: no stop would cool it any faster
-            cools = held[k] < hottest[k] < before[k]
-            if not (cools or max(hottest[k], held[k]) < settings.limit - MARGIN_K):
+        for index, role in enumerate(self.roles):
+            # a winding that starts above the limit may cool: stopping would not cool it any faster
+            cools = reserved[index] < hottest[index] < before[index]
+            if not (cools or max(hottest[index], reserved[index]) < settings.limit - MARGIN_K):
                 cause = cause or (
-                    f"{role} winding: its hottest phase may be at {hottest[k]:.1f} degC, and at {held[k]:.1f} degC"
-                    f" {settings.reserve_s:g} s on; the limit is {settings.limit:g} degC"
+                    f"{role} winding: its hottest phase may be at {hottest[index]:.1f} degC, and at"
+                    f" {reserved[index]:.1f} degC {settings.reserve_s:g} s on; the limit is {settings.limit:g} degC"
                 )
             self.allowed[role] = math.inf
-            if not most[k] < settings.limit - SCALED_K:
-                least = self._ahead([0.0] * len(self.roles), still, speeds, HORIZON_S)[k]
-                self.allowed[role] = self._between(least, most[k])
+            if not at_most[index] < settings.limit - SCALED_K:
+                least = self._ahead([0.0] * len(self.roles), standing, speeds, HORIZON_S)[index]
+                self.allowed[role] = self._between(least, at_most[index])
         return cause
 
     def _between(self, least: float, most: float) -> float:
-        """The current that ends below the limit, where the temperature is no more than a line in its square."""
+        """Return the current [A] that keeps a winding `SCALED_K` below the limit, linear in its square.
+
+        least, most : temperatures ahead with no current and with the largest one [degC]; the line bounds those between.
+        """
         room = self._settings.limit - SCALED_K - least
         if not (room > 0.0 and math.isfinite(most)):
             return 0.0
         return self._settings.most_current * math.sqrt(min(1.0, room / (most - least)))
 
     def _ahead(self, squares: list[float], aligned: list[float], speeds: list[float], duration: float) -> Array:
-        """Hottest phases after some time at these currents."""
-        kept = self._bound.state
+        """Return the bounds of the hottest phases after some time at these currents [degC]; the state is kept."""
+        state = self._bound.state
         self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient, late=0.0)
         hottest = self._bound.hottest()
-        self._bound.state = kept
+        self._bound.state = state
         return hottest
 
     @staticmethod
     def _twice(squares: list[float], aligned: list[float], speeds: list[float]) -> tuple[Array, Array, Array]:
-        """For the bounds and for the estimates."""
+        """Repeat the arguments: once for the bounds, once for the estimates."""
         return np.array(squares + squares), np.array(aligned + aligned), np.array(speeds + speeds)
 
     def time_left(self) -> dict[str, float]:
-        """How long each role could go on as it does before its bound reaches the limit [s]; infinite beyond an hour.
+        """Return the time [s] until each role's bound reaches the limit at its present current; infinite beyond 1 h.
 
-        From another thread at any time: it works on a copy.
+        May be called from another thread at any time: it works on a copy.
         """
         bound, speeds = copy(self._bound), list(self._speeds)
         heat = self._twice(list(self.flowing), list(self._standing), speeds)
-        left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
-        while time < LONGEST_LEFT_S and math.inf in left.values():
+        times, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
+        while time < LONGEST_LEFT_S and math.inf in times.values():
             bound.step(step, *heat, self._settings.ambient, late=0.0)
             time, step = time + step, step * GROWTH
             for role, hottest in zip(self.roles, bound.hottest(), strict=False):
-                if math.isinf(left[role]) and not hottest < self._settings.limit - MARGIN_K:
-                    left[role] = time
-        return left
+                if math.isinf(times[role]) and not hottest < self._settings.limit - MARGIN_K:
+                    times[role] = time
+        return times

@@ -1,7 +1,7 @@
-"""What measured temperatures, resistances and currents tell the guard: what no actuator of its box can have.
+"""Comparison of measured temperatures, resistances and currents with the bounds of the thermal guard.
 
-A reading never makes a bound cooler: a camera may have slipped, a thermistor come off. One that is hotter than the
-bound shows that the actuator lies outside its tolerances, or that its air is blocked.
+A reading never makes a bound cooler: a camera may have slipped, a thermistor come off. A reading that is hotter than
+the bound shows that the actuator lies outside its tolerances, or that its air is blocked.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -13,26 +13,29 @@ from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
 
-SENSOR_K = 5.0  # that a camera or a thermistor may read too much
+SENSOR_K = 5.0  # by which a camera or a thermistor may read too high
 
 
 class Leads:
-    """Direct currents through leads, by whatever tells one; of several for one role the largest heats."""
+    """Direct currents through the leads of each role; of several sources for one role the largest current heats."""
 
     def __init__(self, guard: ThermalGuard) -> None:
         self._guard = guard
-        self._told: dict[int, dict[str, float]] = {}  # A^2 by place of the role, and by source
+        self._squares: dict[int, dict[str, float]] = {}  # A^2 by index of the role, and by source
 
     def tell(self, role: str, source: str, amperes: float) -> None:
-        """Have this current [A] flow from now on, as far as this source goes."""
-        place = self._guard.roles.index(role)
-        told = self._told.setdefault(place, {})
-        told[source] = LEADS * amperes * amperes
-        self._guard.leads[place] = max(told.values())
+        """Set the current [A] that one source, a stream, reports for the leads of a role from now on."""
+        index = self._guard.roles.index(role)
+        squares = self._squares.setdefault(index, {})
+        squares[source] = LEADS * amperes * amperes
+        self._guard.leads[index] = max(squares.values())
 
 
 class MeasuredStreams:
-    """Streams that measure windings, housings, the air, and the current through the leads and the voltage at them."""
+    """Streams that measure temperatures of windings, housings and air, or current and voltage of the leads.
+
+    A reading that no actuator of the guard's boxes can have trips, by way of `trip`.
+    """
 
     def __init__(
         self,
@@ -46,52 +49,53 @@ class MeasuredStreams:
 
     @property
     def streams(self) -> frozenset[str]:
-        """Names of those that measure anything for the guard."""
+        """Names of the streams that measure anything for the guard."""
         return frozenset(self._looks)
 
     def look(self, row: Row) -> None:
-        """Hold a row against the guard; a value that is no number is a matter of its age."""
+        """Compare a row with the guard; a value that is no number passes, its age is checked elsewhere."""
         for look in self._looks.get(row.stream, ()):
             look(row)
 
     def look_through(self, block: SampleBlock) -> None:
-        """Hold many rows against the guard, where their stream measures anything for it."""
+        """Compare the rows of a block with the guard, where their stream measures anything for it."""
         if block.stream in self._looks:
             for row in block.rows():
                 self.look(row)
 
     def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
-        known = {
+        """Yield a function for each comparison that the channels of a stream allow."""
+        comparisons = {
             "winding_temperature": self._winding,
             "housing_temperature": self._housing,
             "line_current": self._leads,
         }
-        place = {(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}
-        for (_role, quantity), index in place.items():
+        indices = {(channel.role, channel.quantity): index for index, channel in enumerate(stream.channels)}
+        for (_role, quantity), index in indices.items():
             if quantity == "ambient_temperature":
                 yield partial(self._air, index)
-        for (role, quantity), index in place.items():
-            if role in self._guard.roles and quantity in known:
-                yield partial(known[quantity], role, index)
+        for (role, quantity), index in indices.items():
+            if role in self._guard.roles and quantity in comparisons:
+                yield partial(comparisons[quantity], role, index)
         for role in self._guard.roles:
-            voltage, current = place.get((role, "line_voltage")), place.get((role, "line_current"))
+            voltage, current = indices.get((role, "line_voltage")), indices.get((role, "line_current"))
             if voltage is not None and current is not None:
                 yield partial(self._resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
 
     def _air(self, index: int, row: Row) -> None:
-        told = self._guard.told_ambient
-        most = told + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
+        ambient = self._guard.ambient
+        most = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
         if row.values[index] > most:
             self._trip(
                 f"the air is measured at {row.values[index]:.1f} degC; {most:.1f} degC at the most was expected where"
-                f" the bench file tells {told:g} degC: correct its ambient_temperature_degC"
+                f" the bench file tells {ambient:g} degC: correct its ambient_temperature_degC"
             )
 
     def _winding(self, role: str, index: int, row: Row) -> None:
         self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
 
     def _housing(self, role: str, index: int, row: Row) -> None:
-        self._compare(role, "housing is measured", row.values[index], float(self._guard.kept[role][HOUSING]))
+        self._compare(role, "housing is measured", row.values[index], float(self._guard.node_bounds[role][HOUSING]))
 
     def _resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
         least = leads.least(row.values[voltage], row.values[current], row.time)

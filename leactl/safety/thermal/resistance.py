@@ -1,4 +1,4 @@
-"""The winding as its own thermometer: voltage over current at two leads, against the bound.
+"""Lowest winding temperature that voltage over current at two leads allows.
 
 Copper gains resistance with temperature, and two leads of a star measure twice a phase. The highest resistance that the
 motor file's tolerances allow at the reference temperature gives the lowest temperature that such a reading can mean.
@@ -8,12 +8,12 @@ import math
 
 from leactl.safety.thermal.box import Box
 
-LEAST_A = 1.0  # below, offsets of the reading are a large part of it
-LASTING_S = 1.0  # voltage and current are not read at the same moment: a change of either is none of resistance
+LEAST_A = 1.0  # below, offsets are a large part of the current reading
+LASTING_S = 1.0  # voltage and current are not read at one moment: a change of either is no change of resistance
 
 
 class LeadResistance:
-    """One pair of leads."""
+    """Resistance between one pair of leads, followed reading by reading."""
 
     def __init__(self, box: Box) -> None:
         self._cold = 2.0 * box.phase_resistance.high
@@ -21,7 +21,10 @@ class LeadResistance:
         self._since, self._least = math.nan, math.inf
 
     def least(self, voltage: float, current: float, now: float) -> float:
-        """Lowest temperature that the readings of the last `LASTING_S` can mean [degC]; NaN where they tell none."""
+        """Take one reading [V, A, s]; return the lowest temperature that the last `LASTING_S` allow [degC].
+
+        NaN until that time has passed, and where the current is below `LEAST_A` or a reading is NaN.
+        """
         if not abs(current) >= LEAST_A or voltage != voltage:
             self._since, self._least = math.nan, math.inf
             return math.nan
