@@ -96,7 +96,7 @@ class Bk1688bDialogue:
 
         Raises
         ------
-        DeviceError : they come back as others.
+        DeviceError : other levels read back.
         """
         yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 

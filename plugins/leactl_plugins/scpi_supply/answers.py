@@ -49,7 +49,7 @@ def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
 
     Raises
     ------
-    Unreadable : not of the family's own form to the last digit, or far above what the model is good for.
+    Unreadable : not exactly in the family's form, or far above the rating of the model.
     """
     text = _text(line)
     if not form.fullmatch(text):
