@@ -615,7 +615,7 @@ class ElmoCan(Driver):
         )
 
     def _accuse(self, text: str) -> None:
-        """End the run, or refuse the start, for what another master does.
+        """End the run, or refuse the start, because of what another master does.
 
         Resetting a fault does not excuse it.
         """
@@ -629,7 +629,7 @@ class ElmoCan(Driver):
         )
 
     def _on_other_request(self, data: bytearray, _timestamp: float) -> None:
-        """Report another master's SDO: one that writes ends the run, one that reads is told once."""
+        """Report another master's SDO: a write ends the run, a read is reported once."""
         standing = self._standing
         shown = f"by SDO ({bytes(data).hex() or 'empty'})"
         if data and data[0] >> 5 in DOWNLOADS:

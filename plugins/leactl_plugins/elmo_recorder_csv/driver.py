@@ -120,7 +120,7 @@ class ElmoRecorderCsv(Driver):
             return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
         rows = order_rows(time, values, where)
-        empty = [name for name, kept in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(kept).all()]
+        empty = [name for name, column in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(column).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0

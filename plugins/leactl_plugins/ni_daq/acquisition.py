@@ -37,8 +37,8 @@ class DaqmxError(DeviceError):
     def __init__(self, code: int, text: str = "") -> None:
         self.code = code
         name, hint = ERRORS.get(code, ("", ""))
-        said = hint or next((line.strip() for line in text.splitlines() if line.strip()), "no description")
-        super().__init__(f"NI-DAQmx {code}{f' ({name})' if name else ''}: {said}")
+        description = hint or next((line.strip() for line in text.splitlines() if line.strip()), "no description")
+        super().__init__(f"NI-DAQmx {code}{f' ({name})' if name else ''}: {description}")
 
 
 class Acquisition(Protocol):

@@ -91,7 +91,7 @@ class OdriveCan(EngagingDrive):
         self._bus_voltage_due = -math.inf
         self._rows: list[Row] = []
         self._answers = Answers(2)
-        self._told, self._quiet_until = Irregular(), -math.inf
+        self._reported, self._quiet_until = Irregular(), -math.inf
         self._supervised = False  # since the last input, so that the next one may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
         self._control_mode = self._input_mode = 0
@@ -294,8 +294,8 @@ class OdriveCan(EngagingDrive):
         """Notices: irregular answers, and a full bus."""
         lines, now = [], self._clock.now()
         irregular = self._answers.irregular
-        if irregular != self._told and (now >= self._quiet_until or self._mode is Mode.OFF):
-            self._quiet_until, self._told = now + QUIET_S, replace(irregular)
+        if irregular != self._reported and (now >= self._quiet_until or self._mode is Mode.OFF):
+            self._quiet_until, self._reported = now + QUIET_S, replace(irregular)
             lines.append(str(irregular))
         return lines + self._port.notices()
 

@@ -54,10 +54,10 @@ class Parameters:
         """
         for _ in range(TRIES):
             self.tell(path, value)
-            kept = self.read(path)
-            if self.is_near(kept, value):
+            read_back = self.read(path)
+            if self.is_near(read_back, value):
                 return
-        raise DeviceError(f"{self._name}: {path} is {kept:g} although {value:g} was written")
+        raise DeviceError(f"{self._name}: {path} is {read_back:g} although {value:g} was written")
 
     def is_shown(self, path: str, value: float) -> bool:
         """Whether the drive has reported this value."""
