@@ -145,8 +145,8 @@ class OdriveCan(EngagingDrive):
         self._connect()
         self._answers, self._safe, self._as_met = Answers(2), False, {}
         self._set_state(AxisState.IDLE)
-        self._meet()
-        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # it may be met without any
+        self._identify()
+        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # a drive may send none until then
         if not self._hears(self._clock.now() + 0.5):
             raise NoAnswer(f"{self.name}: node {self.settings.node} answers, and sends no heartbeat")
         self._leave_errors()
@@ -401,7 +401,7 @@ class OdriveCan(EngagingDrive):
             self._base | Command.GET_BUS_VOLTAGE_CURRENT: self._on_bus,
         }
 
-    def _meet(self) -> None:
+    def _identify(self) -> None:
         """Check that one drive of this node answers and has the firmware of the table of endpoints."""
         self._versions.clear()
         asked = next((count for count in (1, 2, 3) if self._has_taken_all(self._clock.now() + 0.25)), 0)
