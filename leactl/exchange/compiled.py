@@ -51,9 +51,9 @@ class Joint:
     friction: float  # N*m, frictionloss
     stiffness: float  # N*m/rad
     spring_rest: float  # rad
-    level_torque: float  # N*m, that holds what it moves out level; of a slide, the weight along it [N]
+    level_torque: float  # N*m, holds the moved bodies level; of a slide, the weight along it [N]
     hanging_angle: float  # rad, at which that hangs straight down
-    mass: float  # kg, of what it moves
+    mass: float  # kg, of the moved bodies
     lever: float  # m, from its axis to the centre of that mass
     torque_limit: float | None  # N*m, of all actuators together (actuatorfrcrange)
     range: tuple[float, float] | None  # rad

@@ -27,7 +27,7 @@ class Change:
     line: int
     attribute: str
     before: str | None  # None where the file did not have it
-    after: str | None  # None where it is removed
+    after: str | None  # None if it is removed
 
 
 @dataclass

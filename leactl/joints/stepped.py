@@ -213,7 +213,7 @@ class JointLanes:
         joined_speed = reduced_by_friction(momentum / total_inertia, (motor[1] + load[1]) * step / total_inertia)
         impact_speed = (self.inertia * self.speed + load_inertia * free_load_speed) / total_inertia
         meshed_speed = np.where(pressed, joined_speed, impact_speed)
-        touches = pressed | meets  # the centre of inertia of the two stays its course where they meet within a step
+        touches = pressed | meets  # when both meet within a step, their common centre of inertia keeps its speed
         speed, twist = (
             np.where(touches, meshed_speed, self.speed),
             np.where(meets, np.copysign(half, next_twist), next_twist),

@@ -169,7 +169,7 @@ class PhaseNetwork:
         phase_gain = PHASES / self._capacitances[0]
         self._gains = np.vstack([np.tile(phase_gain, (PHASES, 1)), -phase_gain / PHASES, shapes[0] ** 2])
         self._housing_gains = shapes[0] * shapes[1]
-        # a fixture's mode where there is none has no winding in it
+        # in a lane without a fixture, the mode of the fixture has no share in the winding
         self._in_nodes = np.divide(shapes, shapes[0], out=np.zeros_like(shapes), where=shapes[0] != 0.0)
         amounts = np.einsum("nml,nl->ml", shapes, self._capacitances * nodes)
         self._state[PHASES + 1 :] = shapes[0] * amounts

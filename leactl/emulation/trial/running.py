@@ -103,14 +103,14 @@ def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
 
 def answer_of(reads: int) -> str:
     """Read the result that a trial's process has sent, within its time."""
-    told, end = b"", time.monotonic() + WALL_S
-    while left := max(end - time.monotonic(), 0.0):
-        if not select.select([reads], [], [], left)[0]:
+    result, end = b"", time.monotonic() + WALL_S
+    while time_left := max(end - time.monotonic(), 0.0):
+        if not select.select([reads], [], [], time_left)[0]:
             break
-        part = os.read(reads, 65536)
-        if not part:
-            return str(json.loads(told)) if told else "it has taken the process with it"
-        told += part
+        received = os.read(reads, 65536)
+        if not received:
+            return str(json.loads(result)) if result else "it has taken the process with it"
+        result += received
     return f"it hangs: more than {WALL_S:g} s where no time passes but on the bench's clock"
 
 
@@ -122,6 +122,6 @@ def outcome(trial: Trial, driver: type[Driver], folder: Path) -> str:
         return str(broken)
     except LeactlError as error:
         return f"{type(error).__name__}: {error}"
-    except Exception as error:  # noqa: BLE001 (a driver may break in any way, and that is what is to be told)
+    except Exception as error:  # noqa: BLE001 (a driver may raise anything, and the trial reports it)
         return f"breaks with {type(error).__name__}: {error}"
     return ""

@@ -12,7 +12,7 @@ from leactl.errors import DeviceError, InputError
 
 ASKED_V, ASKED_A = 3.0, 2.0  # of which the load takes 2 A at 1.2 V
 LIMITED = ((ASKED_V, ASKED_A), (1.2, 3.0))  # by its current, and by its voltage: the load takes 2 A at 1.2 V
-PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection, and by how much a supply that fails passes what it was told
+PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection; factor by which a failing supply exceeds its set level
 SWITCHED_S = 5.0
 NEAR = 0.02
 LOOKS_S = 0.01

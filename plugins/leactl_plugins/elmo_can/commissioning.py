@@ -18,7 +18,7 @@ OF_32_BITS = (-0x80000000, 0x80000000)
 ALL_MODES = 0xFFFFFFFF
 RESET_S = 0.5  # that a drive may take to leave its fault
 MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 holds
-ON_CHANGE = 255  # transmission type of a TPDO that is sent when what it holds has changed
+ON_CHANGE = 255  # transmission type of a TPDO that is sent when its content has changed
 INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
 INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, tables 66 and 71)
 MAKES_SYNC = 1 << 30  # bit of 0x1005
@@ -81,7 +81,7 @@ class SetpointTime(NamedTuple):
     """The drive's values of the time between two setpoints; None for an object that it lacks."""
 
     interpolation: tuple[int, int] | None  # units and exponent of 0x60C2
-    sync_us: int | None  # 0x1006, the time between two SYNCs, 0 where it is not told; None too where it makes the SYNC
+    sync_us: int | None  # 0x1006, the time between two SYNCs, 0 if it is not set; None also if the drive makes the SYNC
 
 
 def identity_of(sdo: Sdo) -> Identity:
@@ -249,7 +249,7 @@ class Commissioning:
     def setpoint_time(self) -> SetpointTime:
         """Read the drive's values of the time between two setpoints (CiA 402, 0x60C2; CiA 301, 0x1006)."""
         units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
-        makes_sync = (optional_number(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # by this time, where it is not 0
+        makes_sync = (optional_number(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # with this period, unless it is 0
         return SetpointTime(
             None if units is None or exponent is None else (units, exponent),
             None if makes_sync else optional_number(self._sdo, 0x1006, 0),

@@ -32,7 +32,7 @@ NETWORK_STATES = {0x00: "boot-up", 0x04: "stopped", 0x7F: "pre-operational"}
 INTERNAL_LIMIT = 0x0800  # statusword bit 11
 QUIET_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
 MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 REFERENCES = {
     Mode.CURRENT: CURRENT,
     Mode.TORQUE_PROFILE: CURRENT,
@@ -97,13 +97,13 @@ class _Standing:
     """State of a drive apart from its samples."""
 
     def __init__(self) -> None:
-        self.started = False  # its node was told to start
+        self.started = False  # the node was commanded to start
         self.operational = False  # and has said since that it did
         self.most_per_mille = 0  # of its rated current that it lets flow
         self.modes = ALL_MODES  # bits of those that it knows
         self.voltage_refused = False  # 0x6079 was answered otherwise than by four bytes
-        self.sto_asked = False  # since it was told to enter operation
-        self.sto_status: int | None = None  # 0x2086, if it has told
+        self.sto_asked = False  # since it was commanded to enter operation
+        self.sto_status: int | None = None  # 0x2086, once it was answered
         self.of_other_master = ""  # what one was heard to do
         self.is_read_by_others = False
         self.safe = False  # it has confirmed so, and nothing was asked of it since
@@ -379,7 +379,7 @@ class ElmoCan(Driver):
             )
         word = cia402.towards_enabled(self.state)
         if word == ENABLE_OPERATION and self._shown_mode != self._mode_number:
-            return cia402.SWITCH_ON  # it would follow what the mode before was told last
+            return cia402.SWITCH_ON  # it would follow the last demand of the mode before
         return word
 
     def end_cycle(self, deadline: float) -> None:
@@ -508,7 +508,7 @@ class ElmoCan(Driver):
         self._mode, self._mode_number, self._value = mode, MODES[mode], 0
         self._reference: int = REFERENCES[mode]
         scale = self._current_per_mille if self._reference == CURRENT else self._angle_per_count
-        self._scale = NAN if mode is Mode.OFF else scale  # of what a demand stands for
+        self._scale = NAN if mode is Mode.OFF else scale  # A, rad/s or rad per unit of the drive's demand
         # current, velocity and angle that this mode's demands stand for
         self._follows: list[float] = [NAN, NAN, NAN]
         self._show(self.statusword, self._shown_mode)

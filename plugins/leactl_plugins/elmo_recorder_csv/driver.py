@@ -197,7 +197,7 @@ class ElmoRecorderCsv(Driver):
         return signed
 
     def _unwrapped(self, table: Table, heading: str, counts: Array, told_wraps: list[str]) -> Array:
-        """Counts that go on where the drive's own wrap at the end of its range.
+        """Counts that continue where the drive's own counts wrap at the end of its range.
 
         Raises
         ------

@@ -35,7 +35,7 @@ from leactl_plugins.elmo_serial.probe import ElmoSerialProbe
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
 DEMANDS = ("TC", "JV", "PA")  # what sets it
 MOTOR_OFF = SPOILS + b"MO=0;"
@@ -48,7 +48,11 @@ LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds b
 LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
 MOST_GARBLED = 3  # exchanges in a row
 QUIET_S = 1.0  # at most one notice of each kind in this time
-NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))  # of what is read; more is told
+NOISE = (
+    ("q-axis current [A]", 0.5),
+    ("velocity [rad/s]", 0.2),
+    ("angle [rad]", 0.02),
+)  # of the readings; a larger deviation is reported
 NAN = math.nan
 
 
@@ -95,9 +99,9 @@ class ElmoSerial(EngagingDrive):
         self._record = _Record()
         self._status = StatusRegister(0)
         self._forgiven = False  # whether the fault latched at `open` is ignored until the drive is switched on
-        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._safe = False  # it has confirmed to be off, and got no demand since
         self._supervised = False  # since the last exchange, so that the next one may be a sign of life
-        self._proved = False  # that its program switches it off where the host's counter stands still
+        self._proved = False  # whether its program was seen to switch it off while the host's counter stood still
         self._heard = self._voltage_due = -math.inf
         self._garbled = 0
         self._late = False  # the exchange under way was sent in an earlier cycle
@@ -262,7 +266,7 @@ class ElmoSerial(EngagingDrive):
 
         Raises
         ------
-        DeviceError : it does not; with the highest possible rate.
+        DeviceError : it does not fit; the message has the highest possible rate.
         """
         if self._exchange_s > CYCLE_SHARE * period:
             most = math.floor(CYCLE_SHARE / self._exchange_s)

@@ -34,7 +34,7 @@ SIGNALS = {
     16: "DV[2] (counts/s)",
 }
 HEAD = 20  # digits: type 2, width 2, length 4, gap 4, factor 8
-WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and what it is
+WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and its type
 CELLS = 16  # bits of RC
 SHORTEST_US, LONGEST_US = 10, 10_000  # of WS[29], beyond which it is no time in microseconds
 UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud

@@ -42,7 +42,7 @@ COMMANDS = {  # what each register holds after the mode was written
     Register.COMMAND_ILIMIT_SCALE: 1.0,
 }
 ON_THE_WAY = (2, 3, 4)  # from stopped to the mode that was commanded
-FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that a controller can be told
+FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that can be commanded
 
 
 class MoteusEmulator:

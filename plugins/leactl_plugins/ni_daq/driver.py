@@ -50,7 +50,7 @@ class NiDaq(Driver):
         self._count = self._remaining = 0  # samples since the start, and still to come of a finite acquisition
         self._last = -math.inf  # stamp of the last row
         self._restarts, self._slip = 0, 0.0
-        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has told yet
+        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has reported yet
         self._notices: list[str] = []
         self._identity = Identity()
 

@@ -42,7 +42,7 @@ from leactl_plugins.odrive_can.parameters import Parameters
 from leactl_plugins.odrive_can.probe import OdriveProbe
 from leactl_plugins.odrive_can.settings import OdriveSettings
 
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {
     Mode.CURRENT: (CURRENT, ControlMode.TORQUE, InputMode.PASSTHROUGH),
     Mode.TORQUE_PROFILE: (CURRENT, ControlMode.TORQUE, InputMode.TORQUE_RAMP),
@@ -108,7 +108,7 @@ class OdriveCan(EngagingDrive):
         while self._clock.now() < until:
             try:
                 self._connect()
-                self._port.take_waiting()  # what was sent before it was told
+                self._port.take_waiting()  # drop frames sent before the command
                 self._set_state(AxisState.IDLE)
                 soon = min(until, self._clock.now() + 0.25)
                 heard = self._has_taken_all(soon) and self._hears(soon)  # no heartbeat that was on its way
@@ -140,7 +140,7 @@ class OdriveCan(EngagingDrive):
         Raises
         ------
         DeviceError : the drive is absent, shares its node, has another firmware than the table, or refuses a setting;
-            `DeviceFault` where it has an error.
+            `DeviceFault` if it has an error.
         """
         self._connect()
         self._answers, self._safe, self._as_met = Answers(2), False, {}
@@ -217,7 +217,7 @@ class OdriveCan(EngagingDrive):
 
         Raises
         ------
-        InputError : not finite, or above what the drive lets through: it would cut it without a word.
+        InputError : not finite, or above the drive's limit, at which it would clip the demand without a message.
         """
         if self._reference == CURRENT:
             most, units, where = self._most_current, "A", endpoints.CURRENT_SOFT_MAX
@@ -232,7 +232,7 @@ class OdriveCan(EngagingDrive):
     def begin_cycle(self) -> None:
         """Send this cycle's demand, and query the readings.
 
-        The drive's watchdog is fed by demands alone: none is sent that no supervised cycle came before.
+        Demands alone feed the drive's watchdog: one is sent only after a supervised cycle.
         """
         answers = self._answers
         if answers.watched:
@@ -329,7 +329,7 @@ class OdriveCan(EngagingDrive):
     def _go_towards_operation(self, now: float) -> None:
         """Take the next step towards operation: idle, demanded mode, armed watchdog, closed loop.
 
-        An angle holds where the shaft is until then.
+        In angle mode, the present angle is held until then.
         """
         if self._reference == ANGLE:
             self._value = self._turns * self._turn

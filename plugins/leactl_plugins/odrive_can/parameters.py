@@ -18,7 +18,7 @@ class Parameters:
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
         self._awaited, self._came = "", [False]
-        self.shown: dict[str, float] = {}  # the newest value that was told of each
+        self.shown: dict[str, float] = {}  # newest reported value of each
 
     def ask(self, path: str) -> None:
         """Query a parameter without waiting; its value arrives in `shown`."""
@@ -50,7 +50,7 @@ class Parameters:
 
         Raises
         ------
-        DeviceError : it does not; `NoAnswer` where it does not answer.
+        DeviceError : another value reads back; `NoAnswer` if the drive does not answer.
         """
         for _ in range(TRIES):
             self.tell(path, value)

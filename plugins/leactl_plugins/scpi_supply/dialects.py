@@ -71,7 +71,7 @@ class ScpiDialect(NamedTuple):
     set_range: str = ""  # empty: the family has no ranges that can be set
     decimals: int = 4  # of a level
     least_current: float = 0.0  # A, that it can be set to
-    clear: bytes = b""  # gives up what the instrument is about, where it knows such a byte
+    clear: bytes = b""  # makes the instrument abandon its present command, if it has such a byte
     trip_accuracy: TripAccuracy = PROTECTION
 
     @property

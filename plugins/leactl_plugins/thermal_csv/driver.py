@@ -102,7 +102,7 @@ class ThermalCsv(Driver):
         times = self.settings.time
         resolution = max(sheet.clock.resolution for sheet in files)
         rows = order_rows(time, values, where, times.backward, resolution, times.frame_rate_Hz)
-        empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
+        empty = [spec.name for spec, column in zip(self.channels, rows.values.T, strict=True) if np.isnan(column).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         remarks = list(dict.fromkeys(text for sheet in files for text in sheet.remarks))

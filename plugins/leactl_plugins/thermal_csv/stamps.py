@@ -35,7 +35,7 @@ class RowTimes(NamedTuple):
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
-    day: date | None  # of that midnight, where it is known
+    day: date | None  # of that midnight, if it is known
     resolution: float  # s
     description: str
 
@@ -43,7 +43,7 @@ class RowTimes(NamedTuple):
 class StampParts(NamedTuple):
     """Parts of a stamp, without its fraction of a second."""
 
-    day: tuple[int, int, int] | None  # as it stands
+    day: tuple[int, int, int] | None  # in the order of the stamp
     fields: tuple[int, ...]  # of the time, between colons
     half: str  # "", "am" or "pm"
     zone: str
