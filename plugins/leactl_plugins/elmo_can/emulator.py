@@ -421,9 +421,7 @@ class ElmoEmulator:
         values = self._values
         mode = _FOLLOW.get(self._shown_mode)
         offset = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
-        added = (
-            values.get((offset, 0), 0) if offset else 0
-        )  # an offset acts whoever has set it (CiA 402, 6.3.2 and 6.4)
+        added = values.get((offset, 0), 0) if offset else 0  # whoever has set it (CiA 402, 6.3.2 and 6.4)
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":

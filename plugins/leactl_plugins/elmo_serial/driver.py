@@ -37,22 +37,19 @@ from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
-DEMANDS = ("TC", "JV", "PA")  # what sets it
+DEMANDS = ("TC", "JV", "PA")  # commands that set the references
 MOTOR_OFF = SPOILS + b"MO=0;"
-CYCLE_SHARE = 0.55  # of a cycle's time that an exchange may take: the loop waits for 0.6
-ENABLE_TIME_S = 3.0  # the lapse of the dead-man that is tried first included
-SAFE_TRY_S = 0.2  # that one try of the safe state may take, echo and lost bytes included
-AFRESH_S = 0.01  # between a connection that has failed and what is sent over the next
-MUST_BE_ON = 58  # what a demand is refused by while the motor is off
-LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds bytes back for up to 16 ms
+CYCLE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
+ENABLE_TIME_S = 3.0  # including the test of the dead-man before
+SAFE_TRY_S = 0.2  # longest try of the safe state, with echo and lost bytes
+AFRESH_S = 0.01  # between a failed connection and the first bytes over the next
+MUST_BE_ON = 58  # error number of a demand while the motor is off
+LEAST_PATIENCE_S = 0.02  # for an answer in the loop; an adapter on USB delays bytes by up to 16 ms
 LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
 MOST_GARBLED = 3  # exchanges in a row
 QUIET_S = 1.0  # at most one notice of each kind in this time
-NOISE = (
-    ("q-axis current [A]", 0.5),
-    ("velocity [rad/s]", 0.2),
-    ("angle [rad]", 0.02),
-)  # of the readings; a larger deviation is reported
+# of the readings; a larger deviation is reported
+NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))
 NAN = math.nan
 
 

@@ -50,12 +50,12 @@ FOLLOWED = {
     Mode.ANGLE: (ANGLE, ControlMode.POSITION, InputMode.PASSTHROUGH),
 }
 READ_BACK = (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG, endpoints.WATCHDOG_TIMEOUT)
-ENCODER, IQ = range(2)  # the readings that are asked for every cycle
+ENCODER, IQ = range(2)  # the readings that are queried every cycle
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
-FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
+FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
 ENABLE_TIME_S, RETRY_S = 2.0, 0.1
-SECOND_ANSWER_S = 0.01  # within which another drive of the same node has answered too
+SECOND_ANSWER_S = 0.01  # within which a second drive of the same node answers too
 QUIET_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
@@ -81,23 +81,23 @@ class OdriveCan(EngagingDrive):
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._identity = Identity()
         self._version: tuple[int, ...] = ()
-        self._versions: list[tuple[int, ...]] = []  # that came since the drive was asked first
-        self._beat, self._version_came = [False], [False]  # since it was last waited for
+        self._versions: list[tuple[int, ...]] = []  # received since the first query
+        self._beat, self._version_came = [False], [False]  # whether each arrived since the last wait
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
-        self._as_met: dict[str, float] = {}  # parameters that are given back at the end
-        self._safe = False  # it has confirmed so, and nothing was asked of it since
-        self._turns = NAN  # where the shaft is
+        self._values_before: dict[str, float] = {}  # parameters that are restored at `close`
+        self._safe = False  # it has confirmed to be idle, and got no demand since
+        self._turns = NAN  # turns, reported position of the shaft
         self._bus_voltage_due = -math.inf
         self._rows: list[Row] = []
         self._answers = Answers(2)
         self._reported, self._quiet_until = Irregular(), -math.inf
-        self._supervised = False  # since the last input, so that the next one may be sent
+        self._supervised = False  # whether `feed` was called since the last input, so that the next may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
         self._control_mode = self._input_mode = 0
         self._enable_by, self._ask_at = math.inf, -math.inf
         self._asked_closed_loop = False
-        self._followed = [NAN, NAN, NAN]  # current, velocity and angle in force since the readings were asked for last
+        self._followed = [NAN, NAN, NAN]  # current, velocity and angle references in force since the last query
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -143,7 +143,7 @@ class OdriveCan(EngagingDrive):
             `DeviceFault` if it has an error.
         """
         self._connect()
-        self._answers, self._safe, self._as_met = Answers(2), False, {}
+        self._answers, self._safe, self._values_before = Answers(2), False, {}
         self._set_state(AxisState.IDLE)
         self._identify()
         self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # a drive may send none until then
@@ -156,14 +156,14 @@ class OdriveCan(EngagingDrive):
         self._take_over(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
         self._take_over(endpoints.ENCODER_PERIOD, 0)
         self._take_over(endpoints.CURRENT_PERIOD, 0)
-        self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
+        self._values_before[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
 
     def close(self) -> None:
         """Stop listening and close the bus; the changed parameters of a safe drive are restored."""
         if self._connected:
             if self._safe:
                 with suppress(DeviceError):  # it is safe, which is what counts
-                    for path, value in reversed(self._as_met.items()):
+                    for path, value in reversed(self._values_before.items()):
                         self._parameters.write(path, value)
             self._connected = False
             for identifier in self._listeners():
@@ -446,7 +446,7 @@ class OdriveCan(EngagingDrive):
         """Set a parameter that is restored at `close`."""
         before = self._parameters.read(path)
         self._parameters.write(path, value)
-        self._as_met[path] = before
+        self._values_before[path] = before
 
     def _leave_errors(self) -> None:
         """Clear the error that the end of an earlier host left, and other errors if the settings say so."""
