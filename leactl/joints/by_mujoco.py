@@ -14,7 +14,7 @@ from leactl.errors import InputError
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
 from leactl.joints.run import PARTS, JointRun, JointSignals
 
-# dry friction as hard as MuJoCo's solver takes it: its default creeps where a bearing sticks
+# the hardest dry friction of MuJoCo's solver: its default creeps where a bearing sticks
 HARD_FRICTION = 'solreffriction="{stiff:.9g} 1" solimpfriction="0.999 0.9999 0.001"'
 JOINT = """\
 <mujoco><compiler boundmass="0" boundinertia="0"/>
@@ -28,7 +28,7 @@ GEARED = """<body><joint name="load" type="hinge" axis="0 0 1" armature="{inerti
  frictionloss="0" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/></body>"""
 PLAY = """<tendon><fixed limited="true" range="-{half:.9g} {half:.9g}" solreflimit="{stiff:.9g} 1"
  solimplimit="0.999 0.9999 0.001"><joint joint="rotor" coef="1"/><joint joint="load" coef="-1"/></fixed></tendon>"""
-BURST_SHARE = 0.6  # of a sine's height: above it, a burst rubs
+BURST_SHARE = 0.6  # of a sine: above it, a burst of friction acts
 MESH = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
 MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
 

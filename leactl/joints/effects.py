@@ -9,11 +9,11 @@ import numpy as np
 from leactl.joints.machine import Generator, JointMachine, declared
 
 STRENGTHS = ("faint", "plain", "strong")
-SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
-SLOWEST_LEVEL = 0.03  # of the highest speed, the slowest that the levels hold
-SWINGS = (0.01, 0.04)  # of the sampling rate, at which a load swings
-LOADS = (0.3, 0.8)  # of the inertia, that a load behind a gear has
-SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
+SIZE_SPREAD = 0.15  # largest relative departure of a size from that of its strength
+SLOWEST_LEVEL = 0.03  # slowest held level, as a share of the highest speed
+SWINGS = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
+LOADS = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
+SAMPLES_A_PERIOD = 4.0  # needed by a periodic effect at the slowest level
 
 
 @dataclass(frozen=True)

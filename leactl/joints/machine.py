@@ -11,10 +11,10 @@ import numpy as np
 from leactl import yamlfile
 
 Generator = np.random.Generator
-SECONDS = (12.0, 20.0)  # that a run takes
+SECONDS = (12.0, 20.0)  # duration of a run
 RATES = (250.0, 400.0, 500.0, 1000.0)  # Hz
 PROTOCOLS = ("multisine", "levels", "ramp", "steps")
-RESERVE = 1.6  # highest torque over the one that holds the highest speed
+RESERVE = 1.6  # highest torque over the torque at the highest constant speed
 # largest relative departures of a specimen from the nominal model
 SPREADS = {"torque_constant": 0.06, "rotor_inertia": 0.15, "viscous_damping": 0.3, "coulomb_friction": 0.3}
 
@@ -25,22 +25,22 @@ class JointMachine:
 
     kind: str
     rate: float  # Hz
-    seconds: float  # that a run takes
+    seconds: float  # duration of a run
     torque_constant: float  # N*m/A
     rotor_inertia: float  # kg*m^2
     viscous_damping: float  # N*m*s/rad
     coulomb_friction: float  # N*m
-    current: float  # A, the highest
-    speed: float  # rad/s, the highest
+    current: float  # A, highest
+    speed: float  # rad/s, highest
     pole_pairs: int
     loop: float  # Hz, bandwidth of the current loop
     filter: float  # Hz, bandwidth of the velocity's filter
-    count: float  # rad, of the encoder
+    count: float  # rad, resolution of the encoder
     current_noise: float  # A
     velocity_noise: float  # rad/s
     protocols: tuple[str, ...]
     channels: tuple[str, ...]
-    sampling: bool  # whether the log says what its stamps mean
+    sampling: bool  # whether the log states what its stamps mean
 
     @property
     def friction(self) -> float:
@@ -86,7 +86,7 @@ def draw_machine(draw: Generator, kind: str) -> JointMachine:
     channels = ["current", "angle"]
     channels += [name for name, share in (("current_reference", 0.85), ("velocity", 0.85)) if draw.random() < share]
     channels += ["velocity_reference"] if draw.random() < 0.5 else []
-    # levels stand still long enough for friction, the other two are drawn
+    # levels last long enough to show friction; the other two protocols are drawn
     other_protocols = draw.choice([name for name in PROTOCOLS if name != "levels"], 2, replace=False)
     return JointMachine(
         kind=kind,

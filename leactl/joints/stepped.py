@@ -10,7 +10,7 @@ from leactl.joints.run import PARTS, Array, JointRun, JointSignals
 Column = Callable[[Callable[[JointRun], float]], Array]  # one number of every lane
 Parameter = Callable[..., Array]  # effect, parameter and value without effect, for every lane
 TINY = 1e-9  # V, back-EMF below which no power folds a current back
-BURST = 0.6  # of a sine, above which a burst rubs
+BURST = 0.6  # of a sine: above it, a burst of friction acts
 
 
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:

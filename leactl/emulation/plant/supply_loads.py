@@ -21,7 +21,7 @@ class HeatedLeads:
 
 
 class DcLink:
-    """DC link of both drives; the supply takes no power back, and its voltage drops beyond its limits."""
+    """DC link of both drives; a supply takes no power back, and sags if the drives need more than it gives."""
 
     def __init__(self, rig: Rig | SteppedRig) -> None:
         self._rig = rig

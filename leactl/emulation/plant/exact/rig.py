@@ -45,10 +45,10 @@ MODES = ("off", "current", "velocity", "angle")
 SETUPS = ("free", "locked", "coupled", "heated")
 ROLES = ("test", "load")
 TOLERANCE = 1e-9  # of a margin, in its own unit
-LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
+LEAST_S = 1e-9  # rounding of the requested times; a shorter time changes nothing
 RESTART_LEVEL = 3  # 0.25 ms after every change
 MOST_IDLE = 8  # changes of regime at one moment
-UNPOWERED = 10.0  # V, below which a drive drives nothing
+UNPOWERED = 10.0  # V, below which the drives are off
 LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
 FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
 
@@ -261,7 +261,7 @@ class Rig:
             return
         self.bench = replace(self.bench, bus_voltage=voltage)
         self._plant = self._plant._replace(bench=self.bench)
-        self._propagators.clear()  # they hold the voltage ceiling
+        self._propagators.clear()  # their matrices depend on the voltage ceiling
         for k in (0, 1):
             self._classify(k)
 
@@ -447,7 +447,7 @@ class Rig:
             self._accept(propagator.ahead(point, share * duration)[:STATES], share * duration)
         else:
             self._idle += 1
-            if self._idle > MOST_IDLE:  # regimes that hand over to each other at one point: let one tick pass
+            if self._idle > MOST_IDLE:  # regimes that alternate at one point: let one tick pass
                 self._idle = 0
                 self._accept(ahead[:STATES], duration)
                 self._settle_signs()

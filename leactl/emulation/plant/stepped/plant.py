@@ -170,7 +170,7 @@ class SteppedPlant:
         self._drive = self._torque_constant * self._constants
         self._emf = self._back_emf * self._constants
         self._damped = 1.0 / (1.0 + self._mobility * damping)
-        self._brake = self._mobility * self._damped  # rad/s that one N*m of friction takes off in a sub-step
+        self._brake = self._mobility * self._damped  # rad/s per N*m of friction and sub-step
         for group, _ in self._friction_paths:  # their friction acts as a torque instead
             group.view(self._brake)[:] = 0.0
         np.multiply(self._level, self._brake, out=self._loss)
@@ -269,7 +269,7 @@ class SteppedPlant:
         level: Value = None
         span: slice | None = None
         for group in self._bound["coulomb"]:
-            if group.lanes != span:  # a second effect of one group goes on from the first one's level
+            if group.lanes != span:  # a second effect of one group changes the first one's level
                 span, level = group.lanes, group.view(self._level)
             level = group.effect.coulomb(level, group.now)
             group.view(self._level_now)[:] = level
