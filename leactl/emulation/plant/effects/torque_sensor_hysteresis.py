@@ -19,7 +19,7 @@ class PlantTorqueSensorHysteresis(PlantEffect):
     width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Subtract the torque that each slider holds after a reversal, up to the reach of the slider."""
+        """Subtract the mean torque that the sliders hold back, which is limited by the reach of each."""
         swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
         reach = REACHES[:, None] * swing
         share = self.width / REACHES.mean()
