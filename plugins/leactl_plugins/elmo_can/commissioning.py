@@ -29,7 +29,7 @@ CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the 
 
 
 def interpolation_time(period: float) -> tuple[int, int]:
-    """Units and exponent of 0x60C2 for a time [s]: milliseconds where they hold it, else the finest that reach it."""
+    """Units and exponent of 0x60C2 for a time [s]: milliseconds if they express it, else the finest that suffice."""
     milliseconds = round(1e3 * period)
     if 1 <= milliseconds <= MOST_UNITS and math.isclose(1e3 * period, milliseconds):
         return milliseconds, -3
@@ -256,7 +256,7 @@ class Commissioning:
         )
 
     def expect_setpoints_every(self, period: float, before: SetpointTime) -> None:
-        """Tell the drive the time between two setpoints [s], over which it interpolates, as far as it has the objects.
+        """Set the drive's values of the time between two setpoints [s], over which it interpolates, where it has them.
 
         A time that 0x60C2 cannot hold is rounded up, because an early setpoint does no harm.
 

@@ -37,7 +37,7 @@ class ElmoProbe(CanProbe):
         }
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """SYNC, network management, or an SDO request."""
+        """Describe a frame that only a host sends (SYNC, network management, SDO request); empty if there is none."""
         for identifier, data in frames:
             if identifier == SYNC_ID and len(data) <= 1:
                 return "CANopen's SYNC"
@@ -50,7 +50,7 @@ class ElmoProbe(CanProbe):
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """Those that CiA 301 gives a node."""
+        """CAN identifiers that CiA 301 assigns to a node."""
         return identifiers_of(address)
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:

@@ -33,7 +33,7 @@ class MoteusProbe(CanProbe):
     fd = True
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """A frame to a controller that requests an answer."""
+        """Describe a frame that only a host sends: one that requests an answer; empty if there is none."""
         for frame in frames:
             if isinstance(frame, FdFrame) and frame.identifier >> 16 == 0 and frame.identifier & ASKED_BY_A_HOST:
                 return f"a command to the moteus at node {frame.identifier & 0x7F}"
