@@ -113,7 +113,7 @@ def serve(
     with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():
-            typer.echo(f"{name}: {bridge.place}")
+            typer.echo(f"{name}: {bridge.address}")
         for name, served in chips.items():
             if served:
                 typer.echo(f"{name}: i2c-stub")

@@ -1,4 +1,4 @@
-"""The emulated bench's time: it passes only while somebody waits, and everything that lives on the bench keeps step."""
+"""The time of the emulated bench: it passes only while someone waits, and the whole bench keeps step with it."""
 
 import math
 import time
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 
 class EmulatedClock:
-    """A clock whose seconds are produced by the waiting itself; the same waits give the same run.
+    """A clock that advances only while someone waits on it; the same waits give the same run.
 
-    With `realtime` it produces them no faster than the wall clock.
+    With `realtime` it advances no faster than the wall clock.
     """
 
     def __init__(self, realtime: bool = False) -> None:
@@ -22,15 +22,15 @@ class EmulatedClock:
         self._followers.append(advance)
 
     def stop_at(self, due: Callable[[], float]) -> None:
-        """Let no time step go past the moment that this gives, in the future or infinity."""
+        """Stop each time step at the moment that `due` returns, if that is in the future; infinity means no stop."""
         self._stops.append(due)
 
     def now(self) -> float:
-        """Emulated seconds since the bench was made."""
+        """Emulated time since the bench was made [s]."""
         return self._time
 
     def sleep_until(self, moment: float) -> None:
-        """Let time pass up to the moment."""
+        """Advance the time to the moment [s]."""
         while moment > self._time:
             until = moment
             for due in self._stops:
@@ -45,18 +45,18 @@ class EmulatedClock:
 
 
 class HostClock:
-    """Emulated time as the host's clock shows it: a jump moves what it shows, and nothing on the bench."""
+    """Emulated time as the host's clock shows it: a jump changes the host's time, but not the bench's."""
 
     def __init__(self, time: EmulatedClock) -> None:
         self._time = time
         self.ahead = 0.0  # of the bench's time [s]
 
     def now(self) -> float:
-        """Seconds; a jump may take them back."""
+        """Time of the host's clock [s]; a jump may set it back."""
         return self._time.now() + self.ahead
 
     def sleep_until(self, moment: float) -> None:
-        """Let time pass for as long as the clock shows now that it should."""
+        """Advance the bench's time until the host's clock, as it runs now, shows the moment [s]."""
         until = moment - self.ahead
         while until + self.ahead < moment:  # rounded down: a host that waits for the moment would wait for ever
             until = math.nextafter(until, math.inf)

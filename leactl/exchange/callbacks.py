@@ -1,4 +1,4 @@
-"""The Python file of callbacks for one joint: the source that ships here, with the joint's figures in it."""
+"""Write the Python file of callbacks for one joint: the source that ships here, with the joint's figures inserted."""
 
 from importlib import resources
 from pathlib import Path
@@ -55,7 +55,7 @@ def parameters(model: Model, patched: Patch) -> dict[str, Any]:
 
 
 def _drive(model: Model, patched: Patch, acting: list[str]) -> dict[str, Any] | None:
-    """Return the figures of the actuator's law; None where the callbacks leave it to MuJoCo."""
+    """Return the figures of the actuator's law; None if MuJoCo keeps simulating the actuator."""
     actuator, loop = patched.joint.actuator, model.bench.current_loop_bandwidth or 0.0
     if actuator is None or patched.law is None:
         return None

@@ -51,9 +51,9 @@ class Joint:
     friction: float  # N*m, frictionloss
     stiffness: float  # N*m/rad
     spring_rest: float  # rad
-    level_torque: float  # N*m, that holds what it moves out level; of a slide, the weight along it [N]
+    level_torque: float  # N*m, holds the moved bodies level; of a slide, the weight along it [N]
     hanging_angle: float  # rad, at which that hangs straight down
-    mass: float  # kg, of what it moves
+    mass: float  # kg, of the moved bodies
     lever: float  # m, from its axis to the centre of that mass
     torque_limit: float | None  # N*m, of all actuators together (actuatorfrcrange)
     range: tuple[float, float] | None  # rad
@@ -144,7 +144,7 @@ def read_joint(path: Path, name: str) -> Joint:
 
 
 def joint_of(compiled: Compiled, name: str) -> Joint:
-    """Return one joint of a compiled file; raises as `read_joint` does."""
+    """Return one joint of a compiled file; raises the same errors as `read_joint`."""
     mujoco, model, text = import_mujoco(), compiled.model, compiled.text
     names = {model.joint(index).name: index for index in range(model.njnt)}
     if not name or name not in names:
@@ -163,14 +163,14 @@ def joint_of(compiled: Compiled, name: str) -> Joint:
     return compiled_joint.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-def _suggestion(name: str, known: list[str]) -> str:
+def _suggestion(name: str, known_names: list[str]) -> str:
     """Return the known joint name that is closest to an unknown one, or a list of the known names."""
-    if not known:
+    if not known_names:
         return "the file names none"
-    if close := get_close_matches(name, known, n=1):
+    if close := get_close_matches(name, known_names, n=1):
         return f"did you mean '{close[0]}'?"
-    shown = ", ".join(known[:MOST_NAMES])
-    return f"known: {shown}{f' and {len(known) - MOST_NAMES} more' if len(known) > MOST_NAMES else ''}"
+    shown = ", ".join(known_names[:MOST_NAMES])
+    return f"known: {shown}{f' and {len(known_names) - MOST_NAMES} more' if len(known_names) > MOST_NAMES else ''}"
 
 
 class _CompiledJoint:
@@ -190,7 +190,7 @@ class _CompiledJoint:
         return body == self.body
 
     def refuse_loops(self, text: XmlText) -> None:
-        """Refuse equality constraints on the joint, or between a body that it moves and one that it does not."""
+        """Raise InputError for equality constraints on the joint, or between a body that it moves and a fixed one."""
         model, kinds, bodies_alone = self.model, self.mujoco.mjtEq, [self.mujoco.mjtObj.mjOBJ_BODY] * self.model.neq
         between = getattr(model, "eq_objtype", bodies_alone)  # sites too since 3.2
         for equality in range(model.neq):
@@ -214,7 +214,7 @@ class _CompiledJoint:
         return text.elements[element.parent].attributes.get("name") if element.parent is not None else None
 
     def refuse_tendons(self) -> None:
-        """Refuse active tendons whose length depends on the joint's position."""
+        """Raise InputError for active tendons whose length depends on the joint's position."""
         model, before = self.model, np.array(self.state.ten_length)
         for shift in (1e-3, 0.3):  # a length may have its extreme at the first position
             state = self._at(float(self.state.qpos[self.position]) + shift)
@@ -252,13 +252,13 @@ class _CompiledJoint:
         stiffness = float(np.ravel(model.jnt_stiffness[self.index])[0])
         actuator = self._actuator()
         self._tell_polynomials()
-        below = [
-            model.joint(other).name or f"number {other}"
-            for other in range(model.njnt)
-            if other != self.index and self.moves(int(model.jnt_bodyid[other])) and other > self.index
+        lower_joints = [
+            model.joint(other_joint).name or f"number {other_joint}"
+            for other_joint in range(model.njnt)
+            if other_joint != self.index and self.moves(int(model.jnt_bodyid[other_joint])) and other_joint > self.index
         ]
-        if below:
-            self.notes.append(f"inertia and weight are those with {', '.join(below)} where the file has them")
+        if lower_joints:
+            self.notes.append(f"inertia and weight are those with {', '.join(lower_joints)} where the file has them")
         if model.opt.density or model.opt.viscosity:
             self.notes.append("the medium's drag (density, viscosity) is not taken along")
         limited = bool(model.jnt_actfrclimited[self.index])
@@ -290,21 +290,21 @@ class _CompiledJoint:
         return float(torques[self.dof])
 
     def _damping(self) -> float:
-        """Return the damping at standstill [N*m*s/rad], with what actuators add to the joint's attribute.
+        """Return the damping at standstill [N*m*s/rad], including what actuators add to the joint's attribute.
 
-        The medium's drag is left out: it belongs to the bodies, and no coefficient stands for it.
+        The medium's drag is left out: it depends on the bodies, and is no coefficient of the joint.
         """
         medium, start = self.model.opt, float(self.state.qpos[self.position])
-        kept = medium.density, medium.viscosity
+        medium_before = medium.density, medium.viscosity
         medium.density = medium.viscosity = 0.0
         still, turning = (float(self._at(start, speed).qfrc_passive[self.dof]) for speed in (0.0, DAMPING_SPEED))
-        medium.density, medium.viscosity = kept
+        medium.density, medium.viscosity = medium_before
         damping = (still - turning) / DAMPING_SPEED
         attribute = float(self.model.dof_damping[self.dof])
         return attribute if abs(damping - attribute) <= 1e-6 * max(attribute, 1e-6) else damping
 
     def _weight(self, slides: bool) -> tuple[float, float]:
-        """Return the torque [N*m] that holds the moved bodies out level, and the angle [rad] at which they hang."""
+        """Return the torque [N*m] of the moved bodies held level, and the angle [rad] at which they hang."""
         start = float(self.state.qpos[self.position])
         sine = self._bias(start)
         if slides:
@@ -316,7 +316,7 @@ class _CompiledJoint:
         return level, math.remainder(start - math.atan2(sine, cosine), 2.0 * math.pi)
 
     def _bias(self, position: float) -> float:
-        """Return the torque [N*m] against gravity at a position [rad], less what gravity compensation takes."""
+        """Return the torque [N*m] against gravity at a position [rad], less gravity compensation."""
         state = self._at(position)
         return float(state.qfrc_bias[self.dof] - state.qfrc_gravcomp[self.dof])
 
@@ -333,7 +333,7 @@ class _CompiledJoint:
         return self._figures(acting[0]) if acting else None
 
     def _acting(self) -> Iterator[int]:
-        """Yield the indices of the actuators on the joint; refuse one that acts on it from elsewhere."""
+        """Yield the indices of the actuators on the joint; raise if one acts on it indirectly."""
         model, kinds = self.model, self.mujoco.mjtTrn
         on_joints = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
         state = self._at(float(self.state.qpos[self.position]), 1.0)
@@ -377,7 +377,7 @@ class _CompiledJoint:
         )
 
     def _kind(self, index: int, gain: Array, bias: Array) -> str:
-        """Return the kind of actuator that a fixed gain and an affine bias make."""
+        """Return the kind of actuator that a fixed gain and an affine bias result in."""
         model, mujoco = self.model, self.mujoco
         if int(model.actuator_gaintype[index]) != mujoco.mjtGain.mjGAIN_FIXED:
             return "other"
@@ -391,7 +391,7 @@ class _CompiledJoint:
         return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
 
     def _tell_polynomials(self) -> None:
-        """Add notes on nonlinear damping and springs, which MuJoCo has from version 3.6 on."""
+        """Add notes on nonlinear damping and springs, which MuJoCo has since version 3.6."""
         for owner, index, name in (
             ("dof_dampingpoly", self.dof, "damping"),
             ("jnt_stiffnesspoly", self.index, "stiffness"),
@@ -401,7 +401,7 @@ class _CompiledJoint:
                 self.notes.append(f"of the joint's {name} the linear part alone is taken along")
 
     def _smaller(self, limits: Array, attribute: str) -> float:
-        """Return the smaller magnitude of two limits; add a note where they are not symmetric."""
+        """Return the smaller magnitude of two limits; add a note if they are not symmetric."""
         low, high = _pair(limits)
         if abs(low + high) > SAME_WITHIN * max(abs(low), abs(high)):
             self.notes.append(

@@ -1,4 +1,4 @@
-"""Where each effect of a model goes in MuJoCo: into the MJCF file, into callbacks, or nowhere, and why."""
+"""Destination of each effect of a model in MuJoCo: the MJCF file, the callbacks, or none, with the reason."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ UNKNOWN_EQUATION = "its equation is not among those of the callbacks"
 
 @dataclass(frozen=True)
 class Destination:
-    """An effect of a model, and the file that holds it."""
+    """An effect of a model, and where it is exported to."""
 
     entry: EffectEntry
     goes_to: str  # mjcf, callbacks or nowhere
@@ -78,7 +78,7 @@ def destinations(model: Model, law: str | None) -> Iterator[Destination]:
 
 
 def _why_not(effect: str, model: Model, law: str | None) -> str:
-    """Return why the callbacks cannot hold an effect; empty where they can."""
+    """Return the reason why callbacks cannot hold an effect; empty if they can."""
     where = ACTS_ON.get(effect)
     if where is None:
         return REASON_OF_EFFECT.get(effect) or REASON_OF_FAMILY.get(effect_definition(effect).family, UNKNOWN_EQUATION)

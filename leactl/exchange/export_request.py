@@ -1,4 +1,4 @@
-"""An augmented model written for another simulator: all files at once or none."""
+"""Export an augmented model for another simulator: all files at once or none."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,13 +31,13 @@ class ExportRequest:
     ctrl_is_current: bool = False
 
     def check(self) -> None:
-        """Refuse what does not go together, and files that exist.
+        """Raise if options exclude each other, one is missing, or a file exists.
 
         Raises
         ------
-        InputError : a line for each fault.
+        InputError : one line for each fault.
         """
-        given = {
+        options = {
             "--into": self.into,
             "--out": self.out,
             "--callbacks": self.callbacks,
@@ -46,10 +46,10 @@ class ExportRequest:
         }
         needed = {"mjcf": ["--into", "--out"], "urdf": ["--into", "--out"], "json": []}[self.to]
         allowed = {"mjcf": ["--callbacks", "--ctrl current"], "urdf": [], "json": ["--out", "--timestep"]}[self.to]
-        faults = [f"--to {self.to} needs {name}" for name in needed if given[name] is None]
+        faults = [f"--to {self.to} needs {name}" for name in needed if options[name] is None]
         faults += [
             f"{name} does not go with --to {self.to}"
-            for name, value in given.items()
+            for name, value in options.items()
             if value is not None and name not in (*needed, *allowed)
         ]
         refuse_unusable_outputs((self.out, self.callbacks), self.callbacks, faults)
@@ -58,7 +58,7 @@ class ExportRequest:
 def refuse_unusable_outputs(
     files: Iterable[Path | None], code_file: Path | None, other_faults: Sequence[str] = ()
 ) -> None:
-    """Refuse names that new files cannot take; nothing is ever overwritten.
+    """Raise if new files cannot have these names; no file is ever overwritten.
 
     Parameters
     ----------
@@ -83,15 +83,15 @@ def refuse_unusable_outputs(
 
 @dataclass(frozen=True)
 class Exported:
-    """The files of an export, and what a reader should know of them."""
+    """Files of an export, or its text, and a summary for the user."""
 
     written: tuple[Path, ...]
     patched: Patch | None
-    text: str | None  # of a table that goes nowhere else
-    lines: tuple[str, ...]  # what a reader should know
+    text: str | None  # of a table that is not written to a file
+    lines: tuple[str, ...]  # summary of changes, effects and notes
 
     def as_json(self) -> dict[str, Any]:
-        """Return files, changes, effects and notes as JSON takes them."""
+        """Return files, changes, effects and notes as JSON values."""
         changes = {"changes": [], "effects": [], "notes": []} if self.patched is None else self.patched.as_json()
         return {"written": [str(path) for path in self.written]} | changes
 
@@ -122,7 +122,7 @@ def export(request: ExportRequest) -> Exported:
     return Exported(written, patched, None, tuple(_summary_lines(patched, request.callbacks)))
 
 
-def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
+def write_all(patched: Patch, out: Path, companion_texts: Mapping[Path, str]) -> None:
     """Write a patched file and the texts of other files: all of them or none.
 
     Raises
@@ -130,7 +130,7 @@ def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
     InputError : MuJoCo reads other figures from the patched file than were written, or a file exists.
     """
     with ExitStack() as files:
-        for path, text in beside.items():
+        for path, text in companion_texts.items():
             files.enter_context(new_file(path)).write_text(text, encoding="utf-8")
         write_patch(patched, out)
 

@@ -1,4 +1,4 @@
-"""From a MuJoCo model and runs to a patched model that moves as the runs do, judged on held-out runs in MuJoCo."""
+"""Close the loop from a MuJoCo model and runs to a patched model, and compare both in MuJoCo with held-out runs."""
 
 import importlib.util
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class PlayedRun:
-    """The RMS error [rad] of the angle of one held-out run that MuJoCo played."""
+    """RMS error of the angle [rad] of one held-out run that was simulated in MuJoCo, for each version of the model."""
 
     run: str
     before: float  # by the file as it was
@@ -36,7 +36,7 @@ class PlayedRun:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """The diagnosis of a joint, the patched file, and how far it closes the gap in MuJoCo."""
+    """Diagnosis of a joint, the patched file, and the share of the gap that the patch closes in MuJoCo."""
 
     joint: str
     answer: DiagnosisResult
@@ -56,7 +56,7 @@ class ClosedLoop:
         return (*self.answer.notes, *self.patched.notes)
 
     @property
-    def whole(self) -> PlayedRun:
+    def total(self) -> PlayedRun:
         """Return the RMS over all runs, each with the same weight."""
         table = np.array([(run.before, run.file, run.after) for run in self.runs])
         return PlayedRun("all", *np.sqrt(np.mean(table**2, axis=0)).tolist())
@@ -64,8 +64,8 @@ class ClosedLoop:
     @property
     def closed(self) -> float:
         """Return the share of the gap that the patched file with its callbacks closes."""
-        whole = self.whole
-        return 1.0 - whole.after / whole.before if whole.before > 0.0 else 0.0
+        total = self.total
+        return 1.0 - total.after / total.before if total.before > 0.0 else 0.0
 
     def as_json(self) -> dict[str, Any]:
         """Return the closed loop as a JSON document."""
@@ -76,7 +76,7 @@ class ClosedLoop:
             "verdict": self.answer.verdict,
             "named": list(self.named),
             "runs": [_figures(run) for run in self.runs],
-            "all": _figures(self.whole),
+            "all": _figures(self.total),
             "closed": self.closed,
             "written": [str(path) for path in self.written],
             "effects": self.patched.as_json()["effects"],
@@ -103,7 +103,7 @@ class LoopFiles:
 def close_loop(
     files: LoopFiles, joint: str, supply: float | None = None, progress: Progress = lambda _: None
 ) -> ClosedLoop:
-    """Read a joint, diagnose runs with it, patch the robot, and play the held-out runs before and after in MuJoCo.
+    """Read a joint, diagnose runs with it, patch the robot, and simulate the held-out runs before and after in MuJoCo.
 
     Parameters
     ----------
@@ -135,15 +135,15 @@ def close_loop(
     model = answer.extra["augmented"]
     patched = patch(model, files.robot, joint, "mjcf")
     source = Path("the augmented model") if files.augmented is None else files.augmented
-    beside = {files.callbacks: callbacks(model, patched, source, files.robot, files.out)}
+    companion_texts = {files.callbacks: callbacks(model, patched, source, files.robot, files.out)}
     if files.augmented is not None:
-        beside[files.augmented] = yaml.safe_dump(as_mapping(model), sort_keys=False)
-    write_all(patched, files.out, beside)
+        companion_texts[files.augmented] = yaml.safe_dump(as_mapping(model), sort_keys=False)
+    write_all(patched, files.out, companion_texts)
     progress("playing them again")
-    alone = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
+    patched_only = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
     after = rms_of_error(case.held_out, play(files.out, joint, case.held_out, _install_of(files.callbacks)))
     names = [record.path.name for record in case.held_out]
-    runs = tuple(PlayedRun(*row) for row in zip(names, before, alone, after, strict=True))
+    runs = tuple(PlayedRun(*row) for row in zip(names, before, patched_only, after, strict=True))
     written = tuple(path for path in (files.out, files.callbacks, files.augmented) if path is not None)
     return ClosedLoop(joint, answer, patched, runs, written)
 

@@ -1,4 +1,4 @@
-"""Callbacks for MuJoCo: what acts on a joint beside what MJCF can hold.
+"""Callbacks for MuJoCo: effects on a joint that MJCF cannot express.
 
 `leactl model export --callbacks` writes a copy of this file with the figures of a joint. It needs `mujoco` alone.
 """
@@ -35,7 +35,7 @@ class JointEffects:
         self._effects: dict[str, list[Mapping[str, float]]] = {}
         for entry in parameters["effects"]:
             self._effects.setdefault(entry["effect"], []).append(entry["parameters"])
-        limits = ("torque_limit", "command_slew_limit")  # one after the other as the model has them
+        limits = ("torque_limit", "command_slew_limit")  # in the order of the model
         self._commands = [
             (entry["effect"], entry["parameters"]) for entry in parameters["effects"] if entry["effect"] in limits
         ]
@@ -49,30 +49,32 @@ class JointEffects:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past, as at a start; a clock that goes back does the same."""
+        """Clear the state of the effects, as at a start; a clock that goes back does the same."""
         self._time = self._first = math.nan
-        self._start: dict[str, float] = {}  # memory at the start of the present step
+        self._start: dict[str, float] = {}  # state of the effects at the start of the present step
         self._now: dict[str, float] = {}  # the same at its end
-        self._asked: deque[tuple[float, float]] = deque()  # time and value of what a delay still has in it
+        self._setpoints: deque[tuple[float, float]] = deque()  # times and values of the set-point, for its delay
         self.force = self.drive_torque = 0.0
         self.friction = float(self.parameters["coulomb_friction"])
 
     def remove(self) -> None:
-        """Put callbacks, the actuator's law and the joint's friction back as they were before `install`.
+        """Restore callbacks, the actuator's law and the joint's friction to their state before `install`.
 
-        Of several, the one that was installed last goes first.
+        If several are installed, remove them in reverse order.
         """
         self._remove()
 
     def angle_reading(self, data: Any) -> float:
-        """Angle [rad] that the joint's encoder shows, with its errors."""
+        """Angle [rad] that the joint's encoder reads, with its errors."""
         angle = float(data.qpos[self._position])
-        errors = [at["amplitude"] * math.sin(angle + at["phase"]) for at in self._each("encoder_eccentricity")]
-        errors += [_wave(at, angle) for at in self._each("transmission_error")]
+        errors = [
+            effect["amplitude"] * math.sin(angle + effect["phase"]) for effect in self._each("encoder_eccentricity")
+        ]
+        errors += [_wave(effect, angle) for effect in self._each("transmission_error")]
         return angle + sum(errors)
 
     def step(self, data: Any) -> None:
-        """Work out the step that begins; MuJoCo calls it by `mjcb_passive`."""
+        """Compute the step that begins; MuJoCo calls it by `mjcb_passive`."""
         model, angle, speed = self.model, float(data.qpos[self._position]), float(data.qvel[self.dof])
         interval = float(model.opt.timestep)
         if math.isnan(self._time) or data.time < self._time:
@@ -82,19 +84,20 @@ class JointEffects:
             self._start = self._at_rest(data, speed)
         elif data.time > self._time:
             self._start = self._now
-        self._time, self._now = float(data.time), dict(self._start)  # an instant may come twice, with another ctrl
+        self._time, self._now = float(data.time), dict(self._start)  # a step may be computed twice, with another ctrl
         if self.drive is not None:
             law = self._servo if "voltage_limit" in self.drive else self._current
             self.drive_torque = law(self.drive, self._control(self.drive, data), angle, speed, interval)
-        more = math.prod(
-            1.0 + at["excess"] * math.exp(-data.time / at["time_constant"]) for at in self._each("friction_run_in")
+        run_in = math.prod(
+            1.0 + effect["excess"] * math.exp(-data.time / effect["time_constant"])
+            for effect in self._each("friction_run_in")
         )
-        self.friction = self._level(angle, speed, more)
-        torque = self.drive_torque * sum(_wave(at, angle) for at in self._each("torque_ripple"))
-        torque += self._beside(angle, speed) - (more - 1.0) * self.parameters["viscous_damping"] * speed
+        self.friction = self._level(angle, speed, run_in)
+        torque = self.drive_torque * sum(_wave(effect, angle) for effect in self._each("torque_ripple"))
+        torque += self._additional_torque(angle, speed) - (run_in - 1.0) * self.parameters["viscous_damping"] * speed
         bends = self._each("presliding")
         if bends:
-            torque -= self._bent(sum(at["displacement"] for at in bends), speed, interval)
+            torque -= self._bent(sum(effect["displacement"] for effect in bends), speed, interval)
         model.dof_frictionloss[self.dof] = 0.0 if bends else self.friction
         data.qfrc_passive[self.dof] += torque
 
@@ -102,18 +105,18 @@ class JointEffects:
         return self._effects.get(name, ())
 
     def _at_rest(self, data: Any, speed: float) -> dict[str, float]:
-        asked = 0.0 if self.drive is None else self._control(self.drive, data)
-        asks = {name: asked for name in ("point", "before", "command", "current")}
-        return asks | {
-            "pace": 0.0,
+        setpoint = 0.0 if self.drive is None else self._control(self.drive, data)
+        setpoints = {name: setpoint for name in ("point", "before", "command", "current")}
+        return setpoints | {
+            "speed": 0.0,
             "changed": data.time,
             "interval": math.inf,
-            "haste": 0.0,
+            "setpoint_speed": 0.0,
             "bristle": math.tanh(10.0 * speed),
         }
 
     def _control(self, drive: Mapping[str, Any], data: Any) -> float:
-        """What ctrl asks for: rad of a servo, A of a current."""
+        """Set-point that `ctrl` stands for: angle of a servo [rad], current [A] otherwise."""
         model, index = self.model, self.actuator
         address = int(model.actuator_ctrladr[index]) if hasattr(model, "actuator_ctrladr") else index
         value = float(data.ctrl[address])
@@ -123,129 +126,133 @@ class JointEffects:
         return value * float(drive["per_ctrl"])
 
     def _delayed(self, value: float) -> float:
-        """The value a delay earlier, linear in between, the first value before the start."""
-        delay = sum(at["delay"] for at in self._each("transport_delay"))
+        """Value a delay earlier, interpolated linearly; the first value before the start."""
+        delay = sum(effect["delay"] for effect in self._each("transport_delay"))
         if not delay:
             return value
-        if self._asked and self._asked[-1][0] == self._time:
-            self._asked.pop()
-        self._asked.append((self._time, value))
+        if self._setpoints and self._setpoints[-1][0] == self._time:
+            self._setpoints.pop()
+        self._setpoints.append((self._time, value))
         due = self._time - delay
-        while len(self._asked) > 1 and self._asked[1][0] <= due:
-            self._asked.popleft()
-        (begin, first), (end, last) = self._asked[0], self._asked[min(1, len(self._asked) - 1)]
+        while len(self._setpoints) > 1 and self._setpoints[1][0] <= due:
+            self._setpoints.popleft()
+        (begin, first), (end, last) = self._setpoints[0], self._setpoints[min(1, len(self._setpoints) - 1)]
         share = min(max((due - begin) / (end - begin), 0.0), 1.0) if end > begin else 0.0
         return first + share * (last - first)
 
-    def _servo(self, at: Mapping[str, Any], asked: float, angle: float, speed: float, interval: float) -> float:
-        """Torque [N*m] of a motor on the voltage that a position servo makes of an angle's error."""
-        asked = self._followed(self._delayed(asked), interval)
-        error = asked - angle
-        if any(abs(error) < of["band"] for of in self._each("servo_dead_band")):
+    def _servo(self, drive: Mapping[str, Any], setpoint: float, angle: float, speed: float, interval: float) -> float:
+        """Torque [N*m] of a motor whose voltage a position servo sets from the error of the angle."""
+        setpoint = self._limited_setpoint(self._delayed(setpoint), interval)
+        error = setpoint - angle
+        if any(abs(error) < effect["band"] for effect in self._each("servo_dead_band")):
             error = 0.0
-        volts = at["gain"] * error
-        if at["damping"]:
-            volts += at["damping"] * (self._haste(asked) - speed)
-        volts = min(max(volts, -at["voltage_limit"]), at["voltage_limit"])
-        emf, resistance, constant = at["back_emf_constant"] * speed, at["resistance"], at["torque_constant"]
-        for of in self._each("dead_time"):
-            volts -= of["voltage"] * math.tanh((volts - emf) / resistance / of["current"])
-        current = (volts - emf) / resistance
+        voltage = drive["gain"] * error
+        if drive["damping"]:
+            voltage += drive["damping"] * (self._setpoint_speed(setpoint) - speed)
+        voltage = min(max(voltage, -drive["voltage_limit"]), drive["voltage_limit"])
+        emf, resistance, constant = drive["back_emf_constant"] * speed, drive["resistance"], drive["torque_constant"]
+        for effect in self._each("dead_time"):
+            voltage -= effect["voltage"] * math.tanh((voltage - emf) / resistance / effect["current"])
+        current = (voltage - emf) / resistance
         share = self._share(current)
         # the back-EMF of an unsaturated motor brakes by the joint's damping in the MJCF file
-        self.force = constant * (volts / resistance + (share - 1.0) * current) / at["gear"]
+        self.force = constant * (voltage / resistance + (share - 1.0) * current) / drive["gear"]
         return float(constant * share * current)
 
-    def _followed(self, asked: float, interval: float) -> float:
-        """The set-point that a servo moves to what is asked for, no faster than its limits allow."""
+    def _limited_setpoint(self, setpoint: float, interval: float) -> float:
+        """Set-point of a servo after its limits of speed and acceleration."""
         now = self._now
-        for at in self._each("reference_rate_limit"):
-            speed, gain = at["speed"] or math.inf, at.get("acceleration", 0.0) * interval
-            wanted = way = (asked - now["point"]) / interval
+        for effect in self._each("reference_rate_limit"):
+            highest_speed, gain = effect["speed"] or math.inf, effect.get("acceleration", 0.0) * interval
+            speed = mean_speed = (setpoint - now["point"]) / interval
             if gain:  # the fastest from which equal steps of braking end at the value
-                wanted = math.copysign(gain * (math.sqrt(0.25 + 2.0 * abs(way) / gain) - 0.5), way)
-            wanted = math.copysign(min(abs(wanted), abs(way), speed), way)
-            now["pace"] = now["pace"] + min(max(wanted - now["pace"], -gain), gain) if gain else wanted
-            now["point"] += now["pace"] * interval
-            asked = now["point"]
-        return asked
+                speed = math.copysign(gain * (math.sqrt(0.25 + 2.0 * abs(mean_speed) / gain) - 0.5), mean_speed)
+            speed = math.copysign(min(abs(speed), abs(mean_speed), highest_speed), mean_speed)
+            now["speed"] = now["speed"] + min(max(speed - now["speed"], -gain), gain) if gain else speed
+            now["point"] += now["speed"] * interval
+            setpoint = now["point"]
+        return setpoint
 
-    def _haste(self, asked: float) -> float:
-        """Speed [rad/s] of what is asked for, over the shortest interval at which it has changed."""
+    def _setpoint_speed(self, setpoint: float) -> float:
+        """Speed [rad/s] of the set-point, over the shortest interval in which it has changed."""
         now = self._now
-        if asked != now["before"]:
+        if setpoint != now["before"]:
             gap = self._time - now["changed"] or float(self.model.opt.timestep)
             now["interval"] = min(now["interval"], gap)
-            now["haste"] = (asked - now["before"]) / now["interval"]
-            now["before"], now["changed"] = asked, self._time
+            now["setpoint_speed"] = (setpoint - now["before"]) / now["interval"]
+            now["before"], now["changed"] = setpoint, self._time
         elif self._time - now["changed"] >= now["interval"]:
-            now["haste"] = 0.0
-        return now["haste"]
+            now["setpoint_speed"] = 0.0
+        return now["setpoint_speed"]
 
-    def _current(self, at: Mapping[str, Any], wanted: float, angle: float, speed: float, interval: float) -> float:
-        """Torque [N*m] of a current that follows what is asked for."""
-        for name, of in self._commands:
+    def _current(self, drive: Mapping[str, Any], setpoint: float, angle: float, speed: float, interval: float) -> float:
+        """Torque [N*m] of a current that follows its set-point."""
+        for name, effect in self._commands:
             before, most = (
-                (0.0, of["current"]) if name == "torque_limit" else (self._now["command"], of["rate"] * interval)
+                (0.0, effect["current"])
+                if name == "torque_limit"
+                else (self._now["command"], effect["rate"] * interval)
             )
-            change = min(max(wanted - before, -most), most)
-            wanted = before + change
+            change = min(max(setpoint - before, -most), most)
+            setpoint = before + change
             if name == "command_slew_limit":
-                self._now["command"] = wanted
-                wanted -= 0.5 * change * abs(change) / most  # the mean of a step that ramps there and holds
-        for of in self._each("power_foldback"):
-            most = of["power"] / at["torque_constant"] / abs(speed) if speed else math.inf
-            wanted = min(max(wanted, -most), most)
-        flowing = wanted = self._delayed(wanted)
-        if at["loop_bandwidth"]:
-            lag = 1.0 / (2.0 * math.pi * at["loop_bandwidth"])
+                self._now["command"] = setpoint
+                setpoint -= 0.5 * change * abs(change) / most  # the mean of a step that ramps there and holds
+        for effect in self._each("power_foldback"):
+            most = effect["power"] / drive["torque_constant"] / abs(speed) if speed else math.inf
+            setpoint = min(max(setpoint, -most), most)
+        motor_current = setpoint = self._delayed(setpoint)
+        if drive["loop_bandwidth"]:
+            lag = 1.0 / (2.0 * math.pi * drive["loop_bandwidth"])
             if self._time == self._first:
-                self._now["current"] = wanted
-            ends = wanted + (self._now["current"] - wanted) * math.exp(-interval / lag)
-            flowing = wanted - lag * (ends - self._now["current"]) / interval  # the mean over the step
+                self._now["current"] = setpoint
+            ends = setpoint + (self._now["current"] - setpoint) * math.exp(-interval / lag)
+            motor_current = setpoint - lag * (ends - self._now["current"]) / interval  # the mean over the step
             self._now["current"] = ends
-        flowing -= sum(of["offset"] for of in self._each("current_sensor_offset"))
-        flowing /= math.prod(of["gain"] for of in self._each("current_sensor_gain"))
-        torque = at["torque_constant"] * self._share(flowing) * flowing
-        self.force = torque / at["gear"]
+        motor_current -= sum(effect["offset"] for effect in self._each("current_sensor_offset"))
+        motor_current /= math.prod(effect["gain"] for effect in self._each("current_sensor_gain"))
+        torque = drive["torque_constant"] * self._share(motor_current) * motor_current
+        self.force = torque / drive["gear"]
         return float(torque)
 
     def _share(self, current: float) -> float:
         """Factor on the torque constant at a current."""
-        lost = (
-            at["loss"] * (abs(current) / at.get("current", 25.0)) ** at.get("exponent", 2.0)
-            for at in self._each("saturation")
+        losses = (
+            effect["loss"] * (abs(current) / effect.get("current", 25.0)) ** effect.get("exponent", 2.0)
+            for effect in self._each("saturation")
         )
-        return float(math.prod(1.0 - part for part in lost))
+        return float(math.prod(1.0 - loss for loss in losses))
 
-    def _beside(self, angle: float, speed: float) -> float:
-        """Torque [N*m] that drives the joint beside its motor and its friction."""
-        total = sum(_wave(at, angle) for at in self._each("cogging"))
-        for at in self._each("unbalance"):
-            total += at["amplitude"] * math.sin(self.parameters["gear_ratio"] * angle + at["phase"])
-        for at in self._each("gravity_load"):
-            total -= at["amplitude"] * math.cos(angle + at["phase"])
-        for at in self._each("position_spring"):
-            away = angle - at["rest_angle"]
-            total -= at["stiffness"] * away / math.sqrt(1.0 + (away / at.get("reach", math.inf)) ** 2)
-        return total - sum(at["coefficient"] for at in self._each("quadratic_drag")) * speed * abs(speed)
-
-    def _level(self, angle: float, speed: float, more: float) -> float:
-        """Friction [N*m] at which the joint slides."""
-        level = self.parameters["coulomb_friction"] * more
-        level += sum(at["coefficient"] for at in self._each("load_dependent_friction")) * abs(self.drive_torque)
-        for at in self._each("stribeck"):
-            level *= 1.0 + at["breakaway_ratio"] * math.exp(
-                -((abs(speed) / at["stribeck_velocity"]) ** at.get("shape", 1.0))
+    def _additional_torque(self, angle: float, speed: float) -> float:
+        """Torque [N*m] on the joint in addition to its motor and its friction."""
+        total = sum(_wave(effect, angle) for effect in self._each("cogging"))
+        for effect in self._each("unbalance"):
+            total += effect["amplitude"] * math.sin(self.parameters["gear_ratio"] * angle + effect["phase"])
+        for effect in self._each("gravity_load"):
+            total -= effect["amplitude"] * math.cos(angle + effect["phase"])
+        for effect in self._each("position_spring"):
+            deflection = angle - effect["rest_angle"]
+            total -= (
+                effect["stiffness"] * deflection / math.sqrt(1.0 + (deflection / effect.get("reach", math.inf)) ** 2)
             )
-        for at in self._each("asymmetric_friction"):
-            level *= 1.0 + at["asymmetry"] * (math.copysign(1.0, speed) if speed else 0.0)
-        for at in self._each("position_dependent_friction"):
-            level *= 1.0 + at["amplitude"] * math.cos(at["order"] * angle + at["phase"])
+        return total - sum(effect["coefficient"] for effect in self._each("quadratic_drag")) * speed * abs(speed)
+
+    def _level(self, angle: float, speed: float, run_in: float) -> float:
+        """Friction [N*m] of the sliding joint."""
+        level = self.parameters["coulomb_friction"] * run_in
+        level += sum(effect["coefficient"] for effect in self._each("load_dependent_friction")) * abs(self.drive_torque)
+        for effect in self._each("stribeck"):
+            level *= 1.0 + effect["breakaway_ratio"] * math.exp(
+                -((abs(speed) / effect["stribeck_velocity"]) ** effect.get("shape", 1.0))
+            )
+        for effect in self._each("asymmetric_friction"):
+            level *= 1.0 + effect["asymmetry"] * (math.copysign(1.0, speed) if speed else 0.0)
+        for effect in self._each("position_dependent_friction"):
+            level *= 1.0 + effect["amplitude"] * math.cos(effect["order"] * angle + effect["phase"])
         return float(level)
 
     def _bent(self, reach: float, speed: float, interval: float) -> float:
-        """Torque [N*m] of friction that bends over an angle before it slides (Dahl, 1968)."""
+        """Torque [N*m] of friction that yields elastically before it slides (Dahl, 1968)."""
         level, inertia = self.friction, 1.0 / float(self.model.dof_invweight0[self.dof])
         reach = max(reach, 0.5 * interval**2 / inertia * level)  # stiffer than a step resolves would shake the joint
         turned = speed * interval / reach
@@ -255,9 +262,9 @@ class JointEffects:
 
 
 def install(model: Any, parameters: Mapping[str, Any] | None = None) -> JointEffects:
-    """Let the effects act whenever a model is stepped; callbacks that are set already go on.
+    """Let the effects act whenever a model is stepped; callbacks that were set before are still called.
 
-    The law of the joint's actuator becomes this file's; `ctrl` means what it did.
+    The law of the joint's actuator is replaced by this file's; the meaning of `ctrl` does not change.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Runs played in the user's MuJoCo model: each reference goes into `ctrl`, and the angle is read at each time stamp."""
+"""Simulate runs in the user's MuJoCo model: `ctrl` gets each reference, and the angle is read at each time stamp."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ ANGLE_REFERENCE, ANGLE = ("angle_reference", "test"), ("angle", "test")
 
 
 def playable(records: Sequence[Record]) -> None:
-    """Refuse runs that a position actuator cannot play.
+    """Raise if runs cannot be simulated with a position actuator.
 
     Raises
     ------
@@ -58,8 +58,8 @@ def play(
         raise InputError(f"{robot}: no position actuator drives joint '{name}'; runs of other drives are not played")
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     dof, position = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
-    others = np.arange(model.nv) != dof
-    model.dof_armature[others] = HELD_INERTIA_FACTOR * np.maximum(joint.inertia, 1.0)
+    other_dofs = np.arange(model.nv) != dof
+    model.dof_armature[other_dofs] = HELD_INERTIA_FACTOR * np.maximum(joint.inertia, 1.0)
     control = int(getattr(model, "actuator_ctrladr", range(actuator.index + 1))[actuator.index])
     played = []
     effects = None if install is None else install(model)

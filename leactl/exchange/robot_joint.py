@@ -1,4 +1,4 @@
-"""A joint of MJCF or URDF as a model file, with a list of what such a file does not say."""
+"""Read a joint of MJCF or URDF as a model file, with a list of the figures that such a file lacks."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ NOT_OF_A_SIMULATOR = {
 
 @dataclass(frozen=True)
 class ImportedJoint:
-    """A model file that was read from a joint, and what its source does not say."""
+    """A model file made from a joint, and the figures that its source lacks."""
 
     model: Model
     text: str  # of the file
@@ -34,7 +34,7 @@ class ImportedJoint:
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return model, joint, actuator, missing keys and notes as JSON takes them."""
+        """Return model, joint, actuator, missing keys and notes as JSON values."""
         joint, drive = self.joint, self.joint.actuator
         figures = {
             "name": joint.name,
@@ -139,7 +139,7 @@ class _ModelKeys:
             self.keys["units"] = ALONG_A_SLIDE
 
     def weight(self) -> None:
-        """Split the inertia into a point mass on a lever, which weighs, and the rest."""
+        """Split the inertia into a point mass on a lever, which gives the weight, and the remainder."""
         joint = self.joint
         self.keys["rotor_inertia"] = joint.inertia
         if joint.slides:
@@ -157,7 +157,7 @@ class _ModelKeys:
         self.keys["rotor_inertia"] = joint.inertia - joint.mass * joint.lever**2
 
     def drive(self, supply: float | None, ctrl_is_current: bool) -> None:
-        """Add what the actuator says of the motor."""
+        """Add the motor's figures that the actuator states."""
         actuator = self.joint.actuator
         self.missing["gear_ratio"] = "turns of the motor for one of the joint"
         if actuator is None:
@@ -176,8 +176,8 @@ class _ModelKeys:
         elif actuator.kind == "position":
             self._servo(actuator, supply)
         else:
-            what = "a velocity actuator" if actuator.kind == "velocity" else "an actuator of another law"
-            self._no_motor(f"{what} is on the joint; model files have a position servo or none")
+            kind_text = "a velocity actuator" if actuator.kind == "velocity" else "an actuator of another law"
+            self._no_motor(f"{kind_text} is on the joint; model files have a position servo or none")
             self.missing["drive"] = "see torque_constant"
 
     def _no_motor(self, reason: str) -> None:
@@ -200,9 +200,9 @@ class _ModelKeys:
             )
 
     def _servo(self, actuator: JointActuator, supply: float | None) -> None:
-        """Add a motor on a voltage that answers as kp, kv and the limit of the force do.
+        """Add a motor at a voltage whose response equals that of kp, kv and the force limit.
 
-        Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is what brakes, K/R V the limit, K/R gain the stiffness.
+        Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is the braking, K/R V the limit, K/R gain the stiffness.
         """
         limits = self._force_limits(actuator)
         braking, bearing = actuator.kv, self.joint.damping

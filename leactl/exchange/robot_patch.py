@@ -27,23 +27,23 @@ class Change:
     line: int
     attribute: str
     before: str | None  # None where the file did not have it
-    after: str | None  # None where it is removed
+    after: str | None  # None if it is removed
 
 
 @dataclass
 class Patch:
-    """The user's file with a model's figures, and where each effect goes."""
+    """The user's file with a model's figures, and the destination of each effect."""
 
     text: bytes
     joint: Joint  # as the user's file had it
-    law: str | None  # of the joint's actuator that callbacks can stand in for
-    expected: dict[str, float]  # what MuJoCo has to read of the new file, by attribute
+    law: str | None  # of the joint's actuator, if callbacks can replace it
+    expected: dict[str, float]  # figures that MuJoCo has to read from the new file, by attribute
     changes: list[Change] = field(default_factory=list)
     effects: list[Destination] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
-        """Return changes, effects and notes as JSON takes them."""
+        """Return changes, effects and notes as JSON values."""
         return {
             "changes": [vars(change) for change in self.changes],
             "effects": [
@@ -72,18 +72,18 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
     if is_urdf(text) != (format == "urdf"):
         raise InputError(f"{into}: is {'URDF' if is_urdf(text) else 'MJCF'}; --to {format} was asked for")
     joint = joint_of(compiled, name)
-    writing = _JointPatch(model, text, joint)
-    writing.check_drive(ctrl_is_current)
-    writing.mechanics()
+    joint_patch = _JointPatch(model, text, joint)
+    joint_patch.check_drive(ctrl_is_current)
+    joint_patch.mechanics()
     if is_urdf(text):
-        writing.urdf()
+        joint_patch.urdf()
     else:
-        writing.mjcf(ctrl_is_current)
-    return writing.patch()
+        joint_patch.mjcf(ctrl_is_current)
+    return joint_patch.patch()
 
 
 def law_of(model: Model, actuator: JointActuator | None) -> str | None:
-    """Return the law by which callbacks can replace the joint's actuator; None where they cannot."""
+    """Return the law by which callbacks can replace the joint's actuator; None if they cannot."""
     if actuator is None:
         return None
     if model.drive is not None:
@@ -93,7 +93,7 @@ def law_of(model: Model, actuator: JointActuator | None) -> str | None:
 
 @dataclass(frozen=True)
 class ServoFigures:
-    """The stiffness, the braking and the limits of a position servo that sets a voltage."""
+    """Stiffness, braking and limits of a position servo that sets a voltage."""
 
     stiffness: float  # N*m/rad
     braking: float  # N*m*s/rad, by the back-EMF
@@ -102,7 +102,7 @@ class ServoFigures:
 
 
 def servo_figures(model: Model) -> ServoFigures | None:
-    """Return the figures of the model's position servo; None where it has none or does not know its motor."""
+    """Return the figures of the model's position servo; None if it has no servo or no motor constants."""
     constant, resistance, drive = model.torque_constant, model.phase_resistance, model.drive
     if drive is None or constant is None or resistance is None:
         return None
@@ -117,23 +117,23 @@ class _JointPatch:
     """A builder of the changes to one joint of a file."""
 
     def __init__(self, model: Model, text: XmlText, joint: Joint) -> None:
-        self.model, self.text, self.of = model, text, joint
+        self.model, self.text, self.joint = model, text, joint
         self.servo, self.law = servo_figures(model), law_of(model, joint.actuator)
-        self.wanted: dict[str, float] = {}  # by MJCF's names, angles in rad
-        self.set: dict[int, dict[str, str | None]] = {}
-        self.below: dict[int, str] = {}
+        self.figures: dict[str, float] = {}  # by MJCF's names, angles in rad
+        self.attribute_changes: dict[int, dict[str, str | None]] = {}
+        self.new_children: dict[int, str] = {}
         self.changes: list[Change] = []
         self.notes: list[str] = []
         self.effects = list(destinations(model, self.law))
 
     def patch(self) -> Patch:
         """Return the patch with all changes so far."""
-        text = self.text.changed(self.set, self.below)
-        return Patch(text, self.of, self.law, self.wanted, self.changes, self.effects, self.notes)
+        text = self.text.changed(self.attribute_changes, self.new_children)
+        return Patch(text, self.joint, self.law, self.figures, self.changes, self.effects, self.notes)
 
     def check_drive(self, ctrl_is_current: bool) -> None:
-        """Refuse a model whose drive is not what drives the joint."""
-        file, name, actuator = self.text.name, self.of.name, self.of.actuator
+        """Raise InputError if the model's drive is not the kind of actuator that drives the joint."""
+        file, name, actuator = self.text.name, self.joint.name, self.joint.actuator
         is_mjcf = not is_urdf(self.text)
         if ctrl_is_current and (actuator is None or actuator.kind != "torque" or self.model.torque_constant is None):
             raise InputError(
@@ -144,17 +144,17 @@ class _JointPatch:
         if self.servo is None:
             raise InputError(f"model {self.model.name}: a position servo needs torque_constant and phase_resistance")
         if self.law is None:
-            has = (
+            actuator_text = (
                 "none" if actuator is None else "one with a lag" if actuator.time_constant else f"a {actuator.kind} one"
             )
             raise InputError(
-                f"{file}: the model's drive is a position servo, and joint '{name}' has {has}; a <position> actuator on"
-                " the joint was expected"
+                f"{file}: the model's drive is a position servo, and joint '{name}' has {actuator_text};"
+                " a <position> actuator on the joint was expected"
             )
 
     def mechanics(self) -> None:
-        """Compute the joint's figures from the model's."""
-        model, joint = self.model, self.of
+        """Compute the joint's figures from the model's mechanics."""
+        model, joint = self.model, self.joint
         if model.rotor_inertia is not None:
             bodies = joint.inertia - joint.armature
             armature = model.rotor_inertia + model.load.inertia - bodies
@@ -163,15 +163,15 @@ class _JointPatch:
                     f"the bodies alone have an inertia of {bodies:.6g} kg*m^2 about the joint, the model has"
                     f" {bodies + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
                 )
-            self.wanted["armature"] = max(armature, 0.0) if abs(armature) > SAME_WITHIN * bodies else 0.0
+            self.figures["armature"] = max(armature, 0.0) if abs(armature) > SAME_WITHIN * bodies else 0.0
         if model.viscous_damping is not None or self.servo is not None:
             added = joint.damping - joint.attribute_damping  # by the actuator's own attribute
             braking = self.servo.braking if self.servo is not None else 0.0
-            self.wanted["damping"] = max((model.viscous_damping or 0.0) + braking - added, 0.0)
+            self.figures["damping"] = max((model.viscous_damping or 0.0) + braking - added, 0.0)
         if model.coulomb_friction is not None:
-            self.wanted["frictionloss"] = model.coulomb_friction
+            self.figures["frictionloss"] = model.coulomb_friction
         for spring in (destination.entry.parameters for destination in self.effects if destination.goes_to == MJCF):
-            self.wanted |= {"stiffness": spring["stiffness"], "springref": spring["rest_angle"]}
+            self.figures |= {"stiffness": spring["stiffness"], "springref": spring["rest_angle"]}
         level = model.load.level_torque
         if not joint.slides and abs(level - joint.level_torque) > 1e-3 * max(level, joint.level_torque):
             self.notes.append(
@@ -181,34 +181,34 @@ class _JointPatch:
 
     def mjcf(self, ctrl_is_current: bool) -> None:
         """Change the attributes of the joint and its actuator whose figures differ from the file's."""
-        has = figures_of(self.of)
+        file_figures = figures_of(self.joint)
         values: dict[str, str | None] = {
             name: attribute_text(math.degrees(value) if name == "springref" and self._in_degrees() else value)
-            for name, value in self.wanted.items()
-            if not same_figure(value, has[name])
+            for name, value in self.figures.items()
+            if not same_figure(value, file_figures[name])
         }
         if "stiffness" in values or "damping" in values:
             values["springdamper"] = None
-        if self.wanted.get("frictionloss"):
+        if self.figures.get("frictionloss"):
             values |= {
-                "solreffriction": f"{attribute_text(STICKING_STEPS * self.of.timestep)} 1",
+                "solreffriction": f"{attribute_text(STICKING_STEPS * self.joint.timestep)} 1",
                 "solimpfriction": STICKING_IMPEDANCE,
             }
-        servo, actuator, constant = self.servo, self.of.actuator, self.model.torque_constant
-        if servo is not None and self.of.torque_limit is not None and self.of.torque_limit < servo.limit:
+        servo, actuator, constant = self.servo, self.joint.actuator, self.model.torque_constant
+        if servo is not None and self.joint.torque_limit is not None and self.joint.torque_limit < servo.limit:
             values["actuatorfrcrange"] = symmetric_range(servo.limit)
         self._change(self._element("worldbody", "joint", "name"), values)
         if actuator is None:
             return
         if servo is not None and self.law == SERVO:
             self._change(self._element("actuator", None, "joint"), self._servo_attributes(actuator, servo))
-            self.wanted |= {"kp": servo.stiffness, "kv": 0.0, "forcerange": servo.limit}
+            self.figures |= {"kp": servo.stiffness, "kv": 0.0, "forcerange": servo.limit}
         if ctrl_is_current and constant is not None and not same_figure(constant, abs(actuator.gain)):
             element = self._element("actuator", None, "joint")
             gears = (element.attributes.get("gear") or "1").split()
             gears[0] = attribute_text(actuator.gear * constant / abs(actuator.gain))
             self._change(element, {"gear": " ".join(gears)})
-            self.wanted["gain"] = math.copysign(constant, actuator.gain)
+            self.figures["gain"] = math.copysign(constant, actuator.gain)
 
     def _servo_attributes(self, actuator: JointActuator, servo: ServoFigures) -> dict[str, str | None]:
         """Return the attributes of a <position> or <general> actuator; its back-EMF is in the joint's damping."""
@@ -233,7 +233,7 @@ class _JointPatch:
     def urdf(self) -> None:
         """Change damping and friction in the joint's <dynamics>, and the effort in its <limit>."""
         joint = self._element("robot", "joint", "name")
-        dynamics = {"damping": self.wanted.get("damping"), "friction": self.wanted.get("frictionloss")}
+        dynamics = {"damping": self.figures.get("damping"), "friction": self.figures.get("frictionloss")}
         values: dict[str, str | None] = {
             name: attribute_text(value) for name, value in dynamics.items() if value is not None
         }
@@ -242,15 +242,15 @@ class _JointPatch:
             self._change(children["dynamics"], values)
         elif values:
             attributes = " ".join(f'{name}="{value}"' for name, value in values.items())
-            self.below[self.text.elements.index(joint)] = f"<dynamics {attributes}/>"
+            self.new_children[self.text.elements.index(joint)] = f"<dynamics {attributes}/>"
             line = self.text.line(joint)
             self.changes += [Change("dynamics", line, name, None, value) for name, value in values.items()]
         if self.servo is not None and "limit" in children:
             self._change(children["limit"], {"effort": attribute_text(self.servo.limit)})
-        if armature := self.wanted.pop("armature", 0.0):
+        if armature := self.figures.pop("armature", 0.0):
             self.notes.append(f"URDF has no armature; {armature:.6g} kg*m^2 are left out")
         for name in ("stiffness", "springref"):
-            self.wanted.pop(name, None)
+            self.figures.pop(name, None)
         self.effects = [
             Destination(destination.entry, NOWHERE, "URDF has no word for it") for destination in self.effects
         ]
@@ -258,30 +258,30 @@ class _JointPatch:
     def _element(self, within: str, tag: str | None, attribute: str) -> Element:
         """Return the element of the joint, or of the actuator that refers to it."""
         for element in self.text.elements:
-            named = element.attributes.get(attribute) == self.of.name
+            named = element.attributes.get(attribute) == self.joint.name
             if attribute == "joint":
-                named = named or element.attributes.get("jointinparent") == self.of.name
+                named = named or element.attributes.get("jointinparent") == self.joint.name
             if named and within in element.path[:-1] and tag in (None, element.name):
                 return element
-        what = f"joint '{self.of.name}'" if tag else f"the actuator on joint '{self.of.name}'"
+        label = f"joint '{self.joint.name}'" if tag else f"the actuator on joint '{self.joint.name}'"
         raise InputError(
-            f"{self.text.name}: {what} is not written in this file, but included, attached or replicated; name the file"
-            " that MuJoCo saves (mj_saveLastXML) in its place"
+            f"{self.text.name}: {label} is not written in this file, but included, attached or replicated; name the"
+            " file that MuJoCo saves (mj_saveLastXML) in its place"
         )
 
     def _in_degrees(self) -> bool:
         angle_units = [
             element.attributes.get("angle", "") for element in self.text.elements if element.name == "compiler"
         ]
-        return not self.of.slides and "radian" not in angle_units
+        return not self.joint.slides and "radian" not in angle_units
 
     def _change(self, element: Element, values: dict[str, str | None]) -> None:
         before = element.attributes
-        kept = {name: value for name, value in values.items() if before.get(name) != value}
-        called = f"{element.name} '{before.get('name', self.of.name)}'"
+        changed_values = {name: value for name, value in values.items() if before.get(name) != value}
+        label = f"{element.name} '{before.get('name', self.joint.name)}'"
         line = self.text.line(element)
-        self.changes += [Change(called, line, name, before.get(name), value) for name, value in kept.items()]
-        self.set.setdefault(self.text.elements.index(element), {}).update(kept)
+        self.changes += [Change(label, line, name, before.get(name), value) for name, value in changed_values.items()]
+        self.attribute_changes.setdefault(self.text.elements.index(element), {}).update(changed_values)
 
 
 def write_patch(patched: Patch, out: Path) -> None:
@@ -322,7 +322,7 @@ def figures_of(joint: Joint) -> dict[str, float]:
 
 
 def same_figure(first: float, second: float) -> bool:
-    """Return whether two figures are equal but for rounding in a file."""
+    """Return whether two figures are equal within the rounding of a file."""
     return math.isclose(first, second, rel_tol=SAME_WITHIN, abs_tol=1e-12)
 
 
@@ -332,5 +332,5 @@ def attribute_text(value: float) -> str:
 
 
 def symmetric_range(value: float) -> str:
-    """Return a limit that holds both ways as the text of an attribute."""
+    """Return the range from minus to plus a limit as the text of an attribute."""
     return f"{attribute_text(-value)} {attribute_text(value)}"

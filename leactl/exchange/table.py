@@ -11,13 +11,13 @@ FORMAT, VERSION = "leactl-actuator", 1
 
 
 def actuator_table(model: Model, joint: str, timestep: float | None = None) -> dict[str, Any]:
-    """Return the table of a model; what the model does not know is None.
+    """Return the table of a model; a figure that the model lacks is None.
 
     Parameters
     ----------
     timestep : step [s] of the simulation; with it, the delay is stated in steps too.
     """
-    given = {
+    figures = {
         "format": FORMAT,
         "format_version": VERSION,
         "model": model.name,
@@ -29,8 +29,8 @@ def actuator_table(model: Model, joint: str, timestep: float | None = None) -> d
         "delay": _delay(model, timestep),
         "effects": [_effect(model, entry.effect, entry.parameters) for entry in model.effects],
     }
-    answer: dict[str, Any] = rounded(given)
-    return answer
+    table: dict[str, Any] = rounded(figures)
+    return table
 
 
 def _inertia(model: Model) -> dict[str, Any]:

@@ -135,14 +135,14 @@ def _end_of_tag(raw: bytes, at: int) -> int:
 
 
 def _with_attribute(tag: str, name: str, value: str | None) -> str:
-    """Return a start tag with an attribute set, or without it where the value is None."""
+    """Return a start tag with an attribute set, or removed if the value is None."""
     for match in _ATTRIBUTE.finditer(tag):
         if match[1] == name:
             before, after = tag[: match.start()], tag[match.end() :]
             if value is None:
                 return before + after
-            kept = tag[match.start() : match.start(2)]
-            return before + kept + quoteattr(value) + after
+            name_part = tag[match.start() : match.start(2)]
+            return before + name_part + quoteattr(value) + after
     if value is None:
         return tag
     head = tag.rstrip(">").rstrip("/").rstrip()

@@ -1,5 +1,5 @@
-"""Drawn machines: free joints of many sizes, simulated twice over by code that shares no equation, for the blind check.
+"""Drawn machines for the blind test: free joints of many sizes, simulated by two programs that share no equation.
 
-A machine is drawn with what its users have of it: rate, channels, protocols, noise. Each case is a specimen of one. The
-emulated bench is no part of this room, and neither is the diagnosis.
+A machine is drawn with its sampling rate, channels, protocols and noise. Each case is a specimen of one machine. The
+emulated bench is no part of this package, and neither is the diagnosis.
 """

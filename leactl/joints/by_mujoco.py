@@ -1,4 +1,4 @@
-"""The second simulator: MuJoCo has rotor, friction and elastic load; drive and effects are stepped run by run.
+"""The second simulator: MuJoCo simulates rotor, friction and elastic load; drive and effects are stepped here.
 
 It shares no equation with the first one. MuJoCo comes with `pip install 'leactl[mujoco]'` (Apache-2.0).
 """
@@ -14,7 +14,7 @@ from leactl.errors import InputError
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
 from leactl.joints.run import PARTS, JointRun, JointSignals
 
-# dry friction as hard as MuJoCo's solver takes it: its default creeps where a bearing sticks
+# the hardest dry friction of MuJoCo's solver: its default creeps where a bearing sticks
 HARD_FRICTION = 'solreffriction="{stiff:.9g} 1" solimpfriction="0.999 0.9999 0.001"'
 JOINT = """\
 <mujoco><compiler boundmass="0" boundinertia="0"/>
@@ -28,13 +28,13 @@ GEARED = """<body><joint name="load" type="hinge" axis="0 0 1" armature="{inerti
  frictionloss="0" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/></body>"""
 PLAY = """<tendon><fixed limited="true" range="-{half:.9g} {half:.9g}" solreflimit="{stiff:.9g} 1"
  solimplimit="0.999 0.9999 0.001"><joint joint="rotor" coef="1"/><joint joint="load" coef="-1"/></fixed></tendon>"""
-BURST_SHARE = 0.6  # of a sine's height: above it, a burst rubs
+BURST_SHARE = 0.6  # of a sine: above it, a burst of friction acts
 MESH = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
 MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
 
 
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
-    """Run one after the other.
+    """Simulate runs one after the other.
 
     Raises
     ------
@@ -48,14 +48,18 @@ def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
 
 
 def model_text(run: JointRun) -> str:
-    """The joint as an MJCF model."""
+    """Text of the joint as an MJCF model."""
     specimen, load, geared, play = run.specimen, "", "", ""
     share, rotor = run.parameter("joint_elasticity", "share"), specimen.rotor_inertia
     if share:
-        turn = 2.0 * math.pi * run.parameter("joint_elasticity", "frequency")
+        angular_frequency = 2.0 * math.pi * run.parameter("joint_elasticity", "frequency")
         losses = 2.0 * run.parameter("joint_elasticity", "damping_ratio")
-        swinging = rotor * share
-        load = LOAD.format(stiffness=swinging * turn**2, damping=losses * swinging * turn, inertia=swinging)
+        load_inertia = rotor * share
+        load = LOAD.format(
+            stiffness=load_inertia * angular_frequency**2,
+            damping=losses * load_inertia * angular_frequency,
+            inertia=load_inertia,
+        )
     step = 1.0 / specimen.machine.rate / PARTS
     hard = HARD_FRICTION.format(stiff=4.0 * step)
     if gap := run.parameter("gear_backlash", "play"):
@@ -78,7 +82,7 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
     model = mujoco.MjModel.from_xml_string(model_text(run))
     state, drive, effects = mujoco.MjData(model), _Drive(run), _Effects(run)
     state.qpos[0] = run.angle
-    geared, kept = effects.geared, 1.0 - effects.load_friction
+    geared, motor_share = effects.geared, 1.0 - effects.load_friction
     if geared:
         state.qpos[1] = run.angle
     rows = np.zeros((4, len(run.asked(None))))
@@ -87,16 +91,16 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
     ):
         reference = drive.reference(current, velocity)
         for part in range(PARTS):
-            flowing = drive.step(reference, part, abs(state.qvel[0]))
+            drive_current = drive.step(reference, part, abs(state.qvel[0]))
             angle, speed = state.qpos[0], state.qvel[0]
             damping = effects.damping(state.time)
-            model.dof_frictionloss[0] = kept * effects.friction(angle, speed, state.time)
-            model.dof_damping[0] = kept * damping
-            state.qfrc_applied[0] = effects.torque(flowing, angle, speed, state.time)
+            model.dof_frictionloss[0] = motor_share * effects.friction(angle, speed, state.time)
+            model.dof_damping[0] = motor_share * damping
+            state.qfrc_applied[0] = effects.torque(drive_current, angle, speed, state.time)
             if geared:
                 model.dof_frictionloss[1] = effects.load_friction * effects.level(angle, speed, state.time)
                 model.dof_damping[1] = effects.load_friction * damping
-                state.qfrc_applied[1] = -effects.outside(state.qpos[1])
+                state.qfrc_applied[1] = -effects.load_torque(state.qpos[1])
             mujoco.mj_step(model, state)
             drive.read(state.qvel[0] * effects.encoder_slope(state.qpos[0]), part)
         drive.before = reference
@@ -105,7 +109,7 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
 
 
 class _Drive:
-    """Velocity servo, current loop, velocity filter of one drive."""
+    """Velocity servo, current loop and velocity filter of one drive."""
 
     def __init__(self, run: JointRun) -> None:
         machine, step = run.specimen.machine, 1.0 / run.specimen.machine.rate / PARTS
@@ -120,32 +124,32 @@ class _Drive:
         self._offset = run.parameter("current_sensor_offset", "offset")
         self._slew = run.parameter("command_slew_limit", "rate", math.inf) * step
         self._bound = run.parameter("torque_limit", "current", math.inf)
-        self._folds = run.parameter("power_foldback", "power", math.inf) / run.specimen.torque_constant
-        late = round(run.parameter("transport_delay", "delay") / step)
-        self._waiting = deque([0.0] * late)
-        self._commanded = self._current = self._velocity = self._lagging = self._sum = self._held = 0.0
+        self._power_limit = run.parameter("power_foldback", "power", math.inf) / run.specimen.torque_constant
+        delay_steps = round(run.parameter("transport_delay", "delay") / step)
+        self._delayed = deque([0.0] * delay_steps)
+        self._commanded = self._current = self._velocity = self._lagging = self._sum = self._integral = 0.0
         self.before = self.mean = self.logged = 0.0
 
     def reference(self, current: float, velocity: float) -> float:
-        """Current that is asked for in the next sample [A]."""
+        """Current reference for the next sample [A]."""
         if not self._servo:
             return current
         error = velocity - self._lagging
-        wanted = self._proportional * (error * (1.0 + self._reset) + self._held)
-        if abs(wanted) > self._limit:
-            return math.copysign(self._limit, wanted)
-        self._held += self._reset * error
-        return wanted
+        unlimited = self._proportional * (error * (1.0 + self._reset) + self._integral)
+        if abs(unlimited) > self._limit:
+            return math.copysign(self._limit, unlimited)
+        self._integral += self._reset * error
+        return unlimited
 
     def step(self, reference: float, part: int, speed: float) -> float:
-        """Current that flows [A] at an absolute speed."""
+        """Current that flows [A] after a step, at an absolute speed."""
         if not self._log.holds:
             reference = self.before + (reference - self.before) * (part + 1) / PARTS
-        self._waiting.append(reference)
-        due = self._waiting.popleft()
-        most = min(self._bound, self._folds / speed) if speed > 0.0 else self._bound
-        due = max(min(due, most), -most)
-        self._commanded += max(min(due - self._commanded, self._slew), -self._slew)
+        self._delayed.append(reference)
+        limited = self._delayed.popleft()
+        limit = min(self._bound, self._power_limit / speed) if speed > 0.0 else self._bound
+        limited = max(min(limited, limit), -limit)
+        self._commanded += max(min(limited - self._commanded, self._slew), -self._slew)
         self._current += self._loop * (self._commanded - (self._current + self._offset))
         self._sum += self._current + self._offset
         if part == PARTS - 1 - self._log.current_late:
@@ -153,7 +157,7 @@ class _Drive:
         return self._current
 
     def read(self, velocity: float, part: int) -> None:
-        """Filter what the encoder has of the velocity."""
+        """Filter the encoder's velocity."""
         self._velocity += self._filter * (velocity - self._velocity)
         self._lagging += self._lag * (self._velocity - self._lagging)
         if part == PARTS - 1 - self._log.velocity_late:
@@ -161,51 +165,57 @@ class _Drive:
 
 
 class _Effects:
-    """Torques and frictions beside MuJoCo's own."""
+    """Torques and frictions in addition to MuJoCo's own."""
 
     def __init__(self, run: JointRun) -> None:
         self._run = run
         self._names = {drawn.name: drawn.parameters for drawn in run.effects}
         self.geared = "gear_backlash" in self._names
         self.load_friction = run.parameter("gear_backlash", "friction")
-        self._gives = 0.0  # of friction that gives before it slides
+        self._bristle = 0.0  # rad, deflection of friction before it slides
         self._step = 1.0 / run.specimen.machine.rate / PARTS
 
     def torque(self, current: float, angle: float, speed: float, time: float) -> float:
         """Torque on the rotor [N*m]."""
         total = self._run.specimen.torque_constant * current
-        for name, at in self._names.items():
+        for name, parameters in self._names.items():
             if name == "saturation":
-                total *= 1.0 - at["loss"] * (current / at["current"]) ** 2
+                total *= 1.0 - parameters["loss"] * (current / parameters["current"]) ** 2
             elif name == "torque_ripple":
-                total *= 1.0 + at["amplitude"] * math.sin(at["order"] * angle + at["phase"])
-        for name, at in self._names.items():
+                total *= 1.0 + parameters["amplitude"] * math.sin(parameters["order"] * angle + parameters["phase"])
+        for name, parameters in self._names.items():
             if name == "cogging":
-                total += at["amplitude"] * math.sin(at["order"] * angle + at["phase"])
+                total += parameters["amplitude"] * math.sin(parameters["order"] * angle + parameters["phase"])
             elif name == "unbalance":
-                total += at["amplitude"] * math.sin(angle + at["phase"])
+                total += parameters["amplitude"] * math.sin(angle + parameters["phase"])
             elif name == "quadratic_drag":
-                total -= at["coefficient"] * speed * abs(speed)
+                total -= parameters["coefficient"] * speed * abs(speed)
             elif name == "push_in_time":
-                total += at["amplitude"] * math.sin(2.0 * math.pi * at["frequency"] * time + at["phase"])
+                total += parameters["amplitude"] * math.sin(
+                    2.0 * math.pi * parameters["frequency"] * time + parameters["phase"]
+                )
             elif name == "presliding":
-                reach = at["displacement"]
-                self._gives = max(min(self._gives + speed * self._step, reach), -reach)
-                total -= (1.0 - self.load_friction) * self.level(angle, speed, time) * self._gives / reach
-        return total if self.geared else total - self.outside(angle)
+                reach = parameters["displacement"]
+                self._bristle = max(min(self._bristle + speed * self._step, reach), -reach)
+                total -= (1.0 - self.load_friction) * self.level(angle, speed, time) * self._bristle / reach
+        return total if self.geared else total - self.load_torque(angle)
 
-    def outside(self, angle: float) -> float:
-        """Torque that a joint at an angle takes beside friction [N*m]."""
+    def load_torque(self, angle: float) -> float:
+        """Load torque that opposes the joint at an angle, friction excluded [N*m]."""
         total = 0.0
-        for name, at in self._names.items():
+        for name, parameters in self._names.items():
             if name == "gravity_load":
-                total += at["amplitude"] * math.cos(angle + at["phase"])
+                total += parameters["amplitude"] * math.cos(angle + parameters["phase"])
             elif name == "position_spring":
-                total += at["stiffness"] * at["reach"] * math.tanh((angle - at["rest_angle"]) / at["reach"])
+                total += (
+                    parameters["stiffness"]
+                    * parameters["reach"]
+                    * math.tanh((angle - parameters["rest_angle"]) / parameters["reach"])
+                )
         return total
 
     def friction(self, angle: float, speed: float, time: float) -> float:
-        """Dry friction of MuJoCo's joint [N*m]."""
+        """Dry friction of MuJoCo's joint [N*m]; zero with presliding, whose friction is part of `torque`."""
         return 0.0 if "presliding" in self._names else self.level(angle, speed, time)
 
     def damping(self, time: float) -> float:
@@ -213,29 +223,29 @@ class _Effects:
         return self._run.specimen.viscous_damping * self._fresh(time)
 
     def _fresh(self, time: float) -> float:
-        at = self._names.get("friction_run_in")
-        return 1.0 if at is None else 1.0 + at["excess"] * math.exp(-time / at["time_constant"])
+        parameters = self._names.get("friction_run_in")
+        return 1.0 if parameters is None else 1.0 + parameters["excess"] * math.exp(-time / parameters["time_constant"])
 
     def level(self, angle: float, speed: float, time: float) -> float:
         level = self._run.specimen.coulomb_friction * self._fresh(time)
-        for name, at in self._names.items():
+        for name, parameters in self._names.items():
             if name == "stribeck":
-                level *= 1.0 + at["breakaway_ratio"] * math.exp(-abs(speed) / at["stribeck_velocity"])
+                level *= 1.0 + parameters["breakaway_ratio"] * math.exp(-abs(speed) / parameters["stribeck_velocity"])
             elif name == "asymmetric_friction":
-                level *= 1.0 + at["asymmetry"] * math.copysign(1.0, speed)
+                level *= 1.0 + parameters["asymmetry"] * math.copysign(1.0, speed)
             elif name == "position_dependent_friction":
-                level *= 1.0 + at["amplitude"] * math.cos(at["order"] * angle + at["phase"])
+                level *= 1.0 + parameters["amplitude"] * math.cos(parameters["order"] * angle + parameters["phase"])
             elif name == "rubbing_bursts":
-                rubs = math.sin(2.0 * math.pi * time / at["period"] + at["phase"]) > BURST_SHARE
-                level *= 1.0 + at["excess"] * rubs
+                rubs = math.sin(2.0 * math.pi * time / parameters["period"] + parameters["phase"]) > BURST_SHARE
+                level *= 1.0 + parameters["excess"] * rubs
         return level
 
     def encoder(self, angle: float) -> float:
-        """Angle as the encoder has it [rad]."""
-        at = self._names.get("encoder_eccentricity")
-        return angle if at is None else angle + at["amplitude"] * math.sin(angle + at["phase"])
+        """Angle as the encoder reads it [rad]."""
+        parameters = self._names.get("encoder_eccentricity")
+        return angle if parameters is None else angle + parameters["amplitude"] * math.sin(angle + parameters["phase"])
 
     def encoder_slope(self, angle: float) -> float:
-        """Velocity that the encoder has over the rotor's."""
-        at = self._names.get("encoder_eccentricity")
-        return 1.0 if at is None else 1.0 + at["amplitude"] * math.cos(angle + at["phase"])
+        """Ratio of the encoder's velocity to the rotor's."""
+        parameters = self._names.get("encoder_eccentricity")
+        return 1.0 if parameters is None else 1.0 + parameters["amplitude"] * math.cos(angle + parameters["phase"])

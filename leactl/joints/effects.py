@@ -1,4 +1,4 @@
-"""What is wrong with a specimen: effects drawn at a strength, their sizes told in the machine's own scales."""
+"""Effects of a specimen, drawn at a strength; their sizes are declared relative to scales of the machine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ import numpy as np
 from leactl.joints.machine import Generator, JointMachine, declared
 
 STRENGTHS = ("faint", "plain", "strong")
-SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
-SLOWEST_LEVEL = 0.03  # of the highest speed, the slowest that the levels hold
-SWINGS = (0.01, 0.04)  # of the sampling rate, at which a load swings
-LOADS = (0.3, 0.8)  # of the inertia, that a load behind a gear has
-SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
+SIZE_SPREAD = 0.15  # largest relative departure of a size from that of its strength
+SLOWEST_LEVEL = 0.03  # slowest held level, as a share of the highest speed
+SWINGS = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
+LOADS = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
+SAMPLES_A_PERIOD = 4.0  # needed by a periodic effect at the slowest level
 
 
 @dataclass(frozen=True)
 class DrawnEffect:
-    """One effect with its parameters; those that the vocabulary has are under its names."""
+    """One effect with its parameters; effects of the vocabulary have the vocabulary's names."""
 
     name: str
     strength: str
@@ -26,18 +26,18 @@ class DrawnEffect:
 
 
 def listed() -> dict[str, Mapping[str, Any]]:
-    """Effects of the vocabulary that a joint may have."""
+    """Rules for the effects of the vocabulary that a joint may have, by name."""
     return {name: rule for name, rule in declared("sizes.yaml").items() if name != "unlisted"}
 
 
 def unlisted() -> Mapping[str, Mapping[str, Any]]:
-    """Those that the vocabulary lacks."""
+    """Rules for the effects that are not in the vocabulary, by name."""
     rules: Mapping[str, Mapping[str, Any]] = declared("sizes.yaml")["unlisted"]
     return rules
 
 
 def shown_by(machine: JointMachine) -> list[str]:
-    """Effects of the vocabulary that a machine of this kind may have and its channels can show."""
+    """Names of the effects of the vocabulary that a machine of this kind may have and its channels can show."""
     return [
         name
         for name, rule in listed().items()
@@ -46,12 +46,12 @@ def shown_by(machine: JointMachine) -> list[str]:
 
 
 def alike(name: str) -> list[str]:
-    """Effects that no record of a free joint without a voltage can tell from this one."""
+    """Names of the effects that no record of a free joint without a voltage can distinguish from this one."""
     return list(listed()[name].get("alike", [])) if name in listed() else []
 
 
 def never_beside(name: str) -> list[str]:
-    """Effects of the vocabulary that a machine with this one does not have as well, or has already in another guise."""
+    """Names of the effects that are not drawn together with this one: they exclude each other or are equivalent."""
     return [*alike(name), *listed()[name].get("not_beside", [])]
 
 
@@ -62,15 +62,15 @@ def draw_effect(draw: Generator, machine: JointMachine, name: str, strength: str
     size = rule[strength] * spread * machine.scale(rule["in"])
     if rule.get("signed") and draw.random() < 0.5:
         size = -size
-    return DrawnEffect(name, strength, {rule["size"]: size, **others(draw, machine, name)})
+    return DrawnEffect(name, strength, {rule["size"]: size, **draw_secondary_parameters(draw, machine, name)})
 
 
-def others(draw: Generator, machine: JointMachine, name: str) -> dict[str, float]:
-    """The parameters beside the size."""
+def draw_secondary_parameters(draw: Generator, machine: JointMachine, name: str) -> dict[str, float]:
+    """Draw the parameters of an effect other than its size."""
     phase = {"phase": float(draw.uniform(-np.pi, np.pi))}
-    slow = SLOWEST_LEVEL * machine.speed
+    slowest_speed = SLOWEST_LEVEL * machine.speed
     if name in ("cogging", "torque_ripple"):
-        highest = 2.0 * np.pi * machine.rate / SAMPLES_A_PERIOD / slow
+        highest = 2.0 * np.pi * machine.rate / SAMPLES_A_PERIOD / slowest_speed
         orders = [order for order in (1, 2, 6) if order * machine.pole_pairs <= highest] or [1]
         return {"order": float(draw.choice(orders) * machine.pole_pairs), **phase}
     if name == "position_dependent_friction":

@@ -1,4 +1,4 @@
-"""Write a case of a drawn machine: its runs as its log has them, the nominal model, and the entry of the key."""
+"""Write a case of a drawn machine: its logged runs, the nominal model, and the entry of the key."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ QUANTITIES = {
 
 
 def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> None:
-    """Write a run with the channels that the machine logs, their noise and rounding on them."""
+    """Write a run with the channels that the machine logs, with noise and rounding."""
     machine = run.specimen.machine
     columns = {name: values for name, values in logged(run, signals).items() if name in machine.channels}
     specs = [
@@ -57,7 +57,7 @@ def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> 
 
 
 def logged(run: JointRun, signals: JointSignals) -> dict[str, Array]:
-    """Every channel that a log may have."""
+    """Channels that a log may have, by name, with noise and rounding."""
     machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
     count, reference = len(signals.angle), signals.reference
     columns = {
@@ -74,13 +74,13 @@ def logged(run: JointRun, signals: JointSignals) -> dict[str, Array]:
 def entry(
     specimen: Specimen, kind: str, effects: tuple[DrawnEffect, ...], strength: str | None, machine: str, simulator: str
 ) -> dict[str, Any]:
-    """What the key says of a case; effects outside the vocabulary count as `unknown`."""
-    outside = kind == "unknown"
+    """Entry of the key for a case; effects outside the vocabulary count as `unknown`."""
+    is_outside_vocabulary = kind == "unknown"
     names = [drawn.name for drawn in effects]
     return {
         "kind": kind,
-        "effects": ["unknown"] if outside else names,
-        "unlisted": names if outside else [],
+        "effects": ["unknown"] if is_outside_vocabulary else names,
+        "unlisted": names if is_outside_vocabulary else [],
         "strength": strength,
         "parameters": {drawn.name: dict(drawn.parameters) for drawn in effects},
         "true_base": specimen.true_base(),

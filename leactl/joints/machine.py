@@ -1,4 +1,4 @@
-"""A machine as its users have it, and a specimen of it: every parameter off the nominal model, as on any bench."""
+"""A machine with its nominal model, and specimens of it, whose parameters all differ from the nominal ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,44 +11,44 @@ import numpy as np
 from leactl import yamlfile
 
 Generator = np.random.Generator
-SECONDS = (12.0, 20.0)  # that a run takes
+SECONDS = (12.0, 20.0)  # duration of a run
 RATES = (250.0, 400.0, 500.0, 1000.0)  # Hz
 PROTOCOLS = ("multisine", "levels", "ramp", "steps")
-RESERVE = 1.6  # highest torque over the one that holds the highest speed
+RESERVE = 1.6  # highest torque over the torque at the highest constant speed
 # largest relative departures of a specimen from the nominal model
 SPREADS = {"torque_constant": 0.06, "rotor_inertia": 0.15, "viscous_damping": 0.3, "coulomb_friction": 0.3}
 
 
 @dataclass(frozen=True)
 class JointMachine:
-    """What is nominal, and how its runs are made and logged."""
+    """Nominal parameters of a machine, and how its runs are made and logged."""
 
     kind: str
     rate: float  # Hz
-    seconds: float  # that a run takes
+    seconds: float  # duration of a run
     torque_constant: float  # N*m/A
     rotor_inertia: float  # kg*m^2
     viscous_damping: float  # N*m*s/rad
     coulomb_friction: float  # N*m
-    current: float  # A, the highest
-    speed: float  # rad/s, the highest
+    current: float  # A, highest
+    speed: float  # rad/s, highest
     pole_pairs: int
     loop: float  # Hz, bandwidth of the current loop
     filter: float  # Hz, bandwidth of the velocity's filter
-    count: float  # rad, of the encoder
+    count: float  # rad, resolution of the encoder
     current_noise: float  # A
     velocity_noise: float  # rad/s
     protocols: tuple[str, ...]
     channels: tuple[str, ...]
-    sampling: bool  # whether the log says what its stamps mean
+    sampling: bool  # whether the log states what its stamps mean
 
     @property
     def friction(self) -> float:
-        """All friction at the highest speed [N*m]."""
+        """Total friction torque at the highest speed [N*m]."""
         return self.coulomb_friction + self.viscous_damping * self.speed
 
     def scale(self, name: str) -> float:
-        """A scale that sizes of effects are told in (`sizes.yaml`)."""
+        """Scale by name, in multiples of which `sizes.yaml` declares the sizes of effects."""
         scales = {
             "1": 1.0,
             "friction": self.friction,
@@ -65,7 +65,7 @@ class JointMachine:
 
 @dataclass(frozen=True)
 class Specimen:
-    """One machine's true parameters beside what is nominal."""
+    """True parameters of one specimen of a machine."""
 
     machine: JointMachine
     torque_constant: float
@@ -79,15 +79,15 @@ class Specimen:
 
 
 def draw_machine(draw: Generator, kind: str) -> JointMachine:
-    """Draw a machine of a kind of `machines.yaml`, and how it is run and logged."""
+    """Draw a machine of a kind in `machines.yaml`, and how it is run and logged."""
     values = {name: logarithmic(draw, *limits) for name, limits in kinds()[kind].items()}
     friction = values["torque_constant"] * values["current"] / RESERVE
     coulomb, speed, rate = values["coulomb"] * friction, values["speed"], float(draw.choice(RATES))
     channels = ["current", "angle"]
     channels += [name for name, share in (("current_reference", 0.85), ("velocity", 0.85)) if draw.random() < share]
     channels += ["velocity_reference"] if draw.random() < 0.5 else []
-    # levels stand still long enough for friction, the other two are drawn
-    others = draw.choice([name for name in PROTOCOLS if name != "levels"], 2, replace=False)
+    # levels last long enough to show friction; the other two protocols are drawn
+    other_protocols = draw.choice([name for name in PROTOCOLS if name != "levels"], 2, replace=False)
     return JointMachine(
         kind=kind,
         rate=rate,
@@ -104,7 +104,7 @@ def draw_machine(draw: Generator, kind: str) -> JointMachine:
         count=2.0 * np.pi / 2 ** int(draw.integers(12, 18)),
         current_noise=values["current"] * logarithmic(draw, 5e-4, 4e-3),
         velocity_noise=speed * logarithmic(draw, 1e-4, 1e-3),
-        protocols=("levels", *(str(name) for name in others)),
+        protocols=("levels", *(str(name) for name in other_protocols)),
         channels=tuple(channels),
         sampling=bool(draw.random() < 0.6),
     )
@@ -112,12 +112,12 @@ def draw_machine(draw: Generator, kind: str) -> JointMachine:
 
 def draw_specimen(draw: Generator, machine: JointMachine) -> Specimen:
     """Draw the true parameters of one machine."""
-    off = {name: 1.0 + spread * float(draw.uniform(-1.0, 1.0)) for name, spread in SPREADS.items()}
-    return Specimen(machine, **{name: getattr(machine, name) * by for name, by in off.items()})
+    factors = {name: 1.0 + spread * float(draw.uniform(-1.0, 1.0)) for name, spread in SPREADS.items()}
+    return Specimen(machine, **{name: getattr(machine, name) * factor for name, factor in factors.items()})
 
 
 def nominal_text(machine: JointMachine) -> str:
-    """The nominal model file beside the runs."""
+    """Text of the nominal model file, which is stored with the runs."""
     return f"""\
 name: {machine.kind}
 torque_constant: {machine.torque_constant:.6g}  # N*m/A
@@ -132,17 +132,17 @@ bench:
 
 
 def logarithmic(draw: Generator, low: float, high: float) -> float:
-    """A number between two, evenly on a logarithmic scale."""
+    """Draw a number between two limits, uniformly on a logarithmic scale."""
     return float(np.exp(draw.uniform(np.log(low), np.log(high))))
 
 
 def kinds() -> Mapping[str, Mapping[str, tuple[float, float]]]:
-    """What each kind of machine is drawn from."""
+    """Limits of the drawn parameters of each kind of machine."""
     limits: Mapping[str, Mapping[str, tuple[float, float]]] = declared("machines.yaml")
     return limits
 
 
 @cache
 def declared(name: str) -> Any:
-    """The content of a file of this room."""
+    """Content of a YAML file of this package."""
     return yamlfile.parse((resources.files(__package__) / name).read_text(encoding="utf-8"), name).data

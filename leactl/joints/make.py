@@ -1,4 +1,4 @@
-"""Make cases of drawn machines: each a specimen of one of them, its runs simulated by one of two simulators."""
+"""Make cases of drawn machines: each is a specimen of a machine, its runs simulated by one of two simulators."""
 
 import secrets
 import time
@@ -37,18 +37,18 @@ def make(
     wanted: Sequence[str] = KINDS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Make cases under `out`, each in a folder of its own, and their key in `key_dir`; gives the key's hash.
+    """Make cases in `out`, each in its own folder, and their key in `key_dir`; returns the key's hash.
 
     Parameters
     ----------
-    machines : how many are drawn; cases go round them in turn.
+    machines : number of machines to draw; cases use them in turn.
     simulator : `stepped` or `mujoco`.
-    seed : the same seed and arguments give the same values; without one it is fresh entropy.
-    wanted : kinds of cases, of `none`, `single`, `pair` and `unknown`, met in their usual shares.
+    seed : the same seed and arguments give the same values; without a seed, fresh entropy is used.
+    wanted : kinds of cases, of `none`, `single`, `pair` and `unknown`, drawn in their usual shares.
 
     Raises
     ------
-    InputError : an argument names what there is not, a folder is taken, or the simulator is not installed.
+    InputError : an argument has an unknown value, a folder is not empty, or the simulator is not installed.
     """
     faults = faults_of(count, out, key_dir, wanted)
     faults += [f"machines: {machines} is not a number of machines; give 1 or more"] if machines < 1 else []
@@ -58,30 +58,32 @@ def make(
         faults.append(by_mujoco.MISSING)
     if faults:
         raise InputError(faults)
-    number = secrets.randbits(128) if seed is None else seed
-    draw = np.random.default_rng([number, 0])
+    seed_number = secrets.randbits(128) if seed is None else seed
+    draw = np.random.default_rng([seed_number, 0])
     drawn_machines = draw_machines(draw, machines)
     plans = plan(draw, count, drawn_machines, wanted)
     digits, entries = max(3, len(str(count))), dict[str, Any]()
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     for start in range(0, count, AT_ONCE):
-        left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
-        progress(f"{start} of {count} cases made{left}")
+        time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
+        progress(f"{start} of {count} cases made{time_left}")
         batch: list[tuple[str, JointRun]] = []
         for k in range(start, min(start + AT_ONCE, count)):
-            name, at, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
-            runs = draw_runs(np.random.default_rng([number, 1, k]), drawn_machines[at], effects, strength)
+            name, machine_index, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
+            runs = draw_runs(
+                np.random.default_rng([seed_number, 1, k]), drawn_machines[machine_index], effects, strength
+            )
             batch += [(name, run) for run in runs]
-            told = f"{drawn_machines[at].kind} {at + 1}"
-            felt = strength if effects else None
-            entries[name] = entry(runs[0].specimen, kind, runs[0].effects, felt, told, simulator)
+            machine_label = f"{drawn_machines[machine_index].kind} {machine_index + 1}"
+            case_strength = strength if effects else None
+            entries[name] = entry(runs[0].specimen, kind, runs[0].effects, case_strength, machine_label, simulator)
             (out / name).mkdir()
-            (out / name / "nominal.yaml").write_text(nominal_text(drawn_machines[at]), encoding="utf-8")
+            (out / name / "nominal.yaml").write_text(nominal_text(drawn_machines[machine_index]), encoding="utf-8")
         for (name, run), signals in zip(batch, SIMULATORS[simulator]([run for _, run in batch]), strict=True):
             write_run(out / name, name, run, signals)
     salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
-    return write_key(key_dir, out, entries, number, salt)
+    return write_key(key_dir, out, entries, seed_number, salt)
 
 
 def draw_machines(draw: Generator, count: int) -> list[JointMachine]:
@@ -93,31 +95,31 @@ def draw_machines(draw: Generator, count: int) -> list[JointMachine]:
 def plan(
     draw: Generator, count: int, machines: Sequence[JointMachine], wanted: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
-    """Kind, effects and strength of each case; a machine gets effects that its channels can show."""
+    """Draw kind, effects and strength of each case; a machine gets only effects that its channels can show."""
     drawn = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
-    listed_ones, unlisted_ones = in_turn(draw, tuple(listed())), in_turn(draw, tuple(unlisted()))
+    listed_names, unlisted_names = in_turn(draw, tuple(listed())), in_turn(draw, tuple(unlisted()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
     for index, kind in enumerate(draw.permutation(drawn).tolist()):
         names: tuple[str, ...] = ()
         if kind == "unknown":
-            names = (next(unlisted_ones),)
+            names = (next(unlisted_names),)
         elif kind in ("single", "pair"):
-            names = (shown(listed_ones, machines[index % len(machines)], ()),)
+            names = (next_shown(listed_names, machines[index % len(machines)], ()),)
         if kind == "pair":
-            names = (*names, shown(listed_ones, machines[index % len(machines)], names))
+            names = (*names, next_shown(listed_names, machines[index % len(machines)], names))
         plans.append((str(kind), tuple(sorted(names)), str(draw.choice(STRENGTHS))))
     return plans
 
 
-def shown(names: Iterator[str], machine: JointMachine, beside: Sequence[str]) -> str:
-    """The next effect that a machine can show beside others."""
-    taken = {*beside, *(name for other in beside for name in never_beside(other))}
-    fit = set(shown_by(machine)) - taken
-    return next(name for name in names if name in fit)
+def next_shown(names: Iterator[str], machine: JointMachine, chosen: Sequence[str]) -> str:
+    """Return the next effect that a machine can show together with those in `chosen`."""
+    excluded = {*chosen, *(name for effect in chosen for name in never_beside(effect))}
+    allowed = set(shown_by(machine)) - excluded
+    return next(name for name in names if name in allowed)
 
 
 def draw_runs(draw: Generator, machine: JointMachine, effects: Sequence[str], strength: str) -> list[JointRun]:
-    """Draw a specimen with its effects, and the runs that are made of it."""
+    """Draw a specimen with its effects, and the runs made with it."""
     specimen, log = draw_specimen(draw, machine), draw_log(draw, machine.sampling)
     drawn: tuple[DrawnEffect, ...] = tuple(draw_effect(draw, machine, name, strength) for name in effects)
     return [

@@ -1,4 +1,4 @@
-"""What a run asks of a joint, a row a sample: a current, or a speed that the drive's servo holds."""
+"""References of a joint in a run, one row a sample: a current, or a speed that the drive's servo holds."""
 
 from dataclasses import dataclass
 
@@ -41,10 +41,10 @@ def draw_program(draw: Generator, machine: JointMachine, protocol: str) -> Joint
     waves = [np.sin(2.0 * np.pi * (f * time + draw.random())) / np.sqrt(f) for f in frequencies]
     total = np.sum(waves, axis=0)
     # a mean that overcomes friction: the rotor turns to and fro
-    asked = total / np.std(total) * draw.uniform(0.45, 0.6) * machine.current
-    return JointProgram(np.clip(asked, -machine.current, machine.current), None)
+    current = total / np.std(total) * draw.uniform(0.45, 0.6) * machine.current
+    return JointProgram(np.clip(current, -machine.current, machine.current), None)
 
 
 def held(levels: Array, time: Array) -> Array:
-    """Each level for as long as any other."""
+    """Hold each level for the same time."""
     return np.asarray(levels[np.arange(len(time)) * len(levels) // len(time)], np.float64)

@@ -1,4 +1,4 @@
-"""One run of a specimen: what a simulator is given and what it gives back."""
+"""One run of a specimen: the input of a simulator and its output."""
 
 from dataclasses import dataclass
 
@@ -15,17 +15,17 @@ PARTS = 8  # steps of a simulator in a sample
 
 @dataclass(frozen=True)
 class Log:
-    """What a log does not say: how a reference is held, and where in a sample a value is from."""
+    """Conventions that a log does not state: how a reference is held, and the age of a value within a sample."""
 
-    holds: bool = True  # whether the drive holds a reference until the next; else it goes there on a straight line
-    reference_before: bool = True  # whether a row has the reference that acted before its stamp
-    current_late: int = 0  # parts of a sample, by which a value is older than its stamp
+    holds: bool = True  # whether the drive holds a reference until the next; else it is interpolated linearly
+    reference_before: bool = True  # whether a row holds the reference that acted before its stamp
+    current_late: int = 0  # age of a value at its stamp, in parts of a sample
     velocity_late: int = 0
 
 
 @dataclass(frozen=True)
 class JointRun:
-    """A specimen, what is wrong with it, what is asked of it."""
+    """A run of a specimen: its effects, its references, and the conventions of its log."""
 
     name: str
     protocol: str
@@ -37,14 +37,14 @@ class JointRun:
     seed: int
 
     def parameter(self, effect: str, name: str, otherwise: float = 0.0) -> float:
-        """A parameter of an effect; what does nothing where the effect is not there."""
+        """A parameter of an effect; `otherwise`, the value without effect, if the run does not have this effect."""
         for drawn in self.effects:
             if drawn.name == effect:
                 return drawn.parameters[name]
         return otherwise
 
     def asked(self, program: Array | None) -> Array:
-        """A reference of the program, zero where it has none."""
+        """Return a reference of the program, zeros where it has none."""
         length = self.program.current if self.program.current is not None else self.program.velocity
         assert length is not None
         return np.zeros(len(length)) if program is None else program
@@ -52,17 +52,17 @@ class JointRun:
 
 @dataclass(frozen=True)
 class JointSignals:
-    """What the drive has at the end of every sample, free of noise."""
+    """Signals of the drive at the end of every sample, without noise."""
 
     reference: Array  # A, that acted in the sample
     current: Array  # A, mean over a sample
     velocity: Array  # rad/s, filtered
-    angle: Array  # rad, as the encoder has it
+    angle: Array  # rad, as the encoder reads it
 
 
-def draw_log(draw: Generator, says: bool) -> Log:
-    """The conventions of a log; those of the run format where the log says what its stamps mean."""
-    if says:
+def draw_log(draw: Generator, is_stated: bool) -> Log:
+    """Draw the conventions of a log; return those of the run format if the log states what its stamps mean."""
+    if is_stated:
         return Log()
-    late = draw.integers(0, PARTS, 2)
-    return Log(bool(draw.random() < 0.5), bool(draw.random() < 0.5), int(late[0]), int(late[1]))
+    ages = draw.integers(0, PARTS, 2)
+    return Log(bool(draw.random() < 0.5), bool(draw.random() < 0.5), int(ages[0]), int(ages[1]))

@@ -1,4 +1,4 @@
-"""The first simulator: all runs side by side as lanes of arrays, stepped by Euler with the rotor stuck or sliding."""
+"""The first simulator: all runs as lanes of arrays, stepped by Euler's method, with each rotor stuck or sliding."""
 
 from collections.abc import Callable, Sequence
 
@@ -8,30 +8,30 @@ from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
 from leactl.joints.run import PARTS, Array, JointRun, JointSignals
 
 Column = Callable[[Callable[[JointRun], float]], Array]  # one number of every lane
-Parameter = Callable[..., Array]  # effect, parameter and what does nothing, of every lane
+Parameter = Callable[..., Array]  # effect, parameter and value without effect, for every lane
 TINY = 1e-9  # V, back-EMF below which no power folds a current back
-BURST = 0.6  # of a sine, above which a burst rubs
+BURST = 0.6  # of a sine: above it, a burst of friction acts
 
 
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
-    """Run every lane to the end of its program."""
+    """Run every lane to the end of its references."""
     lanes = JointLanes(runs)
     lengths = [len(run.asked(None)) for run in runs]
     longest = max(lengths)
     current, velocity = (padded(runs, quantity, longest) for quantity in ("current", "velocity"))
-    kept = np.zeros((4, longest, len(runs)))
+    signals = np.zeros((4, longest, len(runs)))
     for row in range(longest):
-        kept[:, row] = lanes.sample(current[row], velocity[row])
-    return [JointSignals(*(kept[k, :length, lane] for k in range(4))) for lane, length in enumerate(lengths)]
+        signals[:, row] = lanes.sample(current[row], velocity[row])
+    return [JointSignals(*(signals[k, :length, lane] for k in range(4))) for lane, length in enumerate(lengths)]
 
 
 def padded(runs: Sequence[JointRun], quantity: str, longest: int) -> Array:
-    """A reference of all runs, a row a sample; runs that have ended ask for nothing."""
-    wanted = np.zeros((longest, len(runs)))
+    """A reference of all runs, shape (samples, lanes); zero after the end of a run."""
+    references = np.zeros((longest, len(runs)))
     for lane, run in enumerate(runs):
-        asked = run.asked(getattr(run.program, quantity))
-        wanted[: len(asked), lane] = asked
-    return wanted
+        reference = run.asked(getattr(run.program, quantity))
+        references[: len(reference), lane] = reference
+    return references
 
 
 class JointLanes:
@@ -60,7 +60,7 @@ class JointLanes:
         # a machine has one load, behind a spring or behind a gear's play
         share, inertia = effect("joint_elasticity", "share") + effect("gear_backlash", "share"), true("rotor_inertia")
         self.half_play, self.load_friction = 0.5 * effect("gear_backlash", "play"), effect("gear_backlash", "friction")
-        self.geared = self.half_play > 0.0
+        self.has_gear = self.half_play > 0.0
         self.inertia, self.load = inertia * (1.0 - share), np.maximum(inertia * share, 1e-300)
         pulsation = 2.0 * np.pi * effect("joint_elasticity", "frequency")
         self.stiffness = inertia * share * pulsation**2
@@ -82,7 +82,7 @@ class JointLanes:
         self.servo = column(lambda run: float(run.program.velocity is not None))
         self.gain = 2.0 * np.pi * SERVO_HZ * nominal("rotor_inertia") / nominal("torque_constant")
         self.corner = 2.0 * np.pi * SERVO_CORNER_HZ / nominal("rate")
-        self.most = nominal("current")
+        self.peak_current = nominal("current")
         self.follows = -np.expm1(-2.0 * np.pi * nominal("loop") * self.step)
         self.offset = effect("current_sensor_offset", "offset")
         self.slew = effect("command_slew_limit", "rate", np.inf) * self.step
@@ -104,7 +104,7 @@ class JointLanes:
         self.push, self.push_phase = (effect("push_in_time", name) for name in ("amplitude", "phase"))
         self.push_rate = 2.0 * np.pi * effect("push_in_time", "frequency")
         self.weight, self.weight_phase = (effect("gravity_load", name) for name in ("amplitude", "phase"))
-        self.cable, self.rest = effect("position_spring", "stiffness"), effect("position_spring", "rest_angle")
+        self.cable, self.rest_angle = effect("position_spring", "stiffness"), effect("position_spring", "rest_angle")
         self.reach = effect("position_spring", "reach", 1.0)
 
     def _frictions(self, effect: Parameter) -> None:
@@ -119,31 +119,31 @@ class JointLanes:
         self.burst, self.burst_phase = (effect("rubbing_bursts", name) for name in ("excess", "phase"))
         self.burst_rate = 2.0 * np.pi / effect("rubbing_bursts", "period", 1.0)
         self.displacement = effect("presliding", "displacement")
-        self.slides = self.displacement == 0.0
+        self.has_no_presliding = self.displacement == 0.0
 
     def sample(self, current: Array, velocity: Array) -> tuple[Array, Array, Array, Array]:
-        """Advance by one sample; gives reference, current, velocity and angle as the drive has them."""
+        """Advance by one sample; returns reference, current, velocity and angle as the drive reads them."""
         reference = current + self.servo * self._servo(velocity)
-        taken_current, taken_velocity = self.current, self.reading
+        logged_current, logged_velocity = self.current, self.reading
         for part in range(PARTS):
             self._drive_step(self.before + (reference - self.before) * np.maximum(self.holds, (part + 1) / PARTS))
             self._rotor_step()
             self.charge = self.charge + self.current + self.offset
             mean = (self.charge - self.charge_before) / PARTS
             due = self.current_at == part
-            taken_current = np.where(due, mean, taken_current)
+            logged_current = np.where(due, mean, logged_current)
             self.charge_before = np.where(due, self.charge, self.charge_before)
-            taken_velocity = np.where(self.velocity_at == part, self.reading, taken_velocity)
+            logged_velocity = np.where(self.velocity_at == part, self.reading, logged_velocity)
         self.before = reference
         encoder = self.angle + self.eccentric * np.sin(self.angle + self.eccentric_phase)
-        return reference, taken_current, taken_velocity, encoder
+        return reference, logged_current, logged_velocity, encoder
 
     def _servo(self, velocity: Array) -> Array:
         error = velocity - self.reading
-        asked = self.gain * (error + self.integral + self.corner * error)
-        given = np.clip(asked, -self.most, self.most)
-        self.integral = self.integral + np.where(given == asked, self.corner * error, 0.0)
-        return given
+        unlimited = self.gain * (error + self.integral + self.corner * error)
+        limited = np.clip(unlimited, -self.peak_current, self.peak_current)
+        self.integral = self.integral + np.where(limited == unlimited, self.corner * error, 0.0)
+        return limited
 
     def _drive_step(self, reference: Array) -> None:
         depth = len(self.queue)
@@ -164,68 +164,76 @@ class JointLanes:
         torque += self.cogging * np.sin(self.cogging_order * angle + self.cogging_phase)
         torque += self.unbalance * np.sin(angle + self.unbalance_phase)
         torque += self.push * np.sin(self.push_rate * self.time + self.push_phase)
-        joint = angle - np.where(self.geared, self.twist, 0.0)
-        outside = self.weight * np.cos(joint + self.weight_phase)
-        outside += self.cable * self.reach * np.tanh((joint - self.rest) / self.reach)
-        torque -= np.where(self.geared, 0.0, outside)
+        joint = angle - np.where(self.has_gear, self.twist, 0.0)
+        load_torque = self.weight * np.cos(joint + self.weight_phase)
+        load_torque += self.cable * self.reach * np.tanh((joint - self.rest_angle) / self.reach)
+        torque -= np.where(self.has_gear, 0.0, load_torque)
         spring = self.stiffness * self.twist + self.spring_damping * (speed - self.load_speed)
-        more = 1.0 + self.excess * np.exp(-self.time / self.settling)
-        level = self.coulomb * more * self._uneven(angle, speed)
+        run_in = 1.0 + self.excess * np.exp(-self.time / self.settling)
+        level = self.coulomb * run_in * self._uneven(angle, speed)
         self.stretch = np.clip(self.stretch + speed * step, -self.displacement, self.displacement)
-        gives = np.divide(self.stretch, self.displacement, out=np.zeros_like(step), where=~self.slides)
-        kept = 1.0 - self.load_friction
-        push = torque - spring - kept * (self.damping * more * speed + level * gives)
-        rubs = np.where(self.slides, kept * level, 0.0)
-        self.speed = slowed(speed + push * step / self.inertia, rubs * step / self.inertia)
-        swung = np.where(self.stiffness > 0.0, self.load_speed + spring * step / self.load, self.speed)
-        turned, twist = self.speed * step, self.twist + (self.speed - swung) * step
-        if self.geared.any():
-            hung = -outside - self.load_friction * self.damping * more * self.load_speed
-            meshed = self._meshed(speed, (push, rubs), (hung, self.load_friction * level))
-            geared = zip(meshed, (self.speed, swung, twist, turned), strict=True)
-            self.speed, swung, twist, turned = (np.where(self.geared, mesh, rest) for mesh, rest in geared)
-        self.load_speed, self.twist = swung, twist
-        self.angle = angle + turned
+        deflection = np.divide(self.stretch, self.displacement, out=np.zeros_like(step), where=~self.has_no_presliding)
+        motor_share = 1.0 - self.load_friction
+        push = torque - spring - motor_share * (self.damping * run_in * speed + level * deflection)
+        sliding_friction = np.where(self.has_no_presliding, motor_share * level, 0.0)
+        self.speed = reduced_by_friction(speed + push * step / self.inertia, sliding_friction * step / self.inertia)
+        load_speed = np.where(self.stiffness > 0.0, self.load_speed + spring * step / self.load, self.speed)
+        rotation, twist = self.speed * step, self.twist + (self.speed - load_speed) * step
+        if self.has_gear.any():
+            load_push = -load_torque - self.load_friction * self.damping * run_in * self.load_speed
+            meshed = self._meshed(speed, (push, sliding_friction), (load_push, self.load_friction * level))
+            pairs = zip(meshed, (self.speed, load_speed, twist, rotation), strict=True)
+            self.speed, load_speed, twist, rotation = (
+                np.where(self.has_gear, meshed_value, ungeared) for meshed_value, ungeared in pairs
+            )
+        self.load_speed, self.twist = load_speed, twist
+        self.angle = angle + rotation
         self.time = self.time + step
-        seen = self.speed * (1.0 + self.eccentric * np.cos(self.angle + self.eccentric_phase))
-        self.filtered = self.filtered + self.filters * (seen - self.filtered)
+        encoder_velocity = self.speed * (1.0 + self.eccentric * np.cos(self.angle + self.eccentric_phase))
+        self.filtered = self.filtered + self.filters * (encoder_velocity - self.filtered)
         self.reading = self.reading + self.lags * (self.filtered - self.reading)
 
     def _meshed(self, before: Array, motor: tuple[Array, Array], load: tuple[Array, Array]) -> tuple[Array, ...]:
-        """Speeds of motors and loads, angles between and steps of motors, of teeth with play that meet without rebound.
+        """Step gears with play whose teeth meet without rebound.
 
+        Returns the speeds of motors and loads, the angles between them and the rotations of the motors in this step.
         before : speed of the motors before this step. motor, load : torque on each and its Coulomb friction [N*m].
         """
         step, half = self.step, self.half_play
-        hung = np.where(self.geared, self.load, self.inertia)  # any number where no gear is
-        both = self.inertia + hung
-        alone = slowed(self.load_speed + load[0] * step / hung, load[1] * step / hung)
-        across = self.speed - alone
-        ahead = self.twist + across * step
-        pressed = (np.abs(self.twist) >= half) & (self.twist * across >= 0.0)
-        meets = ~pressed & (np.abs(ahead) >= half) & (ahead * across > 0.0)
-        momentum = self.inertia * before + hung * self.load_speed + (motor[0] + load[0]) * step
-        as_one = slowed(momentum / both, (motor[1] + load[1]) * step / both)
-        met = (self.inertia * self.speed + hung * alone) / both
-        together = np.where(pressed, as_one, met)
-        touches = pressed | meets  # the centre of inertia of the two stays its course where they meet within a step
-        speed, twist = np.where(touches, together, self.speed), np.where(meets, np.copysign(half, ahead), ahead)
-        turned = speed * step + np.where(meets, hung / both * (twist - self.twist), 0.0)
-        return speed, np.where(touches, together, alone), np.where(pressed, self.twist, twist), turned
+        load_inertia = np.where(self.has_gear, self.load, self.inertia)  # any number where no gear is
+        total_inertia = self.inertia + load_inertia
+        free_load_speed = reduced_by_friction(
+            self.load_speed + load[0] * step / load_inertia, load[1] * step / load_inertia
+        )
+        relative_speed = self.speed - free_load_speed
+        next_twist = self.twist + relative_speed * step
+        pressed = (np.abs(self.twist) >= half) & (self.twist * relative_speed >= 0.0)
+        meets = ~pressed & (np.abs(next_twist) >= half) & (next_twist * relative_speed > 0.0)
+        momentum = self.inertia * before + load_inertia * self.load_speed + (motor[0] + load[0]) * step
+        joined_speed = reduced_by_friction(momentum / total_inertia, (motor[1] + load[1]) * step / total_inertia)
+        impact_speed = (self.inertia * self.speed + load_inertia * free_load_speed) / total_inertia
+        meshed_speed = np.where(pressed, joined_speed, impact_speed)
+        touches = pressed | meets  # when both meet within a step, their common centre of inertia keeps its speed
+        speed, twist = (
+            np.where(touches, meshed_speed, self.speed),
+            np.where(meets, np.copysign(half, next_twist), next_twist),
+        )
+        rotation = speed * step + np.where(meets, load_inertia / total_inertia * (twist - self.twist), 0.0)
+        return speed, np.where(touches, meshed_speed, free_load_speed), np.where(pressed, self.twist, twist), rotation
 
     def _uneven(self, angle: Array, speed: Array) -> Array:
-        """Factor on Coulomb friction."""
-        rubs = np.sin(self.burst_rate * self.time + self.burst_phase) > BURST
-        factor = 1.0 + self.breakaway * np.exp(-np.abs(speed) / self.stribeck_velocity) + self.burst * rubs
+        """Factor on Coulomb friction at an angle and a speed."""
+        is_burst = np.sin(self.burst_rate * self.time + self.burst_phase) > BURST
+        factor = 1.0 + self.breakaway * np.exp(-np.abs(speed) / self.stribeck_velocity) + self.burst * is_burst
         factor *= 1.0 + self.asymmetry * np.sign(speed)
         return np.asarray(factor * (1.0 + self.uneven * np.cos(self.uneven_order * angle + self.uneven_phase)))
 
 
-def slowed(speed: Array, most: Array) -> Array:
-    """Speed that friction takes up to so much of, down to standstill and no further."""
-    return np.asarray(speed - np.clip(speed, -most, most), np.float64)
+def reduced_by_friction(speed: Array, largest_change: Array) -> Array:
+    """Reduce the magnitude of a speed by at most `largest_change`, not below zero."""
+    return np.asarray(speed - np.clip(speed, -largest_change, largest_change), np.float64)
 
 
 def wave(effect: Parameter, name: str) -> tuple[Array, Array, Array]:
-    """Amplitude, order and phase of a periodic effect."""
+    """Amplitude, order and phase of a periodic effect, for every lane."""
     return effect(name, "amplitude"), effect(name, "order", 1.0), effect(name, "phase")

@@ -132,7 +132,7 @@ def wrapped_list(text: str) -> list[str]:
 def closed_loop_lines(loop: "ClosedLoop") -> list[str]:
     """Return the lines of `gap loop`: the effects named, each held-out run before and after, files, notes."""
     named = f"Named: {enumerated(list(loop.named))}." if loop.named else "No effect was named."
-    rows = [played_cells(run) for run in (*loop.runs, loop.whole)]
+    rows = [played_cells(run) for run in (*loop.runs, loop.total)]
     left_out = [
         f"{destination.entry.effect}: left out, {destination.reason}"
         for destination in loop.patched.effects

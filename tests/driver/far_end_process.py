@@ -87,10 +87,10 @@ def serve_line(place):
     wire = SerialWire(clock, 10 / 115200)
     if "resource_file" in place:
         bridge = SocketBridge(wire)
-        Path(place["resource_file"]).write_text(bridge.place.split()[-1])
+        Path(place["resource_file"]).write_text(bridge.address.split()[-1])
     else:
         bridge = SerialBridge(wire)
-        Path(place["link"]).symlink_to(bridge.place.split()[-1])
+        Path(place["link"]).symlink_to(bridge.address.split()[-1])
 
     def make(kind, *arguments):
         wire.device = SERIAL_ENDS[kind](*arguments)

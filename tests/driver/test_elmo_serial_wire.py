@@ -137,7 +137,7 @@ def test_an_exchange_ends_with_the_number_that_it_began_with():
     interpreter, line = scripted(b";0.25;-7;;101;")
     replies = interpreter.ask("IQ", "PX", "UM=1", within_s=0.1)
     assert line.said == b"UI[3]=101;IQ;PX;UM=1;UI[3];"
-    assert (replies.number("IQ"), replies.whole("PX")) == (0.25, -7)
+    assert (replies.number("IQ"), replies.integer("PX")) == (0.25, -7)
 
 
 @pytest.mark.parametrize(

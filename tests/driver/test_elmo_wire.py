@@ -482,7 +482,7 @@ def test_stop_now_reaches_a_drive_in_any_network_state_and_waits_for_nothing(mak
 @pytest.mark.parametrize(("how", "said"), [("reboot", "boot-up"), ("stop_node", "stopped")])
 def test_a_node_that_leaves_the_operational_state_is_noticed_by_its_next_heartbeat(bench, how, said):
     bench.engage(Mode.CURRENT)
-    bench.wait_until(lambda: bench.cycle() and bench.drive._standing.operational)
+    bench.wait_until(lambda: bench.cycle() and bench.drive._condition.operational)
     getattr(bench.far, how)()
     before = bench.clock.now()
     with pytest.raises(DeviceFault, match=rf"node 1 rebooted or left the operational state \({said}\)"):

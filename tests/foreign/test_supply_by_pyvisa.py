@@ -115,7 +115,7 @@ def instrument():
     bridge = SocketBridge(wire)
     with (
         served(bridge, clock),
-        pyvisa.ResourceManager("@py").open_resource(bridge.place.split()[-1]) as opened,
+        pyvisa.ResourceManager("@py").open_resource(bridge.address.split()[-1]) as opened,
     ):
         opened.read_termination = opened.write_termination = "\n"
         opened.timeout = 5000

@@ -27,7 +27,7 @@ def main():
 
     bench.time.follow(look)
     with listening() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
-        print(json.dumps(bridges["supply0"].place), flush=True)
+        print(json.dumps(bridges["supply0"].address), flush=True)
         serve(bench.time, list(bridges.values()), [], lambda: bool(stop.cause))
 
 

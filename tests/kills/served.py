@@ -54,7 +54,7 @@ def main(path, *changes):
     clock.stop_at(lambda: (int(clock.now() * STEPS_PER_S + 1e-6) + 1) / STEPS_PER_S)
     clock.stop_at(lambda: min(drive.due for drive in drives))
     with listening() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
-        print(json.dumps(bridges["can0"].place), flush=True)
+        print(json.dumps(bridges["can0"].address), flush=True)
         serve(clock, list(bridges.values()), [], lambda: bool(stop.cause))
 
 

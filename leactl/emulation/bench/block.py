@@ -1,6 +1,6 @@
-"""The `emulated:` block of a bench file: what it makes, and every fault in it with its place.
+"""The `emulated:` block of a bench file: make its parameters and effects, and report every fault with its position.
 
-The check makes what a run makes, so that neither takes what the other refuses.
+The check makes the same objects as a run does, so that both accept and refuse the same blocks.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from leactl.yamlfile import Document, Location
 
 
 def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:
-    """The parameters of an emulated actuator: its motor's, and the bench file's own over them.
+    """Parameters of an emulated actuator: those of its motor file, overridden by `changes` of the bench file.
 
     Raises
     ------
@@ -27,15 +27,17 @@ def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
     """
     name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
     motor, _document = load_motor(name)
-    whole = motor.model_dump(include={item.name for item in fields(ActuatorParameters)})
+    motor_parameters = motor.model_dump(include={parameter.name for parameter in fields(ActuatorParameters)})
     thermal = changes.get("thermal", {})
     if not isinstance(thermal, Mapping):
         raise InputError(f"thermal: found {thermal!r}, expected parameters by name")
-    return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": whole["thermal"] | dict(thermal)})
+    return ActuatorParameters.from_mapping(
+        motor_parameters | dict(changes) | {"thermal": motor_parameters["thermal"] | dict(thermal)}
+    )
 
 
 def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
-    """An effect of the bench file; what a model file says, `{effect: id, parameters: {...}}`, is understood too.
+    """Make an effect from its entry in a bench file, or from a model file's form `{effect: id, parameters: {...}}`.
 
     Raises
     ------
@@ -53,11 +55,11 @@ def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
 
 
 def check_emulated(file: BenchFile, devices: Sequence[CheckedDevice], document: Document) -> None:
-    """Refuse what no emulated bench can be made of, in any of its conditions.
+    """Raise if no emulated bench can be made from the block, in any of its conditions.
 
     Raises
     ------
-    InputError : one line a fault, with file, line and column.
+    InputError : one line for each fault, with file, line and column.
     """
     if file.emulated is None:
         return
@@ -82,13 +84,13 @@ def _faults(file: BenchFile, document: Document) -> Iterator[str]:
         yield from _refused(document, ("emulated", "effects", index), partial(effect_of, entry))
 
 
-def _refused(document: Document, place: Location, make: Callable[[], object]) -> Iterator[str]:
-    """What refuses to be made, at the key that each line names first."""
+def _refused(document: Document, location: Location, make: Callable[[], object]) -> Iterator[str]:
+    """Yield the faults that `make` raises, each at the key that the message names, if the document has that key."""
     try:
         make()
     except InputError as error:
         for text in error.faults:
             name, colon, message = text.partition(": ")
-            path = (*place, *name.split("."))
-            known = bool(colon) and path[: len(place) + 1] in document.places
-            yield document.fault(path, message) if known else document.fault(place, text)
+            path = (*location, *name.split("."))
+            is_in_document = bool(colon) and path[: len(location) + 1] in document.places
+            yield document.fault(path, message) if is_in_document else document.fault(location, text)

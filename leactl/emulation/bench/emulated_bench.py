@@ -1,4 +1,4 @@
-"""An emulated bench behind a bench file: the plant, the devices' far ends, and a wiring that leads to them."""
+"""An emulated bench made from a bench file: the plant, the devices' emulators, and the wires that lead to them."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,20 +37,20 @@ _observers: "list[Callable[[EmulatedBench], None]]" = []
 
 
 @contextmanager
-def observed(see: "Callable[[EmulatedBench], None]") -> Iterator[None]:
-    """Have this function see every emulated bench that the process makes until the block is left.
+def observed(observer: "Callable[[EmulatedBench], None]") -> Iterator[None]:
+    """Call `observer` with every emulated bench that this process makes within the block.
 
-    A rehearsal judges by the plant, and not by what devices say, whether a drive that was confirmed safe is.
+    A rehearsal uses this to check in the plant, not by the devices' reports, that a drive confirmed safe is off.
     """
-    _observers.append(see)
+    _observers.append(observer)
     try:
         yield
     finally:
-        _observers.remove(see)
+        _observers.remove(observer)
 
 
 class EmulatedMachine:
-    """An actuator of the rig as its drive's sensors report it, noise included."""
+    """One actuator of the rig as its drive's sensors read it, with noise."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class EmulatedMachine:
 
 
 class EmulatedBench:
-    """Physics of a bench file in one set-up and condition, and the wiring that reaches it in lock-step."""
+    """The plant of a bench file in one set-up and condition, and the wires to its devices, all on one clock."""
 
     def __init__(
         self,
@@ -97,28 +97,28 @@ class EmulatedBench:
         if emulated is None:
             raise InputError(f"bench '{file.name}' is a real bench; it has no `emulated:` block")
         emulated.expect(condition)
-        made = [make_fault(entry) for entry in emulated.faults]
-        placed = [device.name for device in devices]  # what this run leaves alone cannot fail
-        faults = [fault for fault in made if getattr(fault, "device", None) in (None, *placed)]
+        all_faults = [make_fault(entry) for entry in emulated.faults]
+        used_devices = [device.name for device in devices]  # faults of devices that the run does not use are dropped
+        faults = [fault for fault in all_faults if getattr(fault, "device", None) in (None, *used_devices)]
         self.time = EmulatedClock(realtime)
         self.host_clock = HostClock(self.time)
         self.clock = self.host_clock if faults else self.time
         self.disk_delay_s = 0.0
         self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
-        under = emulated.conditions.get(condition, {})
-        number = emulated.seed if seed is None else seed
-        test = actuator_of(file, "test", under | emulated.test)
-        load = actuator_of(file, "load", under | emulated.load)
+        condition_changes = emulated.conditions.get(condition, {})
+        seed_number = emulated.seed if seed is None else seed
+        test = actuator_of(file, "test", condition_changes | emulated.test)
+        load = actuator_of(file, "load", condition_changes | emulated.load)
         effects = [effect_of(entry) for entry in emulated.effects]
         bench = BenchParameters.from_mapping(emulated.bench)
         expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
         self.rig: Rig | SteppedRig = (
-            Rig(setup, test, load, bench, number, effects)
+            Rig(setup, test, load, bench, seed_number, effects)
             if expressible
             else SteppedRig(setup, test, load, bench, effects)
         )
         self.time.follow(self.rig.advance)
-        self._file, self._settings, self._number = file, emulated, number
+        self._file, self._settings, self._number = file, emulated, seed_number
         self._streams_of_noise = 1
         self.machines = {role: self._machine(role) for role in ("test", "load")}
         self.wires = {name: CanWire(self.time) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
@@ -132,38 +132,43 @@ class EmulatedBench:
         self.far_ends: dict[str, Any] = {}
         self.signals: dict[str, DeviceSignals] = {}
         for device in devices:
-            self._place(device, bool(faults))
-        Schedule(self, faults, number)
-        for see in _observers:
-            see(self)
+            self._attach(device, bool(faults))
+        Schedule(self, faults, seed_number)
+        for observer in _observers:
+            observer(self)
 
     def can(self, name: str, bus: CanBus) -> Callable[[], can.BusABC]:
-        """How to connect to an emulated CAN bus."""
+        """Return a function that connects to an emulated CAN bus."""
         return lambda: EmulatedCanBus(self.wires[name])
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """How to connect to an emulated I2C bus."""
+        """Return a function that connects to an emulated I2C bus."""
         return lambda: self.i2c_buses[name]
 
     def library(self, device: str) -> Any:
-        """The far end of a device without a bus, in place of its maker's library."""
+        """Emulator of a device without a bus, which replaces the maker's library."""
         return self.far_ends[device]
 
     def wait_for_disk(self) -> None:
-        """Wait for as long as a slow disk takes, by the wall clock."""
+        """Wait for the delay of a slow disk, by the wall clock."""
         if self.disk_delay_s:
             time.sleep(self.disk_delay_s)
 
     def hang(self, torque: float) -> None:
-        """Let weights act on the torque sensor [N*m]."""
+        """Apply the torque of weights [N*m] to the torque sensor."""
         self.rig.hung_torque = torque
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
-        """How to connect to an emulated serial line."""
+        """Return a function that connects to an emulated serial line."""
         return lambda: EmulatedSerialLine(self.serial_wires[name])
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """What a power supply feeds."""
+        """Load at the terminals of a power supply.
+
+        Raises
+        ------
+        InputError : the supply feeds the leads of another motor than 'test'.
+        """
         if feeds == "bus":
             return DcLink(self.rig)
         if role != "test":
@@ -171,52 +176,69 @@ class EmulatedBench:
         return HeatedLeads(self.rig)
 
     def terminals(self, role: str) -> MotorTerminals:
-        """The three leads of this role's motor."""
+        """The three leads of this role's motor.
+
+        Raises
+        ------
+        InputError : the bench has no such motor.
+        """
         if role not in self.rig.actuators:
             raise InputError(f"the emulated bench has motors 'test' and 'load', not '{role}'")
         settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
         chance = np.random.default_rng([self._number, self._streams_of_noise])
         harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
         leads = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
-        leads.look(self.time.now())
-        self.time.follow(leads.look)
+        leads.sample(self.time.now())
+        self.time.follow(leads.sample)
         return leads
 
     def machine(self, role: str) -> EmulatedMachine:
-        """What the drive of this role turns."""
+        """The machine that the drive of this role turns.
+
+        Raises
+        ------
+        InputError : the role is neither 'test' nor 'load'.
+        """
         if role not in self.machines:
             raise InputError(f"an emulated drive turns 'test' or 'load', not '{role}'")
         return self.machines[role]
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
-        """A function that gives this quantity as its sensor has it now."""
+        """Return a function that gives the present reading of a quantity's sensor.
+
+        Raises
+        ------
+        InputError : the bench has no such quantity for this role.
+        """
         rig, noise = self.rig, self._fresh_noise()
         if quantity == "torque" and role == "test":
             spread = self._settings.torque_noise_Nm
             return lambda: rig.shaft_torque + spread * noise()
         if quantity.endswith("_temperature"):
             return self._thermometer(quantity, role, location, noise)
-        plain: Mapping[str, Callable[[], float]] = {
+        plain_readings: Mapping[str, Callable[[], float]] = {
             "line_current": lambda: rig.line_current,
             "line_voltage": lambda: rig.line_voltage,
             "bus_voltage": lambda: rig.bus_voltage,
         }
-        if quantity not in plain:
+        if quantity not in plain_readings:
             raise InputError(f"the emulated bench has no {quantity} of '{role}' for an analogue sensor")
-        return plain[quantity]
+        return plain_readings[quantity]
 
     def _thermometer(self, quantity: str, role: str, location: str, noise: Noise) -> Callable[[], float]:
-        """What a sensor of temperatures shows, with the bench file's errors of its zero and of the rise."""
-        rig, settings, place = self.rig, self._settings, f"{quantity} of '{role}'"
+        """Return a function that gives a temperature sensor's reading, with the bench file's offset, gain and noise."""
+        rig, settings, quantity_of_role = self.rig, self._settings, f"{quantity} of '{role}'"
         if role not in rig.actuators or quantity not in TEMPERATURES:
-            raise InputError(f"the emulated bench has no {place}; it has {', '.join(TEMPERATURES)} of test and load")
-        actuator, air, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
+            raise InputError(
+                f"the emulated bench has no {quantity_of_role}; it has {', '.join(TEMPERATURES)} of test and load"
+            )
+        actuator, ambient, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
         spread, zero, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
         if quantity == "ambient_temperature":
-            return lambda: air + zero + spread * noise()
+            return lambda: ambient + zero + spread * noise()
         if quantity == "winding_temperature" and part in PARTS:
-            return lambda: air + zero + gain * (rig.part_of_winding(role, part) - air) + spread * noise()
-        return lambda: air + zero + gain * (getattr(actuator, quantity) - air) + spread * noise()
+            return lambda: ambient + zero + gain * (rig.part_of_winding(role, part) - ambient) + spread * noise()
+        return lambda: ambient + zero + gain * (getattr(actuator, quantity) - ambient) + spread * noise()
 
     def _fresh_noise(self) -> Noise:
         self._streams_of_noise += 1
@@ -229,10 +251,10 @@ class EmulatedBench:
             actuator, self.rig, self._fresh_noise(), settings.current_noise_A, settings.velocity_noise_rad_s
         )
 
-    def _place(self, device: CheckedDevice, faulty: bool) -> None:
+    def _attach(self, device: CheckedDevice, has_faults: bool) -> None:
         entry = device.entry
         physics: Physics = self
-        if faulty:
+        if has_faults:
             physics = self.signals[device.name] = DeviceSignals(self)
         far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, physics)
         if entry.bus in self.wires:

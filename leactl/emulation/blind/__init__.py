@@ -1,1 +1,1 @@
-"""Cases for a check on withheld causes: benches with an unknown departure from their nominal model, and a key apart."""
+"""Cases for a test on withheld causes: benches with an unknown departure from their nominal model, and their key."""

@@ -1,4 +1,4 @@
-"""The true parameters of a case beside its nominal ones: every one of them is off, as on any bench."""
+"""True parameters of a case, each of which differs from its nominal value, as on any bench."""
 
 from dataclasses import dataclass, replace
 
@@ -27,7 +27,7 @@ RESISTANCE_COEFFICIENT_SPREAD = 0.004
 
 @dataclass(frozen=True)
 class Base:
-    """Both actuators and the bench as they truly are, and what the nominal model says of the coefficient."""
+    """True parameters of both actuators and the bench, and the resistance coefficient of the nominal model."""
 
     test: ActuatorParameters
     load: ActuatorParameters
@@ -36,16 +36,21 @@ class Base:
 
 
 def draw_base(draw: Generator, nominal_coefficient: float) -> Base:
-    """Draw a bench; the load is another actuator of the same make, with bearings of its own."""
-    values = {name: getattr(NOMINAL, name) * _off(draw, spread) for name, spread in list(SPREADS.items())[:6]}
+    """Draw a bench; the load is another actuator of the same make, with different bearings."""
+    values = {
+        name: getattr(NOMINAL, name) * _departure_factor(draw, spread) for name, spread in list(SPREADS.items())[:6]
+    }
     values["back_emf_constant"] = values["torque_constant"]
-    thermal = {name: getattr(NOMINAL.thermal, name) * _off(draw, spread) for name, spread in list(SPREADS.items())[6:]}
-    values["resistance_coefficient"] = nominal_coefficient * _off(draw, RESISTANCE_COEFFICIENT_SPREAD)
+    thermal = {
+        name: getattr(NOMINAL.thermal, name) * _departure_factor(draw, spread)
+        for name, spread in list(SPREADS.items())[6:]
+    }
+    values["resistance_coefficient"] = nominal_coefficient * _departure_factor(draw, RESISTANCE_COEFFICIENT_SPREAD)
     test = replace(NOMINAL, thermal=ThermalParameters(**thermal), **values)
     load = replace(
         test,
-        viscous_damping=NOMINAL.viscous_damping * _off(draw, SPREADS["viscous_damping"]),
-        coulomb_friction=NOMINAL.coulomb_friction * _off(draw, SPREADS["coulomb_friction"]),
+        viscous_damping=NOMINAL.viscous_damping * _departure_factor(draw, SPREADS["viscous_damping"]),
+        coulomb_friction=NOMINAL.coulomb_friction * _departure_factor(draw, SPREADS["coulomb_friction"]),
     )
     nominal_stiffness = BenchParameters().shaft_stiffness
     departure = float(draw.choice([-1, 1]) * draw.uniform(0.01, 0.14))
@@ -58,8 +63,8 @@ def draw_base(draw: Generator, nominal_coefficient: float) -> Base:
     return Base(test, load, bench, nominal_coefficient)
 
 
-def _off(draw: Generator, spread: float) -> float:
-    """A factor that is never 1: a normal departure between 0.2 and 2.2 standard deviations."""
+def _departure_factor(draw: Generator, spread: float) -> float:
+    """Draw a factor that is never 1: a normal departure between 0.2 and 2.2 standard deviations."""
     while True:
         departure = float(draw.standard_normal())
         if 0.2 < abs(departure) < 2.2:
@@ -67,7 +72,7 @@ def _off(draw: Generator, spread: float) -> float:
 
 
 def nominal_text(base: Base) -> str:
-    """The nominal model file beside the runs."""
+    """Text of the nominal model file, which is stored with the runs."""
     motor, bench, thermal = NOMINAL, BenchParameters(), NOMINAL.thermal
     return f"""\
 name: lea-nominal

@@ -1,4 +1,4 @@
-"""What a case holds: its kind, its effects and how strong they are, its runs with their programs and temperatures."""
+"""Draw a case: its bench, its effects and their strengths, and its runs with their references and temperatures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ class PlantedEffect:
 
 @dataclass(frozen=True)
 class RunDraw:
-    """One run of a case: where it starts and what is asked for."""
+    """One run of a case: its start and its references."""
 
     name: str  # locked_staircase-a
     kind: str
@@ -49,7 +49,7 @@ class RunDraw:
 
 @dataclass(frozen=True)
 class BlindCase:
-    """One bench, its departures, its ten runs."""
+    """One bench, its departures from the nominal model, and its ten runs."""
 
     name: str
     kind: str
@@ -60,11 +60,11 @@ class BlindCase:
 
 
 def draw_case(draw: Generator, name: str, kind: str, effects: Sequence[str], strength: str) -> BlindCase:
-    """Draw everything of a case.
+    """Draw all parts of a case.
 
     Parameters
     ----------
-    effects : identifiers of its effects: none, one, two; for `unknown` the name of an effect of leactl's unlisted room.
+    effects : identifiers of its effects: none, one or two; for `unknown` the name of an effect outside the vocabulary.
     strength : faint, plain or strong.
     """
     unlisted = unlisted_effects()
@@ -134,7 +134,7 @@ def _draw_run(
         test=base.test,
         load=base.load,
         bench=base.bench,
-        effects=tuple(_in_this_run(draw, own.effect) for own in drawn),
+        effects=tuple(_in_this_run(draw, planted.effect) for planted in drawn),
         angle=float(draw.uniform(0.0, 2 * math.pi)),
         winding=float(winding),
         housing=float(housing),
@@ -152,29 +152,29 @@ def _in_this_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
 
 
 def _steadied(program: DriveReferences, drawn: Sequence[PlantedEffect]) -> DriveReferences:
-    """Lower a servo's gain where an effect makes its loop late or springy, as whoever tunes it would."""
+    """Lower a servo's gain if an effect makes its loop slow or springy, as a person tuning it would."""
     if program.servo == "load":
-        springy = any(own.name in ("shaft_compliance", "backlash") for own in drawn)
+        springy = any(planted.name in ("shaft_compliance", "backlash") for planted in drawn)
         return _with_gain(program, 70.0) if springy else program
     if program.servo != "test":
         return program
-    late = 0.0
-    for own in drawn:
-        if own.name in ("transport_delay", "velocity_filter_lag"):
-            late += own.parameters.get("delay", 0.0) + own.parameters.get("time_constant", 0.0)
-        if own.name == "command_slew_limit":
-            late += 5.0 / own.parameters["rate"]  # s that a step of 5 A takes
-    return _with_gain(program, 0.35 / late) if late else program
+    delay = 0.0
+    for planted in drawn:
+        if planted.name in ("transport_delay", "velocity_filter_lag"):
+            delay += planted.parameters.get("delay", 0.0) + planted.parameters.get("time_constant", 0.0)
+        if planted.name == "command_slew_limit":
+            delay += 5.0 / planted.parameters["rate"]  # s that a step of 5 A takes
+    return _with_gain(program, 0.35 / delay) if delay else program
 
 
-def _with_gain(program: DriveReferences, most: float) -> DriveReferences:
-    gain = min(program.velocity_gain, most)
+def _with_gain(program: DriveReferences, highest_gain: float) -> DriveReferences:
+    gain = min(program.velocity_gain, highest_gain)
     share = gain / program.velocity_gain
     return replace(program, velocity_gain=gain, velocity_integral=program.velocity_integral * share * share)
 
 
 def usual_effects() -> tuple[str, ...]:
-    """Effects that are drawn where none are asked for: those that this bench may have."""
+    """Names of the effects that are drawn by default: those that this bench may have."""
     return tuple(name for name in effects_on("bench") if not _rules()[name].get("asked"))
 
 

@@ -1,4 +1,4 @@
-"""Write a case: ten run files, the nominal model they are to be compared with, and the entry of the key."""
+"""Write a case: ten run files, the nominal model to compare them with, and the entry of the key."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -92,20 +92,20 @@ def _write(
 
 
 def entry(case: BlindCase) -> dict[str, Any]:
-    """What is known of a case; unlisted effects count as `unknown`, their names stand in `unlisted`."""
-    named = [own for own in case.effects if case.kind != "unknown"]
+    """Entry of the key for a case; effects outside the vocabulary count as `unknown`; `unlisted` has their names."""
+    named = [planted for planted in case.effects if case.kind != "unknown"]
     return {
         "kind": case.kind,
-        "effects": ["unknown"] if case.kind == "unknown" else [own.name for own in named],
-        "unlisted": [own.name for own in case.effects if case.kind == "unknown"],
+        "effects": ["unknown"] if case.kind == "unknown" else [planted.name for planted in named],
+        "unlisted": [planted.name for planted in case.effects if case.kind == "unknown"],
         "strength": case.effects[0].strength if case.effects else None,
-        "parameters": {own.name: dict(own.parameters) for own in case.effects},
+        "parameters": {planted.name: dict(planted.parameters) for planted in case.effects},
         "true_base": _true_base(case),
     }
 
 
 def _true_base(case: BlindCase) -> dict[str, float]:
-    """True parameters under the names of the model file; nested ones dotted."""
+    """True parameters under the names of the model file; names of nested ones are dotted."""
     base = case.base
     test: dict[str, Any] = asdict(base.test)
     thermal = test.pop("thermal")

@@ -1,6 +1,6 @@
-"""The key to a set of cases: what each of them holds, kept apart, and a hash of it beside the runs.
+"""The key to a set of cases: the contents of each case, stored apart from the runs, and its hash, stored with the runs.
 
-The key file carries a random salt, so that nobody can find it by hashing guesses; its SHA-256 as a file is the hash.
+The key file contains a random salt, so that nobody can find it by hashing guesses; the hash is the file's SHA-256.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ HASH_NAME = "key.sha256"
 
 
 def write_key(key_dir: Path, out: Path, entries: Mapping[str, Any], seed: int, salt: str) -> str:
-    """Write the key, an entry for each case, and, beside the runs, its hash, which is given back."""
+    """Write the key, which has an entry for each case, and its hash into the folder of the runs; returns the hash."""
     key = {
         "format": "leactl-gap-key",
         "format_version": 1,
@@ -33,7 +33,7 @@ def write_key(key_dir: Path, out: Path, entries: Mapping[str, Any], seed: int, s
 
 
 def require_whole(out: Path) -> None:
-    """Refuse a folder whose cases are still being made: the key's hash is what is written last.
+    """Raise if the cases of a folder are still being made: the key's hash is written last.
 
     Raises
     ------
@@ -44,16 +44,16 @@ def require_whole(out: Path) -> None:
 
 
 def read_key(key_dir: Path, out: Path) -> dict[str, Any]:
-    """Read the key after checking it against the hash beside the runs.
+    """Read the key and check it against the hash stored with the runs.
 
     Raises
     ------
     InputError : either is missing, or the key is not the one that the runs were made with.
     """
     path, hash_path = key_dir / KEY_NAME, out / HASH_NAME
-    for needed in (path, hash_path):
-        if not needed.is_file():
-            raise InputError(f"{needed}: not there; give the folder that `leactl gap blind make` wrote")
+    for required_file in (path, hash_path):
+        if not required_file.is_file():
+            raise InputError(f"{required_file}: not there; give the folder that `leactl gap blind make` wrote")
     content = path.read_bytes()
     expected = hash_path.read_text(encoding="utf-8").split()[0]
     if hashlib.sha256(content).hexdigest() != expected:

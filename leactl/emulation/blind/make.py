@@ -1,4 +1,4 @@
-"""Make cases: draw them, run all their benches side by side, write runs and key."""
+"""Make cases: draw them, simulate all their benches together, write runs and key."""
 
 import secrets
 import time
@@ -32,52 +32,56 @@ def make(
     prefix: str = "case",
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Make cases under `out`, each in a folder of its own, and their key in `key_dir`; gives the key's hash.
+    """Make cases in `out`, each in its own folder, and their key in `key_dir`; returns the key's hash.
 
     Parameters
     ----------
-    seed : the same seed and arguments give the same values; without one it is fresh entropy.
-    kinds : of `none`, `single`, `pair` and `unknown`, met in their usual shares.
-    effects : which identifiers may be drawn; by default all that this bench may have. Single ones come in turn, each
-        before any comes twice.
+    seed : the same seed and arguments give the same values; without a seed, fresh entropy is used.
+    kinds : of `none`, `single`, `pair` and `unknown`, drawn in their usual shares.
+    effects : identifiers that may be drawn; by default all that this bench may have. Single effects are drawn in turn,
+        each before any comes twice.
     strengths : of `faint`, `plain` and `strong`.
 
     Raises
     ------
-    InputError : an argument names what there is not, or a folder is taken.
+    InputError : an argument names an unknown kind, effect or strength, or a folder is not empty.
     """
     chosen = tuple(effects) if effects else usual_effects()
     _check(count, out, key_dir, kinds, chosen, strengths)
-    number = secrets.randbits(128) if seed is None else seed
-    draw = np.random.default_rng([number, 0])
+    seed_number = secrets.randbits(128) if seed is None else seed
+    draw = np.random.default_rng([seed_number, 0])
     plans = _plans(draw, count, kinds, chosen, strengths)
     digits = max(3, len(str(count)))
     entries: dict[str, Any] = {}
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     for start in range(0, count, AT_ONCE):
-        left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
-        progress(f"{start} of {count} cases made{left}")
+        time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
+        progress(f"{start} of {count} cases made{time_left}")
         batch = [
-            draw_case(np.random.default_rng([number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
+            draw_case(np.random.default_rng([seed_number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
             for k in range(start, min(start + AT_ONCE, count))
         ]
         write([out / case.name for case in batch], batch)
         entries |= {case.name: entry(case) for case in batch}
     salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
-    return write_key(key_dir, out, entries, number, salt)
+    return write_key(key_dir, out, entries, seed_number, salt)
 
 
 def _check(
     count: int, out: Path, key_dir: Path, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> None:
     faults = faults_of(count, out, key_dir, kinds)
-    for what, given, known in (
+    for argument, names, known_names in (
         ("effect", effects, effects_on("bench")),
         ("strength", strengths, tuple(STRENGTHS)),
     ):
-        faults += [f"{what} {name!r} is not known; known: {', '.join(known)}" for name in given if name not in known]
-        faults += [] if given else [f"no {what} given; known: {', '.join(known)}"]
+        faults += [
+            f"{argument} {name!r} is not known; known: {', '.join(known_names)}"
+            for name in names
+            if name not in known_names
+        ]
+        faults += [] if names else [f"no {argument} given; known: {', '.join(known_names)}"]
     if "pair" in kinds and len(set(effects)) < 2:
         faults.append("a pair needs two effects to be drawn from; give more, or leave out the kind pair")
     if faults:
@@ -87,7 +91,7 @@ def _check(
 def _plans(
     draw: np.random.Generator, count: int, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
-    """Kind, effects and strength of each case, in an order that tells nothing."""
+    """Draw kind, effects and strength of each case, in random order."""
     singles, unknowns = in_turn(draw, effects), in_turn(draw, tuple(unlisted_effects()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
     for kind, number in counts(count, kinds).items():
@@ -104,13 +108,17 @@ def _plans(
 
 
 def write(folders: Sequence[Path], batch: Sequence[BlindCase]) -> None:
-    """Run the benches of some cases side by side, and write each case into its folder."""
-    placed = list(zip(folders, batch, strict=True))
-    for folder, case in placed:
+    """Simulate the benches of some cases together, and write each case into its folder."""
+    cases = list(zip(folders, batch, strict=True))
+    for folder, case in cases:
         write_model(folder, case)
-    runs = [(folder, case, run) for folder, case in placed for run in case.runs]
-    moving = [(*one, one[2].program) for one in runs if isinstance(one[2].program, DriveReferences)]
-    heated = [(*one, one[2].program) for one in runs if not isinstance(one[2].program, DriveReferences)]
+    runs = [(folder, case, run) for folder, case in cases for run in case.runs]
+    moving = [
+        (folder, case, run, run.program) for folder, case, run in runs if isinstance(run.program, DriveReferences)
+    ]
+    heated = [
+        (folder, case, run, run.program) for folder, case, run in runs if not isinstance(run.program, DriveReferences)
+    ]
     signals = simulate([run.lane for _, _, run, _ in moving], [program for *_, program in moving])
     for (folder, case, run, _), signal in zip(moving, signals, strict=True):
         write_moving(folder, case, run, signal)

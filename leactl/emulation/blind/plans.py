@@ -1,4 +1,4 @@
-"""How many cases there are of each kind, in an order that tells nothing, and where they may be written."""
+"""Numbers of cases of each kind, names drawn in turn, and a check of the folders to write to."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the k
 
 
 def faults_of(count: int, out: Path, key_dir: Path, kinds: Sequence[str]) -> list[str]:
-    """What speaks against making so many cases of these kinds there, one line each."""
+    """Reasons why the cases cannot be made with these arguments, one line each; empty if they can."""
     faults = [f"cases: {count} is not a number of cases; give 1 or more"] if count < 1 else []
     faults += [f"kind {name!r} is not known; known: {', '.join(KINDS)}" for name in kinds if name not in KINDS]
     faults += [] if kinds else [f"no kind given; known: {', '.join(KINDS)}"]
@@ -23,7 +23,7 @@ def faults_of(count: int, out: Path, key_dir: Path, kinds: Sequence[str]) -> lis
 
 
 def counts(count: int, kinds: Sequence[str]) -> dict[str, int]:
-    """How many cases of each kind, in their usual shares."""
+    """Number of cases of each kind, in their usual shares."""
     shares = np.array([SHARES[kind] for kind in kinds])
     exact = count * shares / shares.sum()
     numbers = np.floor(exact).astype(int)
@@ -33,6 +33,6 @@ def counts(count: int, kinds: Sequence[str]) -> dict[str, int]:
 
 
 def in_turn(draw: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
-    """Names without end, each before any comes twice, in an order that is drawn again each time."""
+    """Yield the names without end, each before any comes twice, in an order that is drawn again for each round."""
     while True:
         yield from (str(name) for name in draw.permutation(list(names)))

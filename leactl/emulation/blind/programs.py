@@ -1,4 +1,4 @@
-"""What the drives are asked for in the runs of a case, each drawn anew: levels, dwells, phases, directions.
+"""References of the drives in the runs of a case, each drawn at random: levels, dwells, phases, directions.
 
 Kinds of run: `locked_staircase`, `coupled_grid`, `free_multisine`, `free_velocity`, and the currents of `heating`.
 """
@@ -40,7 +40,7 @@ def locked_staircase(draw: Generator) -> DriveReferences:
 
 
 def coupled_grid(draw: Generator) -> DriveReferences:
-    """The load holds speeds of both signs, the test drive steps through torques of both signs at each."""
+    """The load holds speeds of both signs; at each, the test drive steps through torques of both signs."""
     magnitudes = np.sort(np.exp(draw.uniform(math.log(2.0), math.log(27.0), int(draw.integers(4, 7)))))
     magnitudes[-1] = max(magnitudes[-1], draw.uniform(18.0, 27.0))
     speeds = draw.permutation(np.concatenate([magnitudes, -magnitudes]))
@@ -49,9 +49,9 @@ def coupled_grid(draw: Generator) -> DriveReferences:
     currents = []
     for speed in speeds:
         # the ceiling of 20.9 V less back-EMF and a margin for warm copper
-        most = min(draw.uniform(16.0, 21.0), (19.0 - TORQUE_CONSTANT * abs(speed)) / 0.36)
-        own = np.linspace(-most, most, per_speed) + draw.uniform(-0.8, 0.8, per_speed)
-        currents += list(draw.permutation(own))
+        highest = min(draw.uniform(16.0, 21.0), (19.0 - TORQUE_CONSTANT * abs(speed)) / 0.36)
+        currents_at_speed = np.linspace(-highest, highest, per_speed) + draw.uniform(-0.8, 0.8, per_speed)
+        currents += list(draw.permutation(currents_at_speed))
     ramp = draw.uniform(0.04, 0.15)
     current = _levels(currents, dwell - ramp, ramp)
     velocity = _levels(np.repeat(speeds, per_speed), dwell - ramp, ramp)
@@ -62,7 +62,7 @@ def coupled_grid(draw: Generator) -> DriveReferences:
 
 
 def free_multisine(draw: Generator) -> DriveReferences:
-    """A current of many sines that turns the rotor to and fro through rest."""
+    """A current of many sines that turns the rotor back and forth through standstill."""
     duration = draw.uniform(36.0, 44.0)
     current = _multisine(draw, duration, draw.uniform(0.03, 0.06), draw.uniform(30.0, 70.0), int(draw.integers(20, 32)))
     slow = _multisine(draw, duration, 0.1, 0.6, 4)
@@ -88,7 +88,7 @@ def free_velocity(draw: Generator) -> DriveReferences:
 
 
 def heating(draw: Generator, strong: bool) -> Array:
-    """Current through two leads, held or in two levels, then cooling; a row a second."""
+    """Current through two leads, at one or two levels, then cooling; one row a second."""
     level = draw.uniform(7.4, 9.0) if strong else draw.uniform(5.0, 6.6)
     warm, cool = int(draw.uniform(3400, 4600)), int(draw.uniform(3400, 4600))
     current = np.full(warm, level)
@@ -106,7 +106,7 @@ DRAWN = {
 
 
 def _levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
-    """Hold each level, reached over a straight ramp from the one before; the first from zero."""
+    """Hold each level, after a linear ramp from the level before; the first ramp starts from zero."""
     held, climb = round(dwell / TICK), round(ramp / TICK)
     parts, before = [], 0.0
     for level in levels:
@@ -117,19 +117,19 @@ def _levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
 
 
 def _slew_limited(signal: Array, rate: float) -> Array:
-    limited, most = np.empty_like(signal), rate * TICK
-    now = 0.0
-    for k, wanted in enumerate(signal.tolist()):
-        now += min(max(wanted - now, -most), most)
-        limited[k] = now
+    limited, highest_step = np.empty_like(signal), rate * TICK
+    value = 0.0
+    for k, target in enumerate(signal.tolist()):
+        value += min(max(target - value, -highest_step), highest_step)
+        limited[k] = value
     return limited
 
 
 def _multisine(draw: Generator, duration: float, low: float, high: float, lines: int) -> Array:
-    """Sines spread evenly over the logarithm of frequency, at multiples of 1 / duration, phases drawn."""
+    """Sum sines at frequencies spread evenly on a logarithmic scale, multiples of 1 / duration, with random phases."""
     time = np.arange(round(duration / TICK)) * TICK
-    wanted = np.exp(np.linspace(math.log(low), math.log(high), lines) + draw.uniform(-0.05, 0.05, lines))
-    cycles = np.unique(np.maximum(np.rint(wanted * duration), 1.0))
+    frequencies = np.exp(np.linspace(math.log(low), math.log(high), lines) + draw.uniform(-0.05, 0.05, lines))
+    cycles = np.unique(np.maximum(np.rint(frequencies * duration), 1.0))
     total = np.zeros(len(time))
     for count in cycles:
         total += np.sin(2 * np.pi * count / duration * time + draw.uniform(0, 2 * np.pi))
@@ -137,7 +137,7 @@ def _multisine(draw: Generator, duration: float, low: float, high: float, lines:
 
 
 def _fastest(current: Array) -> float:
-    """Highest speed without Coulomb friction [rad/s], which takes about a third of it."""
+    """Highest speed without Coulomb friction [rad/s], times 0.65 because friction takes about a third of it."""
     rate = 2j * np.pi * np.fft.rfftfreq(len(current), TICK)
     response = TORQUE_CONSTANT / (DAMPING + INERTIA * rate)
     speed = np.fft.irfft(np.fft.rfft(current) * response, len(current))

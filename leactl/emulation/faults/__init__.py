@@ -1,7 +1,7 @@
-"""Faults that an emulated bench rehearses: each a module of this package, found by listing it.
+"""Faults that an emulated bench rehearses: each is a module of this package, found by listing it.
 
-A module defines one subclass of `Fault` whose fields are its parameters. Adding a fault adds a file here and edits
-nothing else.
+A module defines one subclass of `Fault` whose fields are its parameters. To add a fault, add a file here; nothing else
+is edited.
 """
 
 import importlib
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
 
 def known_faults() -> "dict[str, type[Fault]]":
-    """Every fault by the name of its module."""
+    """Map the name of each module to its fault class."""
     from leactl.emulation.faults.contract import Fault
 
     faults: dict[str, type[Fault]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
-        for thing in vars(module).values():
-            own = isinstance(thing, type) and thing.__module__ == module.__name__
-            if own and issubclass(thing, Fault) and not inspect.isabstract(thing):
-                faults[entry.name] = thing
+        for member in vars(module).values():
+            is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
+            if is_defined_here and issubclass(member, Fault) and not inspect.isabstract(member):
+                faults[entry.name] = member
     return faults
 
 
 def find_fault(name: str) -> "type[Fault]":
-    """One fault by name.
+    """Find a fault class by name.
 
     Raises
     ------
-    InputError : no such fault; the known ones are named.
+    InputError : no such fault; the message names the known ones.
     """
-    known = known_faults()
-    if name not in known:
-        raise InputError(f"fault '{name}' is not known; known: {', '.join(sorted(known))}")
-    return known[name]
+    faults = known_faults()
+    if name not in faults:
+        raise InputError(f"fault '{name}' is not known; known: {', '.join(sorted(faults))}")
+    return faults[name]
 
 
 def make_fault(entry: Mapping[str, Any]) -> "Fault":
@@ -52,8 +52,8 @@ def make_fault(entry: Mapping[str, Any]) -> "Fault":
 
     Raises
     ------
-    InputError : no such fault, or none is named.
-    ValidationError : its parameters are not what it takes.
+    InputError : no such fault, or the entry names none.
+    ValidationError : the parameters are not those of the fault.
     """
     if "fault" not in entry:
         raise InputError("is required and missing")
@@ -61,27 +61,27 @@ def make_fault(entry: Mapping[str, Any]) -> "Fault":
 
 
 def check_faults(file: "BenchFile", devices: "Sequence[CheckedDevice]", document: "Document") -> None:
-    """Check the faults of a bench file against the bench, which its own checks cannot: they know no emulator.
+    """Check that each fault of a bench file fits the bench; the bench file's own checks cannot, without emulators.
 
     Raises
     ------
-    InputError : one line for each that cannot be rehearsed, with its place in the file.
+    InputError : one line for each fault that cannot be rehearsed, with its position in the file.
     """
     if file.emulated is None or not file.emulated.faults:
         return
     from leactl.emulation.faults.contract import PlannedBench
 
-    standing = PlannedBench(file, {device.name: device for device in devices})
+    planned_bench = PlannedBench(file, {device.name: device for device in devices})
     lines: list[str] = []
     for index, entry in enumerate(file.emulated.faults):
-        place = ("emulated", "faults", index)
+        location = ("emulated", "faults", index)
         try:
-            misfits = make_fault(entry).misfits(standing)
+            misfits = make_fault(entry).misfits(planned_bench)
         except InputError as error:
             misfits = {"fault": str(error)}
         except ValidationError as error:
-            lines += document.explain(error, place)
+            lines += document.explain(error, location)
             continue
-        lines += [document.fault((*place, key), text) for key, text in misfits.items()]
+        lines += [document.fault((*location, key), text) for key, text in misfits.items()]
     if lines:
         raise InputError(lines)

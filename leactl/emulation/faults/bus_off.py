@@ -1,4 +1,4 @@
-"""A CAN controller that has left the bus."""
+"""A CAN controller that is bus-off."""
 
 from collections.abc import Sequence
 
@@ -13,11 +13,11 @@ class BusOff(OfBus):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Off."""
+        """The controller goes bus-off."""
         return (Drill({}, 0.05, "the bus itself"),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Take the host's connections off the segment."""
+        """Disconnect the host from the bus."""
         wire = bench.wires[self.bus]
         wire.off = True
 

@@ -21,10 +21,10 @@ class HostClockJump(Fault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Forward by a second, and back by a second and by little."""
+        """Jumps of a second forward, a second back, and 0.05 s back."""
         return tuple(Drill({"jump_s": jump}, 0.05, "clock, or a heartbeat's age") for jump in (1.0, -1.0, -0.05))
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Move what the host's clock shows."""
+        """Shift the time that the host's clock shows."""
         bench.host_clock.ahead += self.jump_s
         return lambda: None

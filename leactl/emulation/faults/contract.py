@@ -1,4 +1,4 @@
-"""What a fault is: when it begins and how long it lasts, what on the bench it needs, and what it does to it."""
+"""Base classes of faults: when a fault begins, how long it lasts, what it needs on the bench, and what it changes."""
 
 import math
 from abc import ABC, abstractmethod
@@ -27,7 +27,7 @@ Draw = np.random.Generator
 
 
 class FaultTarget(Protocol):
-    """What of an emulated bench faults reach."""
+    """The parts of an emulated bench that faults can change."""
 
     time: EmulatedClock
     host_clock: HostClock
@@ -42,13 +42,13 @@ class FaultTarget(Protocol):
 
 
 class PlannedBench(NamedTuple):
-    """The bench that a fault is to happen on, before there is one."""
+    """A bench file and its devices, to check that a fault fits before the bench is made."""
 
     file: BenchFile
     devices: Mapping[str, CheckedDevice]
 
     def probe(self, device: str) -> tuple[Any, set[str]]:
-        """A device's far end on a bench that stands still, and the quantities it reads there.
+        """Make the device's emulator on a motionless bench; returns it and the quantities that it reads.
 
         Raises
         ------
@@ -60,12 +60,12 @@ class PlannedBench(NamedTuple):
 
 
 class Drill(NamedTuple):
-    """One rehearsal of a fault, beside when it begins and the device or the bus that it happens to."""
+    """One rehearsal of a fault: its parameters without time, device and bus, and the expected end of the run."""
 
     parameters: Mapping[str, Any]
-    within_s: float  # from its beginning to the cycle that ends the run, at the most
-    by: str  # what ought to end it
-    stays_on: bool = False  # only its supply takes the power from the device
+    within_s: float  # longest time from the fault's beginning to the cycle that ends the run
+    ended_by: str  # what has to end the run
+    stays_on: bool = False  # the device keeps its power until its supply is switched off
 
 
 class Fault(Block, ABC):
@@ -82,7 +82,7 @@ class Fault(Block, ABC):
 
     @classmethod
     def described(cls, name: str) -> dict[str, Any]:
-        """What it is, its parameters with what may be left out, and an entry of a bench file."""
+        """Describe the fault for a user: summary, parameters with defaults, and an example entry of a bench file."""
         parameters = {
             key: (field.description or "") + ("" if field.is_required() else _unless_given(field.default))
             for key, field in cls.model_fields.items()
@@ -93,31 +93,31 @@ class Fault(Block, ABC):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """How it is rehearsed on a bench, on every device or bus that it fits."""
+        """Rehearsals of the fault on a bench; each is made on every device or bus that it fits."""
         return ()
 
     @property
     def ends_s(self) -> float:
-        """When it ends [s]; infinity where it does not, or leaves nothing to be ended."""
+        """Time [s] at which the fault ends; infinity if it lasts to the end, or if nothing has to be undone."""
         return math.inf
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """What does not fit this bench, by the parameter that says it."""
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Parameters that do not fit the bench, each with the reason; empty if all fit."""
         return {}
 
     @abstractmethod
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Let it happen; what is returned ends it."""
+        """Start the fault; returns a function that ends it."""
 
 
 class LastingFault(Fault):
-    """A fault with an end of its own."""
+    """A fault that may end before the run does."""
 
     for_s: Positive | None = Field(None, description="how long it lasts; left out: to the end")
 
     @property
     def ends_s(self) -> float:
-        """When it ends [s]."""
+        """Time [s] at which the fault ends; infinity if `for_s` is not set."""
         return math.inf if self.for_s is None else self.at_s + self.for_s
 
 
@@ -126,24 +126,25 @@ class OfBus(LastingFault):
 
     bus: str = Field(description="name of the CAN bus")
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """A bus that is none, or no CAN bus."""
-        buses = [name for name, bus in standing.file.buses.items() if isinstance(bus, CanBus)]
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Reason if `bus` is not the name of a CAN bus."""
+        buses = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, CanBus)]
         return {} if self.bus in buses else {"bus": f"'{self.bus}' is no CAN bus of the bench; {_known(buses)}"}
 
 
 class OfFrames(OfBus):
-    """A fault of a share of a bus's frames."""
+    """A fault of a share of the frames on a bus."""
 
     share: Share = Field(1.0, description="share of the frames that it happens to, each by chance")
     direction: Direction = Field("both", description="both, to_devices or to_host")
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Stand in the way of every frame."""
-        spared = {"both": None, "to_devices": False, "to_host": True}[self.direction]  # whether it comes from a host
+        """Apply the fault to every frame of the direction, at random with the probability `share`."""
+        # whether frames of the direction that is not affected come from a host
+        spared_source = {"both": None, "to_devices": False, "to_host": True}[self.direction]
 
         def passes(_frame: Frame, source: CanEmulator | None) -> float | None:
-            if (source is None) == spared or draw.random() >= self.share:
+            if (source is None) == spared_source or draw.random() >= self.share:
                 return 0.0
             return self.fate
 
@@ -152,7 +153,7 @@ class OfFrames(OfBus):
     @property
     @abstractmethod
     def fate(self) -> float | None:
-        """How much later such a frame arrives [s]; None where it never does."""
+        """Delay of an affected frame [s]; None if it never arrives."""
 
 
 class OfDevice(Fault):
@@ -160,21 +161,21 @@ class OfDevice(Fault):
 
     device: str = Field(description="name of the device")
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """A device that is none, or of another kind."""
-        if self.device not in standing.devices:
-            return {"device": f"'{self.device}' is no device of the bench; {_known(standing.devices)}"}
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Reason if `device` is not a device of the bench, or is of another kind than the fault needs."""
+        if self.device not in planned_bench.devices:
+            return {"device": f"'{self.device}' is no device of the bench; {_known(planned_bench.devices)}"}
         try:
-            return self.misfits_of(standing, *standing.probe(self.device))
+            return self.misfits_of(planned_bench, *planned_bench.probe(self.device))
         except InputError as error:
             return {"device": str(error)}
 
     @abstractmethod
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """What does not fit this device."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Parameters that do not fit this device, each with the reason; empty if all fit."""
 
     def unread(self, quantity: str, quantities: set[str]) -> dict[str, str]:
-        """A quantity that the device does not read."""
+        """Reason if the device does not read the quantity."""
         text = f"{self.device} reads no {quantity}; {_known(sorted(quantities))}"
         return {} if quantity in quantities else {"quantity": text}
 
@@ -182,8 +183,8 @@ class OfDevice(Fault):
 class OfDrive(OfDevice):
     """A fault inside a drive."""
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A device whose emulator has no faults of its own."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the device's emulator is not a drive that can fail."""
         return {} if isinstance(far_end, Breakable) else {"device": f"'{self.device}' is no drive that can fail so"}
 
 
@@ -192,20 +193,20 @@ class OfPowerSupply(OfDevice, LastingFault):
 
     not_drilled = "no run of the drill switches a power supply on, and one that is off can fail in neither way"
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A device whose emulator has no faults of a supply."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the device's emulator is not a supply that can fail."""
         fails = isinstance(far_end, FailingSupply)
         return {} if fails else {"device": f"'{self.device}' is no power supply that can fail so"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Let the supply fail, until it is whole again."""
+        """Start the supply's failure; the returned function repairs the supply."""
         supply: FailingSupply = bench.far_ends[self.device]
         self.strike(supply)
         return supply.mend
 
     @abstractmethod
     def strike(self, supply: FailingSupply) -> None:
-        """What happens to it."""
+        """Make the supply's emulator fail."""
 
 
 class OfSensor(OfDevice, LastingFault):
@@ -213,17 +214,17 @@ class OfSensor(OfDevice, LastingFault):
 
     quantity: str = Field(description="what the device reads: torque, q_axis_current, velocity, angle, bus_voltage")
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A quantity that the device does not read."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the device does not read the quantity."""
         return self.unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Stand between the physics and the device."""
+        """Change the reading between the plant and the device."""
         return bench.signals[self.device].change(self.quantity, self.reads(draw))
 
     @abstractmethod
     def reads(self, draw: Draw) -> Callable[[float], float]:
-        """What the sensor makes of a value."""
+        """Return a function that converts a true value to the faulty reading."""
 
 
 class OfSupply(LastingFault):
@@ -231,19 +232,19 @@ class OfSupply(LastingFault):
 
     bus_voltage_V: Positive = Field(description="DC link voltage meanwhile")  # noqa: N815 (a unit keeps its letter)
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """A voltage on the wrong side of the bench's own."""
-        given = standing.file.emulated.bench if standing.file.emulated else {}
-        usual = BenchParameters.from_mapping(given).bus_voltage
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Reason if the voltage is not on the required side of the bench's own."""
+        parameters = planned_bench.file.emulated.bench if planned_bench.file.emulated else {}
+        usual = BenchParameters.from_mapping(parameters).bus_voltage
         text = self.misfit_of(usual)
         return {"bus_voltage_V": f"{self.bus_voltage_V:g} V is not {text} the bench's {usual:g} V"} if text else {}
 
     @abstractmethod
     def misfit_of(self, usual: float) -> str:
-        """The side of the bench's voltage that was expected, where this one is not there."""
+        """Text for the required side of the bench's voltage, if the fault's is not there; else empty."""
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Put the voltage there."""
+        """Set the DC link voltage."""
         usual = bench.rig.bench.bus_voltage
         bench.rig.supply(self.bus_voltage_V)
         return lambda: bench.rig.supply(usual)

@@ -1,4 +1,4 @@
-"""A serial line or a network whose cable is out."""
+"""A serial line or a network whose cable is unplugged."""
 
 from collections.abc import Sequence
 
@@ -17,17 +17,17 @@ class CutLine(LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Off."""
+        """The cable is unplugged."""
         return (Drill({}, 0.1, "cyclic_age_s"),)
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """A bus that is none, or no line."""
-        lines = [name for name, bus in standing.file.buses.items() if isinstance(bus, LineBus)]
-        known = f"no serial line or raw socket of the bench; it has {', '.join(lines) or 'none'}"
-        return {} if self.bus in lines else {"bus": f"'{self.bus}' is {known}"}
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Reason if `bus` is not the name of a serial line or raw socket."""
+        lines = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, LineBus)]
+        reason = f"no serial line or raw socket of the bench; it has {', '.join(lines) or 'none'}"
+        return {} if self.bus in lines else {"bus": f"'{self.bus}' is {reason}"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Take the cable out."""
+        """Unplug the cable."""
         wire = bench.serial_wires[self.bus]
         wire.cut = True
 

@@ -1,4 +1,4 @@
-"""What one device reads of the bench, each reading open to faults of its sensor."""
+"""The readings that one device takes of the bench, each open to sensor faults."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,27 +12,27 @@ Change = Callable[[float], float]
 
 
 class DeviceSignals:
-    """A device's own view of the physics; it knows which quantities the device has asked for."""
+    """The plant as one device reads it, with sensor faults; `changes` has a key for each quantity asked for."""
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
         self.changes: dict[str, list[Change]] = {}
 
     def change(self, quantity: str, change: Change) -> Callable[[], None]:
-        """Let a fault stand in the way of a quantity; what is returned takes it away."""
+        """Apply a fault to a quantity; returns a function that removes it."""
         self.changes[quantity].append(change)
         return lambda: self.changes[quantity].remove(change)
 
     def machine(self, role: str) -> Machine:
-        """What the drive of this role turns."""
+        """The machine that the drive of this role turns, as this device reads it."""
         return _ReadMachine(self._physics.machine(role), self)
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
-        """A function that gives this quantity as the device reads it now."""
+        """Return a function that gives the quantity as the device reads it now."""
         return self.changed(quantity, self._physics.reading(quantity, role, location))
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """What a power supply feeds; its own meters read what it feeds, faults and all."""
+        """Load at the terminals of a power supply; the supply's own meters are read without sensor faults."""
         return self._physics.at_supply(feeds, role)
 
     def terminals(self, role: str) -> Terminals:
@@ -40,7 +40,7 @@ class DeviceSignals:
         return _ReadTerminals(self._physics.terminals(role), self)
 
     def changed(self, quantity: str, read: Callable[[], float]) -> Callable[[], float]:
-        """A reading with its faults."""
+        """Return a function that reads a value and applies its faults."""
         changes = self.changes.setdefault(quantity, [])
 
         def reading() -> float:
@@ -53,7 +53,7 @@ class DeviceSignals:
 
 
 class _ReadMachine:
-    """A machine as its drive's sensors tell it."""
+    """A machine as its drive's sensors read it."""
 
     def __init__(self, machine: Machine, signals: DeviceSignals) -> None:
         self.command = machine.command
@@ -84,22 +84,22 @@ class _ReadMachine:
 
 
 class _ReadTerminals:
-    """Leads as the device at them tells their voltages."""
+    """The leads of a motor as the device at them reads their voltages."""
 
     def __init__(self, terminals: Terminals, signals: DeviceSignals) -> None:
         self._terminals, self.chance = terminals, terminals.chance
         self._changes = [signals.changes.setdefault(quantity, []) for quantity in PAIRS]
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
-        """Voltages [V] of a pair."""
-        found = self._terminals.voltages(times, pair)
+        """Voltages [V] of a pair of leads."""
+        voltages = self._terminals.voltages(times, pair)
         for change in self._changes[pair]:
-            found = np.array([change(value) for value in found.tolist()])
-        return found
+            voltages = np.array([change(value) for value in voltages.tolist()])
+        return voltages
 
 
 class _MotionlessBench:
-    """A bench on which nothing moves and every reading is zero, to see what a device asks of one."""
+    """A bench on which nothing moves and every reading is zero, to find out which quantities a device reads."""
 
     voltage = bus_voltage = 0.0
 

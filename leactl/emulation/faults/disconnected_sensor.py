@@ -1,4 +1,4 @@
-"""A sensor whose cable, or whose converter, is off."""
+"""A sensor or a converter whose cable is unplugged."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,23 +20,23 @@ class DisconnectedSensor(OfDevice, LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A converter, the torque sensor at one, and the current sensor of a drive."""
+        """A converter, the torque sensor at a converter, and the current sensor of a drive."""
         return (
             Drill({}, 0.05, "the device's own bus"),
             Drill({"quantity": "torque"}, 2.1, "stuck_s or torque_disagreement"),
             Drill({"quantity": "q_axis_current"}, 2.1, "current_disagreement or stuck_s"),
         )
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A quantity that the device does not read, or a device that hangs on no I2C bus."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the device does not read the quantity, or, with no quantity, if it is not on an I2C bus."""
         if self.quantity is None:
-            bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
+            bus = planned_bench.file.buses.get(planned_bench.devices[self.device].entry.bus or "")
             text = f"'{self.device}' is not on an I2C bus; name the quantity whose sensor is off, or use lost_frames"
             return {} if isinstance(bus, I2cBus) else {"device": text}
         return self.unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Pull the plug."""
+        """Set the reading to zero, or silence the device."""
         if self.quantity is not None:
             return bench.signals[self.device].change(self.quantity, lambda _value: 0.0)
         silent, far_end = bench.i2c_buses[bench.bus_of[self.device]].silent, bench.far_ends[self.device]

@@ -1,4 +1,4 @@
-"""The faults of a bench file that rehearse the whole catalogue on it: each by itself, on every device that it fits."""
+"""Rehearsals of all faults on a bench: each fault alone, on every device or bus that it fits."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ AT_ONCE = 0.0  # any moment serves to ask whether a fault fits a bench
 
 
 class FaultRehearsal(NamedTuple):
-    """One fault on one device or bus: its entry of a bench file but for `at_s`, and what is asked of the bench."""
+    """One fault on one device or bus: its entry in a bench file without `at_s`, and the expected end of the run."""
 
     fault: str
     entry: Mapping[str, Any]
@@ -19,25 +19,25 @@ class FaultRehearsal(NamedTuple):
 
     @property
     def on(self) -> str:
-        """The device or the bus; empty where it is of the whole bench."""
+        """Name of the device or bus; empty for a fault of the whole bench."""
         return str(self.entry.get("device", self.entry.get("bus", "")))
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What the fault is given besides."""
+        """Parameters of the fault, except for its time and its device or bus."""
         return dict(self.drill.parameters)
 
 
 def rehearsals(
     file: BenchFile, devices: Sequence[CheckedDevice], only: Collection[str] = ()
 ) -> tuple[list[FaultRehearsal], dict[str, str]]:
-    """What of the catalogue, or of these faults `only`, is rehearsed on a bench, and why the rest is not.
+    """List the rehearsals of all faults, or of those named in `only`, and the reasons why other faults are left out.
 
     Raises
     ------
-    InputError : a name among `only` that is no fault's.
+    InputError : a name in `only` is not that of a fault.
     """
-    standing = PlannedBench(file, {device.name: device for device in devices})
+    planned_bench = PlannedBench(file, {device.name: device for device in devices})
     chosen = {name: find_fault(name) for name in only} or known_faults()
     rehearsed: list[FaultRehearsal] = []
     left_out: dict[str, str] = {}
@@ -45,22 +45,22 @@ def rehearsals(
         if kind.not_drilled:
             left_out[name] = kind.not_drilled
             continue
-        fitting = [item for drill in kind.drills(file) for item in _fitting(name, kind, drill, standing)]
+        fitting = [item for drill in kind.drills(file) for item in _fitting(name, kind, drill, planned_bench)]
         rehearsed += fitting
         if not fitting:
             left_out[name] = "no device of this bench that it could happen to"
     return rehearsed, left_out
 
 
-def _fitting(name: str, kind: type[Fault], drill: Drill, standing: PlannedBench) -> list[FaultRehearsal]:
-    places: list[dict[str, Any]] = [{}]
+def _fitting(name: str, kind: type[Fault], drill: Drill, planned_bench: PlannedBench) -> list[FaultRehearsal]:
+    targets: list[dict[str, Any]] = [{}]
     if "device" in kind.model_fields:
-        places = [{"device": device} for device in standing.devices]
+        targets = [{"device": device} for device in planned_bench.devices]
     elif "bus" in kind.model_fields:
-        places = [{"bus": bus} for bus in standing.file.buses]
-    entries = [{"fault": name, **place, **drill.parameters} for place in places]
+        targets = [{"bus": bus} for bus in planned_bench.file.buses]
+    entries = [{"fault": name, **target, **drill.parameters} for target in targets]
     return [
         FaultRehearsal(name, entry, drill)
         for entry in entries
-        if not kind.model_validate({**entry, "at_s": AT_ONCE}).misfits(standing)
+        if not kind.model_validate({**entry, "at_s": AT_ONCE}).misfits(planned_bench)
     ]

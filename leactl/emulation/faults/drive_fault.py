@@ -1,4 +1,4 @@
-"""A drive that fails and says so."""
+"""A drive that enters its fault state and reports the fault."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -34,6 +34,6 @@ class DriveFault(OfDrive):
         return (Drill({"code": 0x2340}, 0.05, "the drive's emergency message"),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Fail."""
+        """Put the drive into its fault state."""
         bench.far_ends[self.device].fault(self.code)
         return lambda: None

@@ -17,7 +17,7 @@ class FrozenDrive(OfDrive, LastingFault):
         return (Drill({}, 0.1, "cyclic_age_s", stays_on=True),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Freeze it."""
+        """Freeze the drive."""
         far_end = bench.far_ends[self.device]
         far_end.freeze(True)
         return lambda: far_end.freeze(False)

@@ -1,4 +1,4 @@
-"""A drive that shows no sign of life and goes on."""
+"""A drive that keeps working but sends no heartbeat."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,24 +19,24 @@ class HeartbeatLoss(OfDevice, LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """The heartbeat alone, and all that the drive sends."""
+        """The heartbeat alone, and all frames that the drive sends."""
         return Drill({}, 0.5, "the drive's heartbeat"), Drill({"answers": True}, 0.1, "cyclic_age_s")
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A device that hangs on no CAN bus sends no heartbeat, and not every one that does."""
-        bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the device is not on a CAN bus or sends no heartbeat."""
+        bus = planned_bench.file.buses.get(planned_bench.devices[self.device].entry.bus or "")
         if not isinstance(bus, CanBus):
             return {"device": f"'{self.device}' is not on a CAN bus"}
         return {} if isinstance(far_end, Living) else {"device": f"'{self.device}' sends no heartbeat"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Take its frames off the wire."""
-        own = bench.far_ends[self.device]
+        """Drop the heartbeats, or with `answers` all frames of the drive."""
+        drive = bench.far_ends[self.device]
 
         def passes(frame: Frame, source: CanEmulator | None) -> float | None:
-            concerned = source is own and (
+            is_dropped = source is drive and (
                 self.answers or (isinstance(source, Living) and source.is_sign_of_life(frame))
             )
-            return None if concerned else 0.0
+            return None if is_dropped else 0.0
 
         return bench.wires[bench.bus_of[self.device]].disturb(passes)

@@ -17,10 +17,10 @@ class LateFrames(OfFrames):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Late by more than a reading may be old."""
+        """Frames to the host that arrive later than a reading may be old."""
         return (Drill({"delay_s": 0.2, "direction": "to_host"}, 0.1, "cyclic_age_s"),)
 
     @property
     def fate(self) -> float | None:
-        """They arrive later by so much."""
+        """Delay of a frame [s]."""
         return self.delay_s

@@ -1,4 +1,4 @@
-"""Frames that do not arrive."""
+"""Frames that are lost."""
 
 from collections.abc import Sequence
 
@@ -13,10 +13,10 @@ class LostFrames(OfFrames):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """All of them, and those to the devices alone."""
+        """All frames, and those to the devices alone."""
         return Drill({}, 0.1, "cyclic_age_s"), Drill({"direction": "to_devices"}, 0.1, "cyclic_age_s")
 
     @property
     def fate(self) -> float | None:
-        """They never arrive."""
+        """None: a lost frame never arrives."""
         return None

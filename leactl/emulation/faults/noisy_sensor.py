@@ -1,4 +1,4 @@
-"""A sensor that tells more noise than value."""
+"""A sensor whose reading is noisy."""
 
 from collections.abc import Callable, Sequence
 
@@ -19,15 +19,15 @@ class NoisySensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A torque with noise as large as its limit: one sample in three is beyond."""
+        """A torque with noise as large as its limit: one sample in three exceeds the limit."""
         spread = file.limits.torque_Nm
         return (Drill({"quantity": "torque", "spread": spread, "unit": "N*m"}, 0.5, "limit of torque_Nm"),)
 
-    def misfits(self, standing: PlannedBench) -> dict[str, str]:
-        """Besides what misfits any sensor, a unit that is not the quantity's."""
-        faults, unit = super().misfits(standing), UNITS.get(self.quantity, self.unit)
+    def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
+        """Reasons of any sensor fault, and the reason if the unit is not the quantity's."""
+        faults, unit = super().misfits(planned_bench), UNITS.get(self.quantity, self.unit)
         return faults if self.unit == unit else faults | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
 
     def reads(self, draw: Draw) -> Callable[[float], float]:
-        """The value and a fresh draw."""
+        """Return a function that adds normal noise to a value."""
         return lambda value: value + self.spread * float(draw.standard_normal())

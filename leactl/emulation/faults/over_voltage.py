@@ -1,4 +1,4 @@
-"""A DC link that rises."""
+"""A DC link whose voltage rises."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,9 @@ class OverVoltage(OfSupply):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A quarter above the limit."""
+        """A voltage a quarter above the limit."""
         return (Drill({"bus_voltage_V": 1.25 * file.limits.bus_voltage_high_V}, 1.1, "limit of bus_voltage_high_V"),)
 
     def misfit_of(self, usual: float) -> str:
-        """It must be above."""
+        """Text if the voltage is not above the bench's."""
         return "" if self.bus_voltage_V > usual else "above"

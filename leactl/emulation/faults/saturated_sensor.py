@@ -1,4 +1,4 @@
-"""A sensor at the end of its range."""
+"""A sensor whose reading is at the end of its range."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -27,13 +27,13 @@ class SaturatedSensor(OfSensor):
             Drill({"quantity": "q_axis_current", "end": "low"}, 0.05, "limit of current_A"),
         )
 
-    def misfits_of(self, standing: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """An encoder has no range to be at the end of."""
+    def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """Reason if the quantity comes from an encoder, which has no range, or if the device does not read it."""
         if self.quantity in ENDLESS:
             return {"quantity": f"{self.quantity} comes from an encoder, which has no end of its range"}
-        return super().misfits_of(standing, far_end, quantities)
+        return super().misfits_of(planned_bench, far_end, quantities)
 
     def reads(self, draw: Draw) -> Callable[[float], float]:
-        """More than any converter or drive can tell, so that each tells the most it can."""
+        """Return a function that gives more than any device can measure; each device then gives its end of range."""
         value = BEYOND_ANY_RANGE if self.end == "high" else -BEYOND_ANY_RANGE
         return lambda _value: value

@@ -1,4 +1,4 @@
-"""A sensor whose reading is in another unit, or by another calibration."""
+"""A sensor whose reading is in another unit or has another calibration."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated
@@ -28,5 +28,5 @@ class ScaledSensor(OfSensor):
         )
 
     def reads(self, draw: Draw) -> Callable[[float], float]:
-        """The value on the other scale."""
+        """Return a function that converts a value to the wrong scale."""
         return lambda value: self.gain * value + self.offset

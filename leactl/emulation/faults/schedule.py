@@ -1,4 +1,4 @@
-"""Lets the faults of a bench begin and end at their moments, to the moment: emulated time stops there."""
+"""Begin and end the faults of a bench exactly at their times; emulated time stops at each of them."""
 
 import heapq
 import math
@@ -10,16 +10,16 @@ from leactl.emulation.faults.contract import Fault, FaultTarget
 
 
 class Schedule:
-    """The faults of one bench, each with random numbers of its own, so that one more changes nothing of the others."""
+    """The faults of one bench, each with its own random numbers, so that adding a fault does not change the others."""
 
     def __init__(self, bench: FaultTarget, faults: Sequence[Fault], seed: int) -> None:
-        self._coming: list[tuple[float, int, Callable[[], None]]] = []
+        self._pending: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         for index, fault in enumerate(faults):
             self._at(fault.at_s, self._beginning(bench, fault, np.random.default_rng([seed, index])))
         self._pass_time(bench.time.now())
         bench.time.follow(self._pass_time)
-        bench.time.stop_at(lambda: self._coming[0][0] if self._coming else math.inf)
+        bench.time.stop_at(lambda: self._pending[0][0] if self._pending else math.inf)
 
     def _beginning(self, bench: FaultTarget, fault: Fault, draw: np.random.Generator) -> Callable[[], None]:
         def begin() -> None:
@@ -31,8 +31,8 @@ class Schedule:
 
     def _at(self, moment: float, action: Callable[[], None]) -> None:
         self._count += 1
-        heapq.heappush(self._coming, (moment, self._count, action))
+        heapq.heappush(self._pending, (moment, self._count, action))
 
     def _pass_time(self, now: float) -> None:
-        while self._coming and self._coming[0][0] <= now:
-            heapq.heappop(self._coming)[2]()
+        while self._pending and self._pending[0][0] <= now:
+            heapq.heappop(self._pending)[2]()

@@ -1,4 +1,4 @@
-"""A disk that takes its time."""
+"""A disk that is slow to write."""
 
 from pydantic import Field
 
@@ -15,7 +15,7 @@ class SlowDisk(LastingFault):
     delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Delay what is written from now on."""
+        """Delay every write of the run file from now on."""
         bench.disk_delay_s += self.delay_s
 
         def end() -> None:

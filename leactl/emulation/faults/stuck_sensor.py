@@ -1,4 +1,4 @@
-"""A sensor that goes on telling one value."""
+"""A sensor whose reading stays at one value."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,12 +13,12 @@ class StuckSensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Every reading that noise lets no two samples be alike of, and the angle."""
+        """Each reading whose noise makes successive samples differ, and the angle."""
         quantities = ("torque", "q_axis_current", "velocity", "angle")
         return tuple(Drill({"quantity": quantity}, 2.1, "stuck_s") for quantity in quantities)
 
     def reads(self, draw: Draw) -> Callable[[float], float]:
-        """The first value, again and again."""
+        """Return a function that repeats the first value."""
         held: list[float] = []
 
         def hold(value: float) -> float:

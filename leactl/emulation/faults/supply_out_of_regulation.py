@@ -1,4 +1,4 @@
-"""A power supply that gives less than it is asked for."""
+"""A power supply whose output is below its setting."""
 
 from pydantic import Field
 
@@ -14,5 +14,5 @@ class SupplyOutOfRegulation(OfPowerSupply):
     share: Share = Field(description="share of the voltage and current that it still gives")
 
     def strike(self, supply: FailingSupply) -> None:
-        """Give less."""
+        """Make the output lose regulation."""
         supply.lose_regulation(self.share)

@@ -1,4 +1,4 @@
-"""A power supply that does not switch off."""
+"""A power supply whose output cannot be switched off."""
 
 from pydantic import Field
 
@@ -14,5 +14,5 @@ class SupplyStuckOn(OfPowerSupply):
     admits: bool = Field(True, description="false: the supply says that its output is off")
 
     def strike(self, supply: FailingSupply) -> None:
-        """Switch off no more."""
+        """Make the output ignore commands to switch off."""
         supply.stuck_on(self.admits)

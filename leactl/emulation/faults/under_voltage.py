@@ -1,4 +1,4 @@
-"""A DC link that sags."""
+"""A DC link whose voltage drops."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,9 @@ class UnderVoltage(OfSupply):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A quarter below the limit."""
+        """A voltage a quarter below the limit."""
         return (Drill({"bus_voltage_V": 0.75 * file.limits.bus_voltage_low_V}, 1.1, "limit of bus_voltage_low_V"),)
 
     def misfit_of(self, usual: float) -> str:
-        """It must be below."""
+        """Text if the voltage is not below the bench's."""
         return "" if self.bus_voltage_V < usual else "below"

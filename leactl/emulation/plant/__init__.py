@@ -1,1 +1,1 @@
-"""The two emulated plants, exact and stepped, and what hangs at them."""
+"""The two emulated plants, exact and stepped, with their effects, terminals and loads."""

@@ -1,7 +1,7 @@
 """Parameters of the emulated plant: one actuator, its thermal network, and the bench around two of them.
 
 SI throughout, temperatures in degC, q axis, power-invariant transform. The defaults are the LEA of the paper; every
-field can be given, and a mapping that does not describe a plant is refused with every fault named.
+field can be set, and a mapping that does not describe a plant is refused with every fault named.
 """
 
 import math
@@ -13,12 +13,12 @@ from leactl.errors import InputError
 
 
 def bounded(default: float, low: float, high: float = math.inf) -> Any:
-    """A number of a frozen dataclass with its range, both ends allowed."""
+    """Declare a number of a frozen dataclass with its range; both ends are allowed."""
     return field(default=default, metadata={"low": low, "high": high})
 
 
 def switch(default: bool) -> Any:
-    """Truth of a frozen dataclass; a number or a word in its place is refused."""
+    """Declare a boolean of a frozen dataclass; a number or a word is refused."""
     return field(default=default, metadata={"switch": True})
 
 
@@ -31,7 +31,7 @@ def _not_negative(default: float) -> Any:
 
 
 class Checked:
-    """Checks its numbers where it is made, and is made from a mapping as a YAML file gives it."""
+    """A dataclass that checks its numbers when it is made, and can be made from a mapping read from YAML."""
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -43,20 +43,20 @@ class Checked:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
-        """Make from names and values; names left out keep their defaults.
+        """Make from a mapping of names to values; names left out keep their defaults.
 
         Raises
         ------
         InputError : a name is unknown, or a value is no number, not finite or out of range; one line each.
         """
-        known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+        parameters = {parameter.name: parameter for parameter in fields(cls)}  # type: ignore[arg-type]
         faults: list[str] = []
         values: dict[str, Any] = {}
         for name, value in mapping.items():
-            if name not in known:
-                faults.append(f"{name}: unknown parameter; known are {', '.join(known)}")
+            if name not in parameters:
+                faults.append(f"{name}: unknown parameter; known are {', '.join(parameters)}")
                 continue
-            nested = known[name].default_factory
+            nested = parameters[name].default_factory
             if nested is not MISSING and is_dataclass(nested) and not isinstance(value, Checked):
                 if not isinstance(value, Mapping):
                     faults.append(f"{name}: found {value!r}, expected parameters by name")
@@ -66,8 +66,7 @@ class Checked:
                 except InputError as error:
                     faults += [f"{name}.{fault}" for fault in error.faults]
                     continue
-            own = _faults(name, value, known[name].metadata)
-            faults += own
+            faults += _faults(name, value, parameters[name].metadata)
             values[name] = value
         if faults:
             raise InputError(faults)
@@ -101,7 +100,7 @@ class ThermalParameters(Checked):
 
 @dataclass(frozen=True)
 class PhaseParameters(Checked):
-    """What an actuator has beside its thermal network where its phases are resolved."""
+    """Parameters of an actuator that act only if its phases are resolved."""
 
     commutation_offset: float = bounded(0.0, -1e3, 1e3)  # rad, electrical angle at rotor angle 0
     fixture_capacitance: float = _not_negative(0.0)  # J/K, on the housing; 0 is no fixture
@@ -149,7 +148,7 @@ class ActuatorParameters(Checked):
 
 @dataclass(frozen=True)
 class BenchParameters(Checked):
-    """What stands around the two actuators: supply, drives, filters, shaft."""
+    """Parameters of the bench around the two actuators: supply, drives, filters, shaft."""
 
     bus_voltage: float = _positive(29.6)  # V
     current_loop_bandwidth: float = _positive(450.0)  # Hz, first order

@@ -1,6 +1,6 @@
-"""Heat of many lanes at once without wires: currents and velocities in, the hottest phase over time out.
+"""Temperatures of many lanes at once without devices: currents and velocities in, the hottest phase over time out.
 
-For a Monte Carlo over protocols: the same plant as on the emulated bench with its phases resolved, mechanics left out.
+For a Monte Carlo over protocols: the plant of the emulated bench with its phases resolved, without mechanics.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ BLOCK = 128  # intervals whose currents are split at once: a block of 200 lanes 
 
 @dataclass(frozen=True)
 class PhaseLane(Checked):
-    """One actuator where it stands, and what its drive makes of its current."""
+    """One actuator at its ambient temperature, and the true current relative to its drive's."""
 
     actuator: ActuatorParameters = field(default_factory=ActuatorParameters)
     ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
@@ -26,7 +26,7 @@ class PhaseLane(Checked):
 
 
 class PhaseLanes:
-    """Lanes on one even clock; each `run` goes on where the last one ended."""
+    """Lanes with one constant interval; each `run` continues where the last one ended."""
 
     def __init__(self, lanes: Sequence[PhaseLane], interval_s: float = 0.01) -> None:
         actuators = [lane.actuator for lane in lanes]
@@ -44,8 +44,8 @@ class PhaseLanes:
     def run(self, current: Array, velocity: Array, line_current: Array | None = None) -> Array:
         """Hottest phase [degC] at the end of every interval, shape (intervals, lanes).
 
-        `current` is the q-axis current as the drive reports it [A], `velocity` the rotor's [rad/s], `line_current`
-        direct current through two leads [A]; each is held over its interval and has the shape of the result.
+        `current` is the q-axis current as the drive reports it [A], `velocity` the rotor's [rad/s], `line_current` the
+        direct current through two leads [A]; each is constant over its interval and has the shape of the result.
         """
         hottest = np.empty(current.shape)
         for first in range(0, len(current), BLOCK):

@@ -1,7 +1,7 @@
-"""Three phase nodes on one housing, over many lanes at once, and what of a current each phase carries.
+"""Three phase nodes on one housing, over many lanes at once, and the current that each phase carries.
 
-Phases of capacitance Cw/3 reach the housing over 3 Rwh and the ambient over 3 Rwa each: their mean is the winding of
-the two-node network. A step is exact for heat held over it; resistances are those of the step's middle, foreseen.
+Phases of capacitance Cw/3 are coupled to the housing by 3 Rwh and to the ambient by 3 Rwa each: their mean is the
+winding of the two-node network. A step is exact for constant heat; resistances are extrapolated to its middle.
 """
 
 import math
@@ -21,10 +21,10 @@ ROUNDING_S = 1e-6  # of a sum of many steps
 
 
 def turning_squares(square: Array, start: Array, end: Array) -> Array:
-    """Mean square of each phase's current [A^2], first axis the phases, of a power-invariant q-axis current's square.
+    """Mean square of each phase's current [A^2], shape (phases, ...), from the squared power-invariant q-axis current.
 
-    The phases carry 2/3 i^2 cos^2(theta - k 2 pi/3), averaged while the electrical angle theta goes evenly from start
-    to end [rad]: samples of it would show a rotor that turns half an electrical turn a step as one at rest.
+    The phases carry 2/3 i^2 cos^2(theta - k 2 pi/3), averaged while the electrical angle theta changes linearly from
+    start to end [rad]: samples of it would show a rotor that turns half an electrical turn a step as one at rest.
     """
     third = square / 3.0
     swing = third * np.sinc((end - start) / math.pi)
@@ -39,19 +39,19 @@ def turning_squares(square: Array, start: Array, end: Array) -> Array:
 
 
 def lead_squares(square: Array) -> Array:
-    """Square of each phase's current [A^2], first axis the phases, where direct current feeds two leads."""
+    """Square of each phase's current [A^2], shape (phases, ...), for direct current through two leads."""
     return np.stack([square, square, np.zeros_like(square)])
 
 
 class PhaseNetwork:
-    """Temperatures of three phases and a housing [degC] in every lane, a lane an actuator.
+    """Temperatures of three phases and a housing [degC] in every lane; a lane is an actuator.
 
-    Beside the phases' own decay, the sum of their heat excites three modes of winding, housing and fixture; a lane
-    without a fixture has it apart and at ambient. Where air is blocked the modes change with the step that begins then.
+    Besides the phases' own decay, the sum of their heat excites three modes of winding, housing and fixture; in a lane
+    without a fixture, that node is separate and at ambient. The modes change in the step at whose start air is blocked.
     """
 
     def __init__(self, actuators: Sequence[ActuatorParameters], ambient: Sequence[float]) -> None:
-        thermal, settings = [a.thermal for a in actuators], [a.phases for a in actuators]
+        thermal, phases = [a.thermal for a in actuators], [a.phases for a in actuators]
         self.time = 0.0
         self.ambient = np.array(ambient, np.float64)
         self._cold = np.array([a.resistance(t) for a, t in zip(actuators, ambient, strict=True)])  # ohm, at ambient
@@ -59,14 +59,22 @@ class PhaseNetwork:
         self._winding_ambient = np.array([1.0 / p.winding_ambient_resistance for p in thermal])  # W/K
         self._winding_housing = np.array([1.0 / p.winding_housing_resistance for p in thermal])
         self._housing_ambient = np.array([1.0 / p.housing_ambient_resistance for p in thermal])
-        there = np.array([own.fixture_capacitance > 0.0 for own in settings])
-        self._fixture = np.where(there, [1.0 / own.fixture_resistance for own in settings], 0.0)
+        has_fixture = np.array([phase_parameters.fixture_capacitance > 0.0 for phase_parameters in phases])
+        self._fixture = np.where(
+            has_fixture, [1.0 / phase_parameters.fixture_resistance for phase_parameters in phases], 0.0
+        )
         self._capacitances = np.array(
             [[p.winding_capacitance for p in thermal], [p.housing_capacitance for p in thermal], np.ones(len(thermal))]
         )  # J/K
-        self._capacitances[2, there] = [own.fixture_capacitance for own in settings if own.fixture_capacitance > 0.0]
-        self._air_factors = np.array([own.blocked_air_factor for own in settings])
-        self._air_until = np.where(self._air_factors != 1.0, [own.blocked_air_from for own in settings], math.inf)
+        self._capacitances[2, has_fixture] = [
+            phase_parameters.fixture_capacitance
+            for phase_parameters in phases
+            if phase_parameters.fixture_capacitance > 0.0
+        ]
+        self._air_factors = np.array([phase_parameters.blocked_air_factor for phase_parameters in phases])
+        self._air_until = np.where(
+            self._air_factors != 1.0, [phase_parameters.blocked_air_from for phase_parameters in phases], math.inf
+        )
         self.rises = np.zeros((PHASES, len(thermal)))  # K, of the phases above ambient
         self._last_change, self._last_duration = np.zeros_like(self.rises), 1.0
         # rows: each phase as if its housing were at ambient; their mean, negative; the modes, in K of the winding
@@ -79,27 +87,27 @@ class PhaseNetwork:
 
     @property
     def temperatures(self) -> Array:
-        """The phases [degC], shape (3, lanes)."""
+        """Temperatures of the phases [degC], shape (3, lanes)."""
         return self.ambient + self.rises
 
     @property
     def hottest(self) -> Array:
-        """Hottest phase of every lane [degC]."""
+        """Temperature of the hottest phase of every lane [degC]."""
         return np.asarray(self.ambient + self.rises.max(axis=0))
 
     @property
     def winding(self) -> Array:
-        """Mean of the phases [degC]."""
+        """Mean temperature of the phases [degC]."""
         return np.asarray(self.ambient + self.rises.mean(axis=0))
 
     @property
     def housing(self) -> Array:
-        """Housing [degC]."""
+        """Temperature of the housing [degC]."""
         return np.asarray(self.ambient + self._node_rises()[1])
 
     @property
     def fixture(self) -> Array:
-        """What hangs on the housing [degC]; ambient where nothing does."""
+        """Temperature of the fixture on the housing [degC]; ambient in a lane without a fixture."""
         return np.asarray(self.ambient + self._node_rises()[2])
 
     @property
@@ -110,10 +118,10 @@ class PhaseNetwork:
     # ---------------------------------------------------------------- time
 
     def step(self, duration: float, squares: Array, housing_heat: Array | None = None) -> None:
-        """Go on by a duration [s] under held mean squares of the phase currents [A^2] and heat into the housing [W].
+        """Advance by a duration [s] under constant mean squares of the phase currents [A^2] and housing heat [W].
 
         With current, keep steps short against the phases' time constant (Cw (Rwa || Rwh), the LEA's 6.5 s): the
-        error of the resistance goes with the square of the step.
+        error of the resistance grows with the square of the step.
         """
         if self.time >= self._next_block - ROUNDING_S:
             self._find_modes()
@@ -141,7 +149,7 @@ class PhaseNetwork:
         return np.asarray((self._in_nodes * self._state[PHASES + 1 :]).sum(axis=1))
 
     def _find_modes(self) -> None:
-        """Take the modes of the conductances that hold from now on, and the state over into them."""
+        """Compute the modes of the present conductances, and convert the state to them."""
         nodes = self._node_rises()
         blocked = self.time >= self._air_until - ROUNDING_S
         self._next_block = float(np.min(self._air_until, where=~blocked, initial=math.inf))
@@ -156,12 +164,12 @@ class PhaseNetwork:
         # C^-1/2 K C^-1/2 is symmetric: real rates, orthogonal modes
         rates, vectors = np.linalg.eigh(conductances / (roots[:, :, None] * roots[:, None, :]))
         shapes = (vectors / roots[:, :, None]).transpose(1, 2, 0)  # node, mode, lane
-        own_rate = (self._winding_ambient + self._winding_housing) / self._capacitances[0]
-        self._rates = np.vstack([np.tile(own_rate, (PHASES + 1, 1)), np.maximum(rates.T, 0.0)])
-        own_gain = PHASES / self._capacitances[0]
-        self._gains = np.vstack([np.tile(own_gain, (PHASES, 1)), -own_gain / PHASES, shapes[0] ** 2])
+        phase_rate = (self._winding_ambient + self._winding_housing) / self._capacitances[0]
+        self._rates = np.vstack([np.tile(phase_rate, (PHASES + 1, 1)), np.maximum(rates.T, 0.0)])
+        phase_gain = PHASES / self._capacitances[0]
+        self._gains = np.vstack([np.tile(phase_gain, (PHASES, 1)), -phase_gain / PHASES, shapes[0] ** 2])
         self._housing_gains = shapes[0] * shapes[1]
-        # a fixture's mode where there is none has no winding in it
+        # in a lane without a fixture, the mode of the fixture has no share in the winding
         self._in_nodes = np.divide(shapes, shapes[0], out=np.zeros_like(shapes), where=shapes[0] != 0.0)
         amounts = np.einsum("nml,nl->ml", shapes, self._capacitances * nodes)
         self._state[PHASES + 1 :] = shapes[0] * amounts

@@ -1,17 +1,17 @@
-"""What an emulated power supply feeds: two leads of the motor to be heated, or the DC link of the drives."""
+"""Loads at an emulated power supply: two leads of the motor, which are heated, or the DC link of the drives."""
 
 from leactl.emulation.plant.exact.rig import Rig
 from leactl.emulation.plant.stepped.rig import SteppedRig
 
 
 class HeatedLeads:
-    """Two leads of the test actuator, whose resistance rises as they warm; open where the set-up is not `heated`."""
+    """Two leads of the test actuator, whose resistance rises as they warm; open unless the set-up is `heated`."""
 
     def __init__(self, rig: Rig | SteppedRig) -> None:
         self._rig = rig
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """Be fed with no more than this voltage [V] and current [A]; those that come of it."""
+        """Apply limits of voltage [V] and current [A]; return the voltage and current that result."""
         if self._rig.setup != "heated":
             return voltage, 0.0
         resistance = self._rig.lead_resistance
@@ -21,14 +21,14 @@ class HeatedLeads:
 
 
 class DcLink:
-    """The DC link of both drives; a supply takes nothing back, and sags where the drives ask for more than it gives."""
+    """DC link of both drives; a supply takes no power back, and sags if the drives need more than it gives."""
 
     def __init__(self, rig: Rig | SteppedRig) -> None:
         self._rig = rig
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """Be fed with no more than this voltage [V] and current [A]; those that come of it."""
+        """Apply limits of voltage [V] and current [A]; return the voltage and current that result."""
         power = max(0.0, self._rig.bus_power)
-        given = min(voltage, voltage * voltage * current / power) if power > 0.0 else voltage
-        self._rig.supply(given)
-        return given, min(current, power / given) if given > 0.0 else 0.0
+        link_voltage = min(voltage, voltage * voltage * current / power) if power > 0.0 else voltage
+        self._rig.supply(link_voltage)
+        return link_voltage, min(current, power / link_voltage) if link_voltage > 0.0 else 0.0

@@ -1,7 +1,7 @@
-"""The three leads of an emulated motor: line-to-line voltages between the moments at which the plant is looked at.
+"""The three leads of an emulated motor: line-to-line voltages, interpolated between samples of the plant.
 
-Every phase carries the q-axis voltage at the electrical angle, as back-EMF where no current flows, and what harmonics
-the bench file gives it; between two looks the angle and the voltage go straight.
+Every phase carries the q-axis voltage at the electrical angle (the back-EMF if no current flows), and the harmonics
+of the bench file. Between two samples, angle and voltage are linear.
 """
 
 import math
@@ -16,13 +16,13 @@ from leactl.emulation.plant.exact.rig import Actuator
 from leactl.emulation.plant.stepped.rig import SteppedActuator
 
 Array = NDArray[np.float64]
-KEPT = 64  # looks, some 8 ms at the most of them; a converter asks once a millisecond
+SAMPLES = 64  # that are kept, of at most 8 ms or so; a converter asks once a millisecond
 THIRD = 2.0 * math.pi / 3.0
 TO_PHASE = math.sqrt(2.0 / 3.0)  # amplitude of a phase over the q-axis voltage, power-invariant
 
 
 class MotorTerminals:
-    """Line-to-line voltages of one actuator, noise included; `chance` is the bench's own source of it."""
+    """Line-to-line voltages of one actuator, with noise; `chance` is the random generator of the noise."""
 
     def __init__(
         self,
@@ -32,18 +32,18 @@ class MotorTerminals:
         chance: np.random.Generator,
     ) -> None:
         self._actuator, self._harmonics, self._noise, self.chance = actuator, harmonics, noise_V, chance
-        self._looks: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
-        self._columns: Array | None = None  # of the looks, made when first asked for
+        self._samples: deque[tuple[float, float, float]] = deque(maxlen=SAMPLES)
+        self._columns: Array | None = None  # of the samples, made when first needed
 
-    def look(self, now: float) -> None:
-        """Take angle and voltage as they are now."""
-        self._looks.append((now, self._actuator.angle, self._actuator.voltage))
+    def sample(self, now: float) -> None:
+        """Sample the present angle and voltage."""
+        self._samples.append((now, self._actuator.angle, self._actuator.voltage))
         self._columns = None
 
     def voltages(self, times: Array, pair: int) -> Array:
         """Voltages [V] of a pair (0 ab, 1 bc, 2 ca) at these times."""
         if self._columns is None:
-            self._columns = np.array(self._looks).T
+            self._columns = np.array(self._samples).T
         moments, angles, volts = self._columns
         parameters = self._actuator.parameters
         angle = parameters.pole_pairs * np.interp(times, moments, angles) + parameters.phases.commutation_offset
@@ -53,9 +53,9 @@ class MotorTerminals:
             difference = difference / math.sqrt(3.0)
         return np.asarray(amplitude * difference + self._noise * self.chance.standard_normal(len(times)))
 
-    def _phase(self, angle: Array, number: int) -> Array:
-        own = angle - number * THIRD
-        shape = -np.sin(own)  # the q axis leads the angle by a quarter turn
-        for item in self._harmonics:
-            shape -= item.share * np.sin(item.order * own + item.phase_rad)
+    def _phase(self, angle: Array, phase: int) -> Array:
+        phase_angle = angle - phase * THIRD
+        shape = -np.sin(phase_angle)  # the q axis leads the angle by a quarter turn
+        for harmonic in self._harmonics:
+            shape -= harmonic.share * np.sin(harmonic.order * phase_angle + harmonic.phase_rad)
         return np.asarray(shape)

@@ -1,4 +1,4 @@
-"""Two thermal nodes, winding and housing, stepped exactly for a heat held constant over the step."""
+"""Two thermal nodes, winding and housing, stepped exactly for constant heat within a step."""
 
 import math
 
@@ -6,7 +6,7 @@ from leactl.emulation.plant.parameters import ThermalParameters
 
 
 class ExactThermalNetwork:
-    """Temperatures of winding and housing [degC] under heat into either."""
+    """Temperatures of winding and housing [degC] under heat into each of them."""
 
     def __init__(self, parameters: ThermalParameters, ambient: float) -> None:
         p = parameters
@@ -27,13 +27,13 @@ class ExactThermalNetwork:
         self._transitions: dict[float, tuple[float, float, float, float]] = {}
 
     def steady_rise(self, winding_heat: float, housing_heat: float = 0.0) -> tuple[float, float]:
-        """Rises of winding and housing above ambient [K] under a heat held for ever."""
+        """Steady rises of winding and housing above ambient [K] under constant heat [W]."""
         winding = (self._ghh * winding_heat + self._gwh * housing_heat) / self._determinant
         housing = (self._gwh * winding_heat + self._gww * housing_heat) / self._determinant
         return winding, housing
 
     def step(self, duration: float, winding_heat: float, housing_heat: float = 0.0) -> None:
-        """Go on by a duration [s] under constant heat [W]."""
+        """Advance by a duration [s] under constant heat [W]."""
         transition = self._transitions.get(duration)
         if transition is None:
             transition = self._transition(duration)

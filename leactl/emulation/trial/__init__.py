@@ -1,1 +1,1 @@
-"""A driver tried on its own far end: its readings, setpoints and end are held against what is true there."""
+"""Trials of a driver on its own far end: its readings, setpoints and end are compared with the truth."""

@@ -1,4 +1,4 @@
-"""What every drive must keep: it reads what is there, follows what it is told, and is off when it says so."""
+"""Requirements on every drive: true readings, the commanded motion, and off when it confirms to be off."""
 
 import math
 from collections.abc import Callable
@@ -10,19 +10,19 @@ from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Broken, Stand
 from leactl.errors import DeviceError, InputError, LeactlError
 
 ENGAGED_S = 5.0  # within which a drive has to enter operation or say that it does not
-NOTICED_S = 3.0  # within which a drive that answers no more has to be told
+NOTICED_S = 3.0  # within which the driver has to report a drive that stops answering
 NEAR = 0.01  # of a value, for resolution and rounding
 STEPS = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A, rad/s, rad: change from one cycle to the next
 LEAST_V = 0.1
-LEAST = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}  # A, rad/s, rad: the same beside zero
+LEAST = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}  # A, rad/s, rad: allowed difference near zero
 SETPOINTS = {
     Mode.CURRENT: ("current", 1.5),
     Mode.TORQUE_PROFILE: ("current", 1.5),
     Mode.VELOCITY: ("velocity", 2.0),
     Mode.ANGLE: ("angle", 0.5),
 }
-RAMP_S, RAMP_CYCLES = 10.0, 5  # within which a setpoint that the drive ramps arrives; cycles in which it rests then
-ROWS, ROWS_S = 2, 20.0  # of a stream after the machine has changed, and the time in which they have to come
+RAMP_S, RAMP_CYCLES = 10.0, 5  # within which a ramped setpoint arrives; cycles in which it then stays constant
+ROWS, ROWS_S = 2, 20.0  # of a stream after the machine has changed, and the time within which they arrive
 FACTORS = {
     "turns for radians": 1 / (2 * math.pi),
     "radians for turns": 2 * math.pi,
@@ -41,16 +41,16 @@ TRUE_VALUES = ((3.0, 2.0, 0.75), (-1.5, -4.0, 1.5), (0.5, 1.0, -0.5))  # A, rad/
 
 
 def modes_of(stand: Stand) -> list[Mode]:
-    """The modes that the drive takes."""
-    taken = []
+    """Modes that the drive accepts; raises Broken if there are none."""
+    modes = []
     for mode in SETPOINTS:
         with suppress(InputError):
             stand.motion.engage(mode)
             stand.motion.release()
-            taken.append(mode)
-    if not taken:
+            modes.append(mode)
+    if not modes:
         raise Broken(f"engages in none of {', '.join(SETPOINTS)}")
-    return taken
+    return modes
 
 
 def engage(stand: Stand, mode: Mode) -> None:
@@ -63,7 +63,7 @@ def engage(stand: Stand, mode: Mode) -> None:
 
 
 def in_operation(stand: Stand) -> Mode:
-    """Open the drive and let it follow a setpoint; gives the mode."""
+    """Open the drive and let it follow a setpoint; returns the mode."""
     stand.driver.open()
     mode = modes_of(stand)[0]
     engage(stand, mode)
@@ -74,9 +74,9 @@ def in_operation(stand: Stand) -> Mode:
 
 
 def reads_si_units(stand: Stand) -> None:
-    """q-axis current in power-invariant A, velocity in rad/s and angle in rad are what the machine has.
+    """The q-axis current in power-invariant A, the velocity in rad/s and the angle in rad equal those of the machine.
 
-    In operation: a drive that is off may tell no current.
+    The drive is in operation, because a drive that is off may report no current.
     """
     in_operation(stand)
     for truth in TRUE_VALUES:
@@ -89,7 +89,7 @@ def reads_si_units(stand: Stand) -> None:
 
 
 def compare(quantity: str, read: float, true: float) -> None:
-    """Hold a reading against the truth."""
+    """Raise Broken if a reading differs from the true value."""
     if math.isnan(read):
         raise Broken(f"{quantity} is missing, or NaN although the drive answers")
     if abs(read - true) <= NEAR * abs(true) + LEAST[quantity]:
@@ -98,7 +98,7 @@ def compare(quantity: str, read: float, true: float) -> None:
 
 
 def meant(value: float, true: float) -> str:
-    """The mistake that makes one value of another, as a question; nothing where none is known."""
+    """Text that names the likely mistake of units as a question; empty if no known factor explains the value."""
     for mistake, factor in FACTORS.items():
         if abs(value - factor * true) <= 2.0 * NEAR * abs(factor * true):
             return f": {mistake}?"
@@ -106,9 +106,9 @@ def meant(value: float, true: float) -> str:
 
 
 def reads_each_sample_once(stand: Stand) -> None:
-    """A row has what the drive sampled in its own cycle, not in one before it.
+    """Each cycle reads the sample of that cycle, not of an earlier one.
 
-    In operation: a drive that is off may tell no current.
+    The drive is in operation, because a drive that is off may report no current.
     """
     in_operation(stand)
     machine = stand.machine
@@ -128,7 +128,7 @@ def reads_each_sample_once(stand: Stand) -> None:
 
 
 def streams_read_what_is_there(stand: Stand) -> None:
-    """Voltages that come at their own pace, or beside the readings of a cycle, are what the machine has, in V."""
+    """Voltages that are read at their own rate, or with the readings of a cycle, equal the machine's, in V."""
     in_operation(stand)
     for bus_voltage, voltage in ((29.6, 3.25), (27.0, -2.0)):
         stand.machine.bus_voltage, stand.machine.voltage = bus_voltage, voltage
@@ -141,18 +141,18 @@ def streams_read_what_is_there(stand: Stand) -> None:
 
 
 def newest(stand: Stand) -> dict[str, float]:
-    """The value of each channel after some cycles, by quantity."""
+    """Newest value of each channel after some cycles, by quantity."""
     began, rows = stand.clock.now(), {spec.name: list[Row]() for spec in stand.driver.streams}
     for _ in stand.cycles(ROWS_S):
-        for taken in stand.driver.take():
-            row = taken.last if isinstance(taken, SampleBlock) else taken
+        for item in stand.driver.take():
+            row = item.last if isinstance(item, SampleBlock) else item
             if row.time >= began:
                 rows[row.stream].append(row)
-        if all(len(came) >= ROWS for came in rows.values()):
+        if all(len(rows_of_stream) >= ROWS for rows_of_stream in rows.values()):
             break
     else:
-        stream, came = min(rows.items(), key=lambda item: len(item[1]))
-        raise Broken(f"{stream}: {len(came)} rows in {ROWS_S:g} s of operation")
+        stream, rows_of_stream = min(rows.items(), key=lambda item: len(item[1]))
+        raise Broken(f"{stream}: {len(rows_of_stream)} rows in {ROWS_S:g} s of operation")
     values = {channel.quantity: stand.read(channel.quantity) for channel in stand.motion.loop_channels}
     for spec in stand.driver.streams:
         values |= {
@@ -162,7 +162,7 @@ def newest(stand: Stand) -> dict[str, float]:
 
 
 def leaves_out_what_did_not_come(stand: Stand) -> None:
-    """A drive that answers no more gives NaN, and is told."""
+    """A drive that stops answering gives NaN, and the driver reports it."""
     stand.driver.open()
     stand.cycle()
     freeze(stand)
@@ -178,7 +178,7 @@ def leaves_out_what_did_not_come(stand: Stand) -> None:
 
 
 def freeze(stand: Stand) -> None:
-    """Let the far end answer nothing and go on with what it does; the cable is out where it cannot."""
+    """Make the far end stop answering and keep its output; unplug the cable if it cannot be frozen."""
     if isinstance(stand.far_end, Breakable):
         stand.far_end.freeze(True)
     else:
@@ -186,7 +186,7 @@ def freeze(stand: Stand) -> None:
 
 
 def tells_whether_it_is_engaged(stand: Stand) -> None:
-    """`engaged` is what the drive says: false before operation, after leaving it and in a fault."""
+    """`engaged` reports the state of the drive: false before operation, after release, and in a fault."""
     stand.driver.open()
     stand.cycle()
     if stand.motion.engaged:
@@ -213,24 +213,23 @@ def tells_whether_it_is_engaged(stand: Stand) -> None:
 
 
 def follows_its_setpoint(stand: Stand) -> None:
-    """A setpoint arrives in its SI unit and with its sign, zero first."""
+    """A setpoint reaches the machine in its SI unit and with its sign; the first is zero."""
     stand.driver.open()
     for mode in modes_of(stand):
         stand.machine.angle = 0.25
         engage(stand, mode)
         name, value = SETPOINTS[mode]
-        for asked in (value, -value):
-            stand.motion.command(asked)
+        for setpoint in (value, -value):
+            stand.motion.command(setpoint)
             followed, reached = arrived(stand, mode)
             if followed != name:
                 raise Broken(f"the machine follows '{followed}' where '{mode}' was engaged")
-            if abs(reached - asked) > NEAR * abs(asked) + 0.05:
-                near = [
-                    text for text, factor in FACTORS.items() if abs(reached - factor * asked) <= 0.02 * abs(reached)
+            if abs(reached - setpoint) > NEAR * abs(setpoint) + 0.05:
+                causes = [
+                    text for text, factor in FACTORS.items() if abs(reached - factor * setpoint) <= 0.02 * abs(reached)
                 ]
-                raise Broken(
-                    f"{mode}: {reached:.6g} arrives where {asked:g} was commanded{f': {near[0]}?' if near else ''}"
-                )
+                hint = f": {causes[0]}?" if causes else ""
+                raise Broken(f"{mode}: {reached:.6g} arrives where {setpoint:g} was commanded{hint}")
         stand.motion.release()
         for _ in stand.cycles(0.5):
             pass
@@ -239,38 +238,38 @@ def follows_its_setpoint(stand: Stand) -> None:
 
 
 def arrived(stand: Stand, mode: Mode) -> tuple[str, float]:
-    """What the machine follows two cycles after a command; where the drive ramps it, once that rests."""
+    """The machine's mode and setpoint two cycles after a command; for a ramped setpoint, once it stays constant."""
     stand.cycle()
     stand.cycle()
     followed = stand.machine.following
     if mode is not Mode.TORQUE_PROFILE:
         return followed
-    resting = 0
+    constant_cycles = 0
     for _ in stand.cycles(RAMP_S):
-        resting = resting + 1 if stand.machine.following == followed else 0
+        constant_cycles = constant_cycles + 1 if stand.machine.following == followed else 0
         followed = stand.machine.following
-        if resting == RAMP_CYCLES:
+        if constant_cycles == RAMP_CYCLES:
             return followed
     raise Broken(f"{mode}: the machine still changes what it follows {RAMP_S:g} s after command()")
 
 
 def begins_at_rest(stand: Stand) -> None:
-    """Operation begins with zero current and speed, at the angle where the shaft is."""
+    """Operation begins with zero current and zero speed, or at the present angle of the shaft."""
     stand.driver.open()
     for mode in modes_of(stand):
         stand.machine.angle = 0.7
         engage(stand, mode)
         followed, value = stand.machine.following
-        rest = 0.7 if mode is Mode.ANGLE else 0.0
-        if followed != "off" and abs(value - rest) > 0.01:
-            raise Broken(f"{mode}: begins at {value:.4g}, {rest:g} was expected")
+        expected = 0.7 if mode is Mode.ANGLE else 0.0
+        if followed != "off" and abs(value - expected) > 0.01:
+            raise Broken(f"{mode}: begins at {value:.4g}, {expected:g} was expected")
         stand.motion.release()
         for _ in stand.cycles(0.2):
             pass
 
 
 def refuses_what_it_cannot_follow(stand: Stand) -> None:
-    """What is not finite or beyond what the device can hold is refused, never clipped."""
+    """A setpoint that is not finite, or beyond what the device can hold, is refused, not clipped."""
     stand.driver.open()
     for mode in modes_of(stand):
         engage(stand, mode)
@@ -290,7 +289,7 @@ def refuses_what_it_cannot_follow(stand: Stand) -> None:
 
 
 def confirmed(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
-    """Call `safe_state`; whether it confirms. It never raises and never waits beyond the deadline."""
+    """Call `safe_state` and return whether it confirms; raise Broken if it raises or exceeds the deadline."""
     began = stand.clock.now()
     try:
         confirmation = stand.driver.safe_state(deadline)
@@ -303,7 +302,7 @@ def confirmed(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
 
 
 def is_off_when_it_says_so(stand: Stand) -> None:
-    """`safe_state` takes the power away, in operation and before `open`, as often as it is called."""
+    """`safe_state` takes the power away, in operation, before `open`, and when it is called again."""
     confirmed_off(stand, "before open()")
     in_operation(stand)
     confirmed_off(stand, "in operation")
@@ -311,7 +310,7 @@ def is_off_when_it_says_so(stand: Stand) -> None:
 
 
 def confirmed_off(stand: Stand, when: str) -> None:
-    """Have a drive that answers become safe, and look at the machine."""
+    """Make a drive that answers safe, and check that the machine is off."""
     if not confirmed(stand):
         raise Broken(f"safe_state {when} is not confirmed although the drive answers")
     if stand.machine.following[0] != "off":
@@ -319,17 +318,17 @@ def confirmed_off(stand: Stand, when: str) -> None:
 
 
 def confirms_nothing_unheard(stand: Stand) -> None:
-    """`safe_state` is not confirmed where the drive does not answer, and comes back by its deadline."""
+    """`safe_state` is not confirmed if the drive does not answer, and returns by its deadline."""
     silent_in_operation(stand, freeze)
 
 
 def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
-    """The same with the cable out."""
+    """`safe_state` is not confirmed if the cable is unplugged."""
     silent_in_operation(stand, Stand.cut)
 
 
 def silent_in_operation(stand: Stand, silence: Callable[[Stand], None]) -> None:
-    """Have a drive that has fallen silent in operation become safe."""
+    """Silence a drive in operation, and check that `safe_state` does not confirm while the machine runs."""
     in_operation(stand)
     silence(stand)
     if confirmed(stand) and stand.machine.following[0] != "off":
@@ -337,7 +336,7 @@ def silent_in_operation(stand: Stand, silence: Callable[[Stand], None]) -> None:
 
 
 def is_cut_at_once(stand: Stand) -> None:
-    """`stop_now` sends what takes the power away, and waits for nothing."""
+    """`stop_now` sends the command that takes the power away, and does not wait."""
     in_operation(stand)
     began = stand.clock.now()
     stand.driver.stop_now()
@@ -349,12 +348,12 @@ def is_cut_at_once(stand: Stand) -> None:
 
 
 def stops_without_its_host(stand: Stand) -> None:
-    """A drive that is said to listen for the host stops within that time once nothing comes, and not while it does."""
+    """A drive that monitors its host stops within the declared time once nothing arrives, and not before."""
     stops_unfed(stand, lambda seconds: stand.wait(seconds + PERIOD_S))
 
 
 def stops_unless_it_is_fed(stand: Stand) -> None:
-    """The same where the cycles go on, but nobody calls `feed`: a loop that has lost its supervisor is no host."""
+    """A drive that monitors its host also stops if the cycles continue but nobody calls `feed`."""
 
     def go_on(seconds: float) -> None:
         end = stand.clock.now() + seconds + PERIOD_S
@@ -367,7 +366,7 @@ def stops_unless_it_is_fed(stand: Stand) -> None:
 
 
 def stops_unfed(stand: Stand, let_pass: Callable[[float], None]) -> None:
-    """Have a drive in operation stop by itself while time passes [s] without its host."""
+    """Check that a drive in operation stops while `let_pass` passes time [s] without its host."""
     silence = stand.settings.host_silence_s
     if silence is None:
         return
@@ -387,7 +386,7 @@ def stops_unfed(stand: Stand, let_pass: Callable[[float], None]) -> None:
 
 
 def comes_and_goes(stand: Stand) -> None:
-    """It may be closed twice, unopened too, and opened again."""
+    """The driver may be closed before it is opened, closed twice, and opened again."""
     stand.driver.close()
     in_operation(stand)
     confirmed_off(stand, "in operation")

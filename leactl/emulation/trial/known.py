@@ -1,4 +1,4 @@
-"""A bench whose every quantity is known at any time, behind the far end of the driver that is tried."""
+"""A bench on which every quantity is known at any time, behind the far end of the driver under trial."""
 
 import math
 from collections.abc import Callable
@@ -24,57 +24,57 @@ BASES = {  # value before a quantity begins to rise, in SI units and degC
     "housing_temperature": 33.0,
     "ambient_temperature": 24.0,
 }
-OTHER = 1.5
-# of its base, by which a quantity rises while it is measured: a reading that is kept is far off by then; no round
-# number, so that readings which are kept for some samples each are not the multiples that a display shows
+OTHER_BASE = 1.5
+# share of its base by which a quantity rises in a measurement: a repeated old reading is then far off; no round
+# number, so that readings repeated for some samples each differ from the multiples that a display shows
 RISE = 0.47
 AMPLITUDE_V = 4.0
 HIGHEST_HZ = 7.0  # of the voltages at the leads
-TURN_PER_SAMPLE = 0.004  # of the voltages at the leads: a slow instrument's answer may take a part of its period
+TURN_PER_SAMPLE = 0.004  # of the voltages at the leads: an instrument may take a part of its period to answer
 
 
 class KnownMachine:
-    """A motor that a drive turns: it notes what it is told, and its sensors show what the trial says."""
+    """A motor that a drive turns: it records its commands, and its sensors show the values that the trial sets."""
 
     def __init__(self) -> None:
         self.following = ("off", 0.0)
-        self.current: float | None = None  # A; the current that is commanded where the trial says none
+        self.current: float | None = None  # A; None means the commanded current
         self.velocity, self.angle = 0.0, 0.25
         self.voltage, self.bus_voltage = 3.25, 29.6
 
     def command(self, mode: str, value: float) -> None:
-        """Follow a setpoint."""
+        """Record a setpoint."""
         self.following = (mode, value)
 
     def read(self) -> tuple[float, float, float]:
         """Current [A], velocity [rad/s] and angle [rad]."""
         mode, value = self.following
-        flowing = value if mode == "current" else 0.0
-        return flowing if self.current is None else self.current, self.velocity, self.angle
+        commanded = value if mode == "current" else 0.0
+        return commanded if self.current is None else self.current, self.velocity, self.angle
 
 
 class KnownLoad:
     """A resistor at a supply's terminals."""
 
     def __init__(self) -> None:
-        self.fed = (0.0, 0.0)  # V and A that come of it
+        self.fed = (0.0, 0.0)  # V and A at the terminals
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """Be fed with no more than this voltage [V] and current [A]."""
-        flowing = min(current, voltage / LOAD_OHM)
-        self.fed = (flowing * LOAD_OHM, flowing)
+        """Apply limits of voltage [V] and current [A]; return the voltage and current that result."""
+        load_current = min(current, voltage / LOAD_OHM)
+        self.fed = (load_current * LOAD_OHM, load_current)
         return self.fed
 
 
 class KnownTerminals:
-    """Three line-to-line voltages, a third of a turn apart."""
+    """Three line-to-line voltages, with phases a third of a turn apart."""
 
     def __init__(self) -> None:
         self.chance = np.random.default_rng(0)
         self.frequency_Hz = HIGHEST_HZ
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
-        """Voltages [V] of a pair at these times."""
+        """Voltages [V] of a pair of leads at these times."""
         turns = self.frequency_Hz * times - pair / 3.0
         return np.asarray(AMPLITUDE_V * np.sin(2.0 * math.pi * turns), np.float64)
 
@@ -89,31 +89,31 @@ class KnownBench:
         self.rises_from, self.rises_for = 0.0, 5.0  # s, within which every quantity rises by `RISE`
 
     def rise(self, duration: float, interval: float = 0.0) -> None:
-        """Let every quantity rise from now on; a device measures it for a duration [s], once in an interval [s]."""
+        """Make every quantity rise from now on, over a duration [s], while a device samples it at an interval [s]."""
         self.rises_from, self.rises_for = self._clock.now(), duration
         self.leads.frequency_Hz = min(HIGHEST_HZ, TURN_PER_SAMPLE / interval) if interval > 0.0 else HIGHEST_HZ
 
     def machine(self, role: str) -> KnownMachine:
-        """What the drive of this role turns."""
+        """The machine that the drive of this role turns."""
         return self.machines.setdefault(role, KnownMachine())
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
-        """A function that gives this quantity now."""
+        """Return a function that gives the present value of a quantity."""
         return lambda: float(self.true_value(quantity, self._clock.now()))
 
     def true_value(self, quantity: str, time: Any) -> Any:
-        """Value of a quantity at one time [s] or many."""
+        """Value of a quantity at one or many times [s]."""
         if quantity in PAIRS:
             return self.leads.voltages(np.asarray(time, np.float64), PAIRS.index(quantity))
-        risen = np.maximum(time - self.rises_from, 0.0) / self.rises_for
+        progress = np.maximum(time - self.rises_from, 0.0) / self.rises_for
         if quantity in FLAGS:  # which cannot rise; they switch once half of the time is over
-            return np.asarray(risen >= 0.5, np.float64)
-        return BASES.get(quantity, OTHER) * (1.0 + RISE * risen)
+            return np.asarray(progress >= 0.5, np.float64)
+        return BASES.get(quantity, OTHER_BASE) * (1.0 + RISE * progress)
 
     def terminals(self, role: str) -> KnownTerminals:
         """The three leads of this role's motor."""
         return self.leads
 
     def at_supply(self, feeds: str, role: str) -> KnownLoad:
-        """What a power supply feeds."""
+        """Load at the terminals of a power supply."""
         return self.load

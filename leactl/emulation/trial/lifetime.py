@@ -1,4 +1,4 @@
-"""What every device must keep from its opening to its end, whatever it is: units, no waits, nothing held afterwards."""
+"""Requirements on every device, open and closed: units, calls that do not wait, nothing held when closed."""
 
 import threading
 from contextlib import nullcontext, suppress
@@ -16,7 +16,7 @@ OPEN_FILES = Path("/proc/self/fd")  # of Linux alone; elsewhere only threads and
 
 
 def in_use(stand: Stand) -> None:
-    """Open a device and have it do what it is for."""
+    """Open a device and put it to its use: operation, output on, or open."""
     if isinstance(stand.driver, MotionDevice):
         drives.in_operation(stand)
     elif isinstance(stand.driver, PowerSupply):
@@ -42,7 +42,7 @@ def names_its_quantities(stand: Stand) -> None:
 
 
 def waits_for_nothing(stand: Stand) -> None:
-    """No call of a cycle lets time pass but `end_cycle`, which ends by its deadline; over a cut cable too."""
+    """No call of a cycle waits, except `end_cycle`, which ends by its deadline; also with an unplugged cable."""
     in_use(stand)
     calls_in_time(stand, is_cut=False)
     stand.cut()
@@ -50,10 +50,10 @@ def waits_for_nothing(stand: Stand) -> None:
 
 
 def calls_in_time(stand: Stand, is_cut: bool) -> None:
-    """Make the calls of some cycles, and raise where one is over too late; a cable that is cut may be told by any."""
+    """Make the calls of some cycles, and raise Broken if one ends late; any call may report an unplugged cable."""
 
-    def call(name: str, most: float, *arguments: float) -> None:
-        deadline = stand.clock.now() + most
+    def call(name: str, longest: float, *arguments: float) -> None:
+        deadline = stand.clock.now() + longest
         with suppress(DeviceError) if is_cut else nullcontext():
             getattr(stand.driver, name)(*arguments)
         if (late := stand.clock.now() - deadline) > LATE_S:
@@ -73,7 +73,7 @@ def calls_in_time(stand: Stand, is_cut: bool) -> None:
 
 
 def lets_go_when_closed(stand: Stand) -> None:
-    """`close` leaves no port, thread or file open; `safe_state` is confirmed afterwards as well."""
+    """`close` leaves no port, thread or file open; `safe_state` is confirmed afterwards too."""
     in_use(stand)
     stand.driver.close()
     stand.renew_driver()
@@ -89,17 +89,17 @@ def lets_go_when_closed(stand: Stand) -> None:
 
 
 def holds_nothing(stand: Stand, threads: int, files: int) -> None:
-    """Raise where something is still open that was not before."""
+    """Raise Broken if a port, a thread or a file is open that was not open before."""
     if stand.is_connected:
         raise Broken("its bus is still open after close(): the port is opened more often than it is closed")
-    if (more := threading.active_count() - threads) > 0:
-        raise Broken(f"{more} more threads run after close() than before open()")
-    if (more := open_files() - files) > 0:
-        raise Broken(f"{more} more files are open after close() than before open()")
+    if (extra := threading.active_count() - threads) > 0:
+        raise Broken(f"{extra} more threads run after close() than before open()")
+    if (extra := open_files() - files) > 0:
+        raise Broken(f"{extra} more files are open after close() than before open()")
 
 
 def open_files() -> int:
-    """How many descriptors this process has; 0 where that cannot be told."""
+    """Number of file descriptors of this process; 0 if the system cannot list them."""
     return len(list(OPEN_FILES.iterdir())) if OPEN_FILES.is_dir() else 0
 
 

@@ -1,11 +1,11 @@
-"""What the probe of a driver must keep: it sees the device alone, by reads, and ends in time."""
+"""Requirements on the probe of a driver: it finds its own device only, by reads, and ends in time."""
 
 from leactl.emulation.trial.known import KnownMachine
 from leactl.emulation.trial.stand import ROLE, Broken, Stand
 
 
 def its_probe_recognises_its_device(stand: Stand) -> None:
-    """One device is recognised, with settings that it really has."""
+    """The probe recognises one device, with the settings that the device has."""
     report = stand.scanned()
     if report.notes:
         raise Broken(f"a scan of its emulator says: {report.notes[0]}")
@@ -24,7 +24,7 @@ def its_probe_recognises_its_device(stand: Stand) -> None:
 
 
 def its_probe_moves_and_energises_nothing(stand: Stand) -> None:
-    """The machine stays off, and a supply feeds nothing, during a scan and after it."""
+    """The machine stays off, and a supply gives no output, during a scan and after it."""
     stand.scanned()
     stand.wait(1.0)
     machine, fed = stand.bench.machines.get(ROLE, KnownMachine()), stand.bench.load.fed
@@ -33,13 +33,13 @@ def its_probe_moves_and_energises_nothing(stand: Stand) -> None:
 
 
 def its_probe_ends_on_a_silent_wire(stand: Stand) -> None:
-    """Nothing is recognised where nothing answers, and the scan does not have to end the probe."""
+    """The probe recognises nothing if nothing answers, and ends by itself."""
     stand.cut()
     report = stand.scanned()
     if report.answered:
         raise Broken("a scan of a silent wire saw a device")
-    if ended := [note for note in report.notes if "was ended" in note or "breaks" in note]:
-        raise Broken(f"a scan of a silent wire says: {ended[0]}")
+    if notes_of_breaks := [note for note in report.notes if "was ended" in note or "breaks" in note]:
+        raise Broken(f"a scan of a silent wire says: {notes_of_breaks[0]}")
 
 
 TRIALS = (

@@ -1,4 +1,4 @@
-"""Every trial of a driver in a process of its own: one that hangs or takes the process with it is a finding too."""
+"""Run every trial of a driver in a separate process, so that a trial that hangs or crashes is also a finding."""
 
 import json
 import os
@@ -24,18 +24,18 @@ Trial = Callable[[Stand], None]
 
 @dataclass(frozen=True)
 class TrialResult:
-    """One trial: what has to hold, and what does not; empty where it does."""
+    """Name of one trial, and its fault; empty if it passed."""
 
     name: str
     fault: str
 
 
 def try_driver(driver: type[Driver]) -> list[TrialResult]:
-    """Make a driver and its far end anew for each trial, and try it; a fault is a line.
+    """Run all trials of a driver, each with a new driver and a new far end.
 
     Raises
     ------
-    InputError : it cannot be tried, for it has no `example` of settings or no far end.
+    InputError : the driver has no `example` of settings or no far end.
     """
     with tempfile.TemporaryDirectory() as folder:
         return [
@@ -44,7 +44,7 @@ def try_driver(driver: type[Driver]) -> list[TrialResult]:
 
 
 def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
-    """What a driver of this kind has to pass.
+    """Trials that a driver of this kind has to pass.
 
     Raises
     ------
@@ -70,14 +70,14 @@ def _of_its_kind(stand: Stand) -> tuple[Trial, ...]:
 
 
 def plain(trial: Trial) -> str:
-    """The name of a trial in words."""
+    """Name of a trial in words."""
     return trial.__name__.replace("_", " ")
 
 
 def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
-    """Run one trial in a process of its own; gives what is wrong, or nothing.
+    """Run one trial in a separate process; returns its fault, or an empty text.
 
-    Where processes cannot be forked it runs in this one, and one that hangs has to be interrupted.
+    Where processes cannot be forked it runs in this one, and a trial that hangs has to be interrupted.
     """
     if not hasattr(os, "fork"):
         return outcome(trial, driver, folder)
@@ -102,26 +102,26 @@ def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
 
 
 def answer_of(reads: int) -> str:
-    """What a trial's process has told, within its time."""
-    told, end = b"", time.monotonic() + WALL_S
-    while left := max(end - time.monotonic(), 0.0):
-        if not select.select([reads], [], [], left)[0]:
+    """Read the result that a trial's process has sent, within its time."""
+    result, end = b"", time.monotonic() + WALL_S
+    while time_left := max(end - time.monotonic(), 0.0):
+        if not select.select([reads], [], [], time_left)[0]:
             break
-        part = os.read(reads, 65536)
-        if not part:
-            return str(json.loads(told)) if told else "it has taken the process with it"
-        told += part
+        received = os.read(reads, 65536)
+        if not received:
+            return str(json.loads(result)) if result else "it has taken the process with it"
+        result += received
     return f"it hangs: more than {WALL_S:g} s where no time passes but on the bench's clock"
 
 
 def outcome(trial: Trial, driver: type[Driver], folder: Path) -> str:
-    """Run one trial here."""
+    """Run one trial in this process; returns its fault, or an empty text."""
     try:
         trial(Stand(driver, Path(tempfile.mkdtemp(dir=folder))))
     except Broken as broken:
         return str(broken)
     except LeactlError as error:
         return f"{type(error).__name__}: {error}"
-    except Exception as error:  # noqa: BLE001 (a driver may break in any way, and that is what is to be told)
+    except Exception as error:  # noqa: BLE001 (a driver may raise anything, and the trial reports it)
         return f"breaks with {type(error).__name__}: {error}"
     return ""

@@ -23,11 +23,11 @@ ROLE = "test"
 
 
 class Broken(Exception):
-    """What a driver does not keep; its text says what was done, what came of it and what was expected."""
+    """A requirement that the driver breaks; the text says what was done, what happened and what was expected."""
 
 
 class Stand:
-    """A driver that is not open yet, at the wire of its far end."""
+    """A driver that is not open yet, on the wire of its far end."""
 
     def __init__(self, driver: type[Driver], folder: Path) -> None:
         self.clock = EmulatedClock()
@@ -60,17 +60,17 @@ class Stand:
         self.renew_driver()
 
     def renew_driver(self) -> None:
-        """Put another host in the place of the present one, whose end nothing has told the device."""
+        """Replace the driver by that of another host; the device is not told."""
         self._port = self._make_port()
         self.driver = self._kind("tried", ROLE, self.settings, self._port, self.clock)
 
     @property
     def is_connected(self) -> bool:
-        """Whether the driver's port is open; never where it has no bus."""
+        """Whether the driver's port is open; false if it has no bus."""
         return self._wire is not None and bool(self._port.connected)
 
     def synchronise(self) -> None:
-        """Send CANopen's SYNC, where the driver's bus carries it."""
+        """Send CANopen's SYNC, if the driver's bus carries it."""
         if self.driver.synchronised:
             self._port.sync()
 
@@ -82,18 +82,18 @@ class Stand:
 
     @property
     def machine(self) -> KnownMachine:
-        """What the drive turns."""
+        """The machine that the drive turns."""
         return self.bench.machine(ROLE)
 
     def cut(self) -> None:
-        """Take the cable out: nothing arrives, on either side."""
+        """Unplug the cable: nothing arrives, on either side."""
         if isinstance(self._wire, EmulatedI2cBus):
             self._wire.silent += self._wire.devices.values()
         elif self._wire is not None:
             self._wire.cut = True
 
     def scanned(self) -> WireReport:
-        """What a scan of the wire by the driver's probe alone tells; the driver stays closed."""
+        """Scan the wire by the driver's probe alone, and return the report; the driver stays closed."""
         report, probe, watcher = WireReport("tried"), self.driver.probe, Watcher(lambda _text: None, lambda: None)
         if isinstance(probe, CanProbe):
             ask_can(report, self._connect, self.clock, {"tried": probe}, watcher, fd=True)
@@ -105,11 +105,11 @@ class Stand:
         return report
 
     def wait(self, seconds: float) -> None:
-        """Let time pass with nothing sent."""
+        """Let time pass without sending."""
         self.clock.sleep_until(self.clock.now() + seconds)
 
     def cycle(self, feed: bool = True) -> list[float]:
-        """One cycle as the control loop makes it."""
+        """Run one cycle as the control loop does; returns the values."""
         began, drive = self.clock.now(), self.motion
         drive.begin_cycle()
         self.synchronise()
@@ -121,22 +121,22 @@ class Stand:
         return values
 
     def cycles(self, seconds: float, feed: bool = True) -> Iterable[list[float]]:
-        """Cycles for as long."""
+        """Run cycles for a time [s]."""
         end = self.clock.now() + seconds
         while self.clock.now() < end:
             yield self.cycle(feed)
 
     def read(self, quantity: str) -> float:
-        """The last cycle's value of a quantity; NaN where the drive has no such channel."""
-        for place, channel in enumerate(self.motion.loop_channels):
+        """Value of a quantity in the last cycle; NaN if the drive has no such channel."""
+        for index, channel in enumerate(self.motion.loop_channels):
             if channel.quantity == quantity:
-                return self.motion.values[place]
+                return self.motion.values[index]
         return math.nan
 
 
 def example_of(driver: type[Driver], folder: Path) -> Any:
-    """Settings of one device, by the driver's `example`; files go into a folder."""
-    given: dict[str, Any] = dict(driver.example)
+    """Settings of one device from the driver's `example`; a folder of exported files is set to `folder`."""
+    values: dict[str, Any] = dict(driver.example)
     if "exports_folder" in driver.Settings.model_fields:
-        given["exports_folder"] = str(folder)
-    return driver.Settings.model_validate(given)
+        values["exports_folder"] = str(folder)
+    return driver.Settings.model_validate(values)

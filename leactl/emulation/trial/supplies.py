@@ -1,4 +1,4 @@
-"""What every power supply must keep: it gives what it is told, no more, and is off when it says so."""
+"""Requirements on every power supply: the output is what was set, no more, and off when it confirms to be off."""
 
 import math
 from contextlib import suppress
@@ -12,7 +12,7 @@ from leactl.errors import DeviceError, InputError
 
 ASKED_V, ASKED_A = 3.0, 2.0  # of which the load takes 2 A at 1.2 V
 LIMITED = ((ASKED_V, ASKED_A), (1.2, 3.0))  # by its current, and by its voltage: the load takes 2 A at 1.2 V
-PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection, and by how much a supply that fails passes what it was told
+PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection; factor by which a failing supply exceeds its set level
 SWITCHED_S = 5.0
 NEAR = 0.02
 LOOKS_S = 0.01
@@ -25,7 +25,7 @@ def supply_of(stand: Stand) -> PowerSupply:
 
 
 def listen(stand: Stand, seconds: float) -> list[float]:
-    """Take what comes, as the control loop does; gives the newest value of each channel."""
+    """Take rows for a time [s], as the control loop does; returns the newest value of each channel."""
     end, newest = stand.clock.now() + seconds, list[float]()
     while stand.clock.now() < end:
         for row in stand.driver.take():
@@ -35,14 +35,14 @@ def listen(stand: Stand, seconds: float) -> list[float]:
 
 
 def switched_on(stand: Stand) -> None:
-    """Open the supply and have it put out."""
+    """Open the supply and switch its output on."""
     stand.driver.open()
     listen(stand, 0.2)
     switch_on(stand, ASKED_V, ASKED_A)
 
 
 def switch_on(stand: Stand, volts: float, amperes: float) -> None:
-    """Have an open supply put out so much."""
+    """Set voltage and current of an open supply, and switch its output on."""
     supply = supply_of(stand)
     supply.supply(volts, amperes)
     supply.switch_on()
@@ -54,7 +54,7 @@ def switch_on(stand: Stand, volts: float, amperes: float) -> None:
 
 
 def gives_what_it_is_told(stand: Stand) -> None:
-    """Voltage in V and current in A arrive at the terminals, and are measured as they are there."""
+    """The set voltage in V or current in A is at the terminals, and is measured correctly."""
     supply = supply_of(stand)
     switched_on(stand)
     for volts, amperes in LIMITED:
@@ -67,7 +67,7 @@ def gives_what_it_is_told(stand: Stand) -> None:
 
 
 def compare(stand: Stand, newest: list[float], expected: tuple[float, float]) -> None:
-    """Hold voltage and current at the terminals against what was asked for, and the readings against the terminals."""
+    """Raise Broken if the output differs from `expected` (V, A), or the readings from the output."""
     volts, amperes = stand.bench.load.fed
     if abs(volts - expected[0]) > NEAR * expected[0] or abs(amperes - expected[1]) > NEAR * expected[1]:
         raise Broken(
@@ -80,7 +80,7 @@ def compare(stand: Stand, newest: list[float], expected: tuple[float, float]) ->
 
 
 def protects_what_it_feeds(stand: Stand) -> None:
-    """A voltage above the level of `protect` is refused; the supply's own failure to keep it trips the output."""
+    """A voltage above the level of `protect` is refused; if the supply's own regulation fails, the output trips."""
     supply = supply_of(stand)
     if not isinstance(supply, ProtectedSupply):
         return
@@ -100,7 +100,7 @@ def protects_what_it_feeds(stand: Stand) -> None:
 
 
 def not_above(stand: Stand, highest: float, how: str) -> None:
-    """Raise where more than this voltage [V] stays at the terminals."""
+    """Raise Broken if more than this voltage [V] remains at the terminals."""
     with suppress(DeviceError):  # a protection that trips is a fault
         listen(stand, 1.0)
     volts = stand.bench.load.fed[0]
@@ -111,7 +111,7 @@ def not_above(stand: Stand, highest: float, how: str) -> None:
 
 
 def is_off_when_met(stand: Stand) -> None:
-    """Nothing is put out before it was switched on, and `supplying` is false."""
+    """The output is off until it is switched on, and `supplying` is false."""
     stand.driver.open()
     listen(stand, 1.0)
     if stand.bench.load.fed[1] > 0.0 or supply_of(stand).supplying:
@@ -119,7 +119,7 @@ def is_off_when_met(stand: Stand) -> None:
 
 
 def switches_off(stand: Stand) -> None:
-    """`switch_off` ends the output, and `supplying` tells so once the instrument does."""
+    """`switch_off` switches the output off, and `supplying` becomes false once the instrument reports it."""
     supply = supply_of(stand)
     switched_on(stand)
     supply.switch_off()
@@ -131,20 +131,27 @@ def switches_off(stand: Stand) -> None:
 
 
 def refuses_what_it_cannot_give(stand: Stand) -> None:
-    """What is not finite, negative or above `most` is refused."""
+    """A setting that is not finite, negative or above `most` is refused."""
     supply = supply_of(stand)
     stand.driver.open()
     volts, amperes = supply.most
-    for asked in ((math.nan, 1.0), (1.0, math.inf), (-1.0, 1.0), (1.0, -1.0), (1.1 * volts, 1.0), (1.0, 1.1 * amperes)):
+    for limits in (
+        (math.nan, 1.0),
+        (1.0, math.inf),
+        (-1.0, 1.0),
+        (1.0, -1.0),
+        (1.1 * volts, 1.0),
+        (1.0, 1.1 * amperes),
+    ):
         try:
-            supply.supply(*asked)
+            supply.supply(*limits)
         except InputError:
             continue
-        raise Broken(f"supply{asked} is taken; InputError was expected")
+        raise Broken(f"supply{limits} is taken; InputError was expected")
 
 
 def is_off_when_it_says_so(stand: Stand) -> None:
-    """`safe_state` ends the output, before `open` too, as often as it is called."""
+    """`safe_state` switches the output off, before `open` too, and when it is called again."""
     for when in ("before open()", "in operation", "the second time"):
         if when == "in operation":
             switched_on(stand)
@@ -155,7 +162,7 @@ def is_off_when_it_says_so(stand: Stand) -> None:
 
 
 def confirms_nothing_that_is_not_so(stand: Stand) -> None:
-    """An output that is stuck on, or a cable that is out, is never confirmed to be off."""
+    """An output that is stuck on, or behind an unplugged cable, is not confirmed to be off."""
     switched_on(stand)
     if isinstance(stand.far_end, FailingSupply):
         stand.far_end.stuck_on()
@@ -166,7 +173,7 @@ def confirms_nothing_that_is_not_so(stand: Stand) -> None:
 
 
 def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
-    """The same with the cable out."""
+    """`safe_state` is not confirmed if the cable is unplugged."""
     switched_on(stand)
     stand.cut()
     if confirmed(stand) and stand.bench.load.fed[1] > 0.0:
@@ -174,7 +181,7 @@ def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
 
 
 def is_cut_at_once(stand: Stand) -> None:
-    """`stop_now` sends what ends the output, and waits for nothing."""
+    """`stop_now` sends the command that switches the output off, and does not wait."""
     switched_on(stand)
     began = stand.clock.now()
     stand.driver.stop_now()
@@ -186,7 +193,7 @@ def is_cut_at_once(stand: Stand) -> None:
 
 
 def tells_silence(stand: Stand) -> None:
-    """A supply that answers no more is told within three seconds, or tells nothing more."""
+    """The driver reports within three seconds that a supply has stopped answering, or gives no more readings."""
     switched_on(stand)
     stand.cut()
     end, came = stand.clock.now() + 3.0, 0

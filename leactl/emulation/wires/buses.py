@@ -1,4 +1,4 @@
-"""Emulated buses in the same process: python-can's and smbus2's own calls, answered at once by the devices' far ends.
+"""Emulated buses in the same process, with the calls of python-can and smbus2, answered at once by the far ends.
 
 Synchronous and without threads: a frame is answered inside `send`, and emulated time passes inside `recv`.
 """
@@ -17,7 +17,7 @@ from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
-LEAST_WAIT_S = 1e-9  # what rounding leaves of a wait must still let time pass, or it would never be over
+LEAST_WAIT_S = 1e-9  # a wait that rounding makes shorter must still let time pass, or it would never end
 STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's own steps
 
 Passes = Callable[[Frame, CanEmulator | None], float | None]
@@ -25,7 +25,7 @@ Passes = Callable[[Frame, CanEmulator | None], float | None]
 
 
 def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
-    """A frame of an emulator as python-can has it."""
+    """Convert an emulator's frame to python-can's message."""
     identifier, data = frame
     if isinstance(frame, FdFrame):
         extended = identifier > LAST_OF_11_BITS
@@ -40,7 +40,7 @@ class CanWire:
         self.clock = clock
         self.devices: list[CanEmulator] = []
         self.hosts: list[EmulatedCanBus] = []
-        self.cut = False  # the cable is out: nothing arrives, on either side
+        self.cut = False  # the cable is unplugged: nothing arrives, on either side
         self.off = False  # the hosts' controller has left the bus: they cannot send, and nothing comes in
         self._disturbances: list[Passes] = []
         self._late: list[tuple[float, int, Callable[[], None]]] = []
@@ -53,12 +53,12 @@ class CanWire:
         self.devices.append(device)
 
     def disturb(self, passes: Passes) -> Callable[[], None]:
-        """Let a fault stand in the way of every frame; what is returned takes it away."""
+        """Apply a fault to every frame; returns a function that removes it."""
         self._disturbances.append(passes)
         return lambda: self._disturbances.remove(passes)
 
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
-        """Deliver a host's frame, and what it makes the devices say."""
+        """Deliver a host's frame, and the answers of the devices."""
         if self._disturbances:
             self._carry(frame, None, partial(self._to_devices, frame, sender))
         else:
@@ -84,17 +84,17 @@ class CanWire:
             self._to_hosts(frames)
 
     def _carry(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
-        late = 0.0
+        delay = 0.0
         for passes in self._disturbances:
-            more = passes(frame, source)
-            if more is None:
+            added_delay = passes(frame, source)
+            if added_delay is None:
                 return
-            late += more
-        if late <= 0.0:
+            delay += added_delay
+        if delay <= 0.0:
             deliver()
             return
         self._held_up += 1
-        heapq.heappush(self._late, (self.clock.now() + late, self._held_up, deliver))
+        heapq.heappush(self._late, (self.clock.now() + delay, self._held_up, deliver))
 
     def _pass_time(self, now: float) -> None:
         while self._late and self._late[0][0] <= now:
@@ -128,7 +128,7 @@ class EmulatedCanBus(can.BusABC):
         self._wire.from_host(kind(msg.arbitration_id, bytes(msg.data)), self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Take the oldest frame; where there is none, let emulated time pass until one comes or `timeout` is over."""
+        """Take the oldest frame; if there is none, let emulated time pass until one arrives or `timeout` is over."""
         arrived, clock = self.arrived, self._wire.clock
         if not arrived and timeout:
             until = clock.now() + max(timeout, LEAST_WAIT_S)
@@ -142,7 +142,7 @@ class EmulatedCanBus(can.BusABC):
         return self.recv(timeout), True
 
     def shutdown(self) -> None:
-        """Leave the wire."""
+        """Disconnect from the wire."""
         if self in self._wire.hosts:
             self._wire.hosts.remove(self)
         super().shutdown()
@@ -174,12 +174,12 @@ class EmulatedI2cBus:
         return device
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
-        """Read a 16-bit register; the byte that comes first is the low one of the word."""
+        """Read a 16-bit register; the first byte on the wire is the low one of the word."""
         return swapped(self._device(i2c_addr).read(register, self._clock.now()))
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Write a 16-bit register; the low byte of the word goes first."""
+        """Write a 16-bit register; the low byte of the word is sent first."""
         self._device(i2c_addr).write(register, swapped(value), self._clock.now())
 
     def close(self) -> None:
-        """Let the bus go."""
+        """Do nothing: no connection is held."""

@@ -9,7 +9,7 @@ WAITING = 8  # connections that are not accepted yet
 
 
 class ListeningSocket:
-    """A TCP server on a free port of the loopback interface; the client that has connected last is served."""
+    """A TCP server on a free port of the loopback interface; it serves the client that has connected last."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=WAITING)
@@ -20,11 +20,11 @@ class ListeningSocket:
         self.resource = "TCPIP::{}::{}::SOCKET".format(*self._listener.getsockname())
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self._events.fileno()
 
     def accept(self) -> bool:
-        """Whether a client has connected since the last call; it takes the place of the one before."""
+        """Accept waiting clients, the last of which replaces the present one; returns whether there was one."""
         accepted = False
         with suppress(BlockingIOError):
             while True:
@@ -37,7 +37,7 @@ class ListeningSocket:
         return accepted
 
     def read(self) -> bytes:
-        """What the client has sent; never waits."""
+        """Take the bytes that the client has sent; never waits."""
         if self._client is None:
             return b""
         try:
@@ -51,7 +51,7 @@ class ListeningSocket:
         return read
 
     def write(self, data: bytes) -> None:
-        """Send; what a client that does not read has no room for is lost."""
+        """Send; bytes that do not fit into the client's buffer are lost."""
         if self._client is not None:
             with suppress(OSError):
                 self._client.send(data)

@@ -8,7 +8,7 @@ MOST_BYTES = 4096
 
 
 class PseudoTerminal:
-    """A pseudo terminal; `path` is what the other process opens, as often as it likes."""
+    """A pseudo terminal; the other process opens `path`, as often as it likes."""
 
     def __init__(self) -> None:
         self._master, self._slave = pty.openpty()  # holding the slave keeps the line up between two clients
@@ -17,18 +17,18 @@ class PseudoTerminal:
         self.path = os.ttyname(self._slave)
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self._master
 
     def read(self) -> bytes:
-        """What has come; never waits."""
+        """Take the bytes that have arrived; never waits."""
         try:
             return os.read(self._master, MOST_BYTES)
         except (BlockingIOError, OSError):
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send; what a full line does not take is lost."""
+        """Send; bytes that a full line does not take are lost."""
         try:
             os.write(self._master, data)
         except BlockingIOError:

@@ -1,7 +1,7 @@
-"""An emulated serial line in the same process: bytes take their time in either direction, by the emulated clock.
+"""An emulated serial line in the same process: bytes take time in either direction, by the emulated clock.
 
-Synchronous and without threads: time passes only while the host waits. What happens between two looks at the clock
-happens in its order and at its own moment.
+Synchronous and without threads: time passes only while the host waits. Events between two readings of the clock happen
+in their order and at their own times.
 """
 
 import math
@@ -11,46 +11,46 @@ from leactl.driver.far_end import SerialEmulator
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
-MOST_UNSENT = 4096  # bytes that the host's side holds, as a kernel's does
+MOST_UNSENT = 4096  # bytes in the host's transmit buffer, as in a kernel's
 
 
 class SerialWire:
-    """The line between one emulated device and the hosts that have connected; the last of them hears."""
+    """The line between one emulated device and the hosts that have connected; the last one receives."""
 
     def __init__(self, clock: EmulatedClock, byte_s: float) -> None:
         self.clock, self.byte_s = clock, byte_s
         self.device: SerialEmulator | None = None
-        self.cut = False  # the cable is out: nothing arrives, on either side
+        self.cut = False  # the cable is unplugged: nothing arrives, on either side
         self.gone = False  # the adapter was pulled out of the host
-        self._down: deque[tuple[float, int]] = deque()  # moment of arrival, byte
-        self._up: deque[tuple[float, int]] = deque()
+        self._to_device: deque[tuple[float, int]] = deque()  # moment of arrival, byte
+        self._to_host: deque[tuple[float, int]] = deque()
         clock.follow(self._pass_time)
 
     def from_host(self, data: bytes) -> int:
-        """Begin to send a host's bytes; how many were taken."""
-        taken = data[: MOST_UNSENT - len(self._down)]
-        self._send(self._down, taken, self.clock.now())
-        return len(taken)
+        """Begin to send a host's bytes; returns how many fit into the buffer."""
+        accepted = data[: MOST_UNSENT - len(self._to_device)]
+        self._send(self._to_device, accepted, self.clock.now())
+        return len(accepted)
 
     def to_host(self) -> bytes:
-        """What has arrived at the host."""
-        return self._arrived(self._up, self.clock.now())
+        """Take the bytes that have arrived at the host."""
+        return self._arrived(self._to_host, self.clock.now())
 
     def forget(self) -> None:
-        """Drop what is under way: a host has let go, or come."""
-        self._down.clear()
-        self._up.clear()
+        """Drop the bytes on the line, when a host connects or disconnects."""
+        self._to_device.clear()
+        self._to_host.clear()
 
-    def _send(self, way: "deque[tuple[float, int]]", data: bytes, now: float) -> None:
-        moment = max(now, way[-1][0] if way else -math.inf)
+    def _send(self, queue: "deque[tuple[float, int]]", data: bytes, now: float) -> None:
+        moment = max(now, queue[-1][0] if queue else -math.inf)
         for byte in data:
             moment += self.byte_s
-            way.append((moment, byte))
+            queue.append((moment, byte))
 
-    def _arrived(self, way: "deque[tuple[float, int]]", now: float) -> bytes:
+    def _arrived(self, queue: "deque[tuple[float, int]]", now: float) -> bytes:
         received = bytearray()
-        while way and way[0][0] <= now:
-            received.append(way.popleft()[1])
+        while queue and queue[0][0] <= now:
+            received.append(queue.popleft()[1])
         return b"" if self.cut else bytes(received)
 
     def _pass_time(self, now: float) -> None:
@@ -58,13 +58,13 @@ class SerialWire:
         if device is None:
             return
         while True:
-            arrival, due = (self._down[0][0] if self._down else math.inf), device.due
+            arrival, due = (self._to_device[0][0] if self._to_device else math.inf), device.due
             if min(arrival, due) > now:
                 return
             if arrival <= due:
-                device.receive(self._arrived(self._down, arrival), arrival)
+                device.receive(self._arrived(self._to_device, arrival), arrival)
             else:
-                self._send(self._up, device.tick(due), due)
+                self._send(self._to_host, device.tick(due), due)
 
 
 class EmulatedSerialLine:
@@ -77,7 +77,7 @@ class EmulatedSerialLine:
         wire.forget()
 
     def read(self, timeout: float) -> bytes:
-        """What has come; where that is nothing, let emulated time pass until something does or the time is over."""
+        """Take the bytes that have arrived; if there are none, let emulated time pass until some do or time is up."""
         clock = self._wire.clock
         until = clock.now() + timeout
         while True:
@@ -88,12 +88,12 @@ class EmulatedSerialLine:
             clock.sleep_until(min(until, clock.now() + TICK_S))
 
     def write(self, data: bytes) -> int:
-        """Begin to send."""
+        """Begin to send; returns how many bytes fit into the buffer."""
         self._check()
         return self._wire.from_host(data)
 
     def close(self) -> None:
-        """Let the line go."""
+        """Disconnect from the line."""
         self._wire.forget()
 
     def _check(self) -> None:

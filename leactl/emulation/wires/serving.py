@@ -1,8 +1,8 @@
 """An emulated bench for drivers in other processes: its far ends answer on real buses, by the wall clock.
 
-CAN goes over any of python-can's interfaces (`udp_multicast`, SocketCAN) or an slcan adapter on a pseudo terminal; I2C
-goes through the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal,
-the raw socket of an instrument a TCP server.
+CAN uses any of python-can's interfaces (`udp_multicast`, SocketCAN) or an slcan adapter on a pseudo terminal; I2C uses
+the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal, and the raw
+socket of an instrument a TCP server.
 """
 
 import select
@@ -34,49 +34,49 @@ MOST_AT_ONCE = 64  # frames; a cycle of two drives has seven
 
 
 class HostSide(Protocol):
-    """What the far ends need of a real bus."""
+    """The part of a real CAN bus that the far ends use."""
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Take one frame, or None where none is there."""
+        """Take one frame, or None if there is none."""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send one frame."""
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
 
     def shutdown(self) -> None:
-        """Let go."""
+        """Close the bus."""
 
 
 class Bridge(Protocol):
-    """A real bus, and what is emulated behind it."""
+    """A real bus joined to an emulated one."""
 
-    place: str  # where the bus is, for whoever is to open it
+    address: str  # of the real bus, for the user who opens it
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
 
     def carry(self) -> None:
         """Pass on what has arrived on either side."""
 
     def close(self) -> None:
-        """Let both sides go."""
+        """Close both sides."""
 
 
 class CanBridge:
-    """One real bus, where it is, and the emulated segment behind it."""
+    """A real CAN bus joined to the emulated segment."""
 
-    def __init__(self, place: str, real: HostSide, wire: CanWire) -> None:
-        self.place, self.real = place, real
+    def __init__(self, address: str, real: HostSide, wire: CanWire) -> None:
+        self.address, self.real = address, real
         self._inner = EmulatedCanBus(wire)
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self.real.fileno()
 
     def carry(self) -> None:
-        """Pass on what has arrived on either side; a host that never pauses must not hold up the bench's time."""
+        """Pass on the frames of both sides, up to a limit: a busy host must not hold up the bench's time."""
         for _ in range(MOST_AT_ONCE):
             message = self.real.recv(0.0)
             if message is None:
@@ -92,49 +92,49 @@ class CanBridge:
             self.real.send(message_of(self._inner.arrived.popleft()))
 
     def close(self) -> None:
-        """Let both sides go."""
+        """Close both sides."""
         self._inner.shutdown()
         self.real.shutdown()
 
 
 class SerialBridge:
-    """A pseudo terminal, where it is, and the emulated serial line behind it."""
+    """A pseudo terminal joined to the emulated serial line."""
 
     def __init__(self, wire: SerialWire) -> None:
         self._terminal = PseudoTerminal()
-        self.place = f"serial on {self._terminal.path}"
+        self.address = f"serial on {self._terminal.path}"
         self._inner = EmulatedSerialLine(wire)
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self._terminal.fileno()
 
     def carry(self) -> None:
-        """Pass on what has arrived on either side."""
+        """Pass on the bytes of both sides."""
         self._inner.write(self._terminal.read())
         if answer := self._inner.read(0.0):
             self._terminal.write(answer)
 
     def close(self) -> None:
-        """Let both sides go."""
+        """Close both sides."""
         self._inner.close()
         self._terminal.close()
 
 
 class SocketBridge:
-    """A TCP server, where it is, and the emulated line behind it."""
+    """A TCP server joined to the emulated line."""
 
     def __init__(self, wire: SerialWire) -> None:
         self._server, self._wire = ListeningSocket(), wire
-        self.place = f"visa on {self._server.resource}"
+        self.address = f"visa on {self._server.resource}"
         self._inner = EmulatedSerialLine(wire)
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self._server.fileno()
 
     def carry(self) -> None:
-        """Pass on what has arrived on either side; answers for a client before the present one are dropped."""
+        """Pass on the bytes of both sides; answers for an earlier client than the present one are dropped."""
         if self._server.accept():
             self._inner = EmulatedSerialLine(self._wire)
         self._inner.write(self._server.read())
@@ -142,13 +142,13 @@ class SocketBridge:
             self._server.write(answer)
 
     def close(self) -> None:
-        """Let both sides go."""
+        """Close both sides."""
         self._inner.close()
         self._server.close()
 
 
 class StubChip:
-    """One chip of i2c-stub, whose registers a device's far end keeps."""
+    """One chip of i2c-stub, whose registers a device's far end maintains."""
 
     def __init__(self, bus: SmBus, address: int, keeper: StoreKeeper, silent: Sequence[object] = ()) -> None:
         self._bus, self._address, self._keeper, self._silent = bus, address, keeper, silent
@@ -162,7 +162,7 @@ class StubChip:
         self._bus.write_word_data(self._address, register, swapped(value))
 
     def carry(self, now: float) -> None:
-        """Let the far end look at the chip once, unless it is unplugged: the chip is there, and converts no more."""
+        """Let the far end update the chip once; an unplugged chip is still there, but converts no more."""
         if self._keeper not in self._silent:
             self._keeper.keep(self, now)
 
@@ -171,7 +171,7 @@ class StubChip:
 def bridged(
     file: BenchFile, wires: Mapping[str, CanWire], serial_wires: Mapping[str, SerialWire]
 ) -> Iterator[dict[str, Bridge]]:
-    """Bridge every CAN bus, serial line and raw socket of the file to its wire until the block is left.
+    """Bridge every CAN bus, serial line and raw socket of the file to its wire within the block.
 
     Raises
     ------
@@ -182,8 +182,8 @@ def bridged(
         bridges: dict[str, Bridge] = {}
         for name, bus in file.buses.items():
             if isinstance(bus, CanBus):
-                place, real = _real_side(name, bus)
-                bridges[name] = CanBridge(place, real, wires[name])
+                address, real = _real_side(name, bus)
+                bridges[name] = CanBridge(address, real, wires[name])
             elif isinstance(bus, SerialBus):
                 bridges[name] = SerialBridge(serial_wires[name])
             elif isinstance(bus, VisaBus):
@@ -210,7 +210,7 @@ def _real_side(name: str, bus: CanBus) -> tuple[str, HostSide]:
 
 
 def stub_bus(number: int, root: Path = Path("/")) -> SmBus | None:
-    """The i2c-stub of this number; None where there is none, so that no real chip is ever written to."""
+    """The i2c-stub of this number; None if that bus is no stub, so that no real chip is ever written to."""
     name = root / f"sys/class/i2c-dev/i2c-{number}/name"
     if not name.is_file() or not name.read_text(encoding="ascii").startswith(STUB_NAME):
         return None
@@ -218,7 +218,7 @@ def stub_bus(number: int, root: Path = Path("/")) -> SmBus | None:
 
 
 def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip]]:
-    """The chips of i2c-stub behind every I2C bus of the file; none where its number is no stub.
+    """Chips of i2c-stub for every I2C bus of the file, by bus; empty for a bus whose number is no stub.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip
 
 
 def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubChip], stop: Callable[[], bool]) -> None:
-    """Serve until `stop` says so, the clock in step with the wall's.
+    """Serve until `stop` returns true, with the clock in step with the wall clock.
 
     Raises
     ------

@@ -22,7 +22,7 @@ class SlcanAdapter:
         self._frames: list[can.Message] = []
 
     def fileno(self) -> int:
-        """What `select` waits for."""
+        """Descriptor that `select` waits for."""
         return self._terminal.fileno()
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -32,7 +32,7 @@ class SlcanAdapter:
         return self._frames.pop(0) if self._frames else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Give a classic frame to the client; a closed channel and a full line lose it, as a real adapter does."""
+        """Send a classic frame to the client; a closed channel or a full line loses it, as with a real adapter."""
         if self._open and not msg.is_fd:
             self._terminal.write(b"t%03X%d%s\r" % (msg.arbitration_id, msg.dlc, bytes(msg.data).hex().upper().encode()))
 

@@ -99,7 +99,9 @@ class EmulatedDrill:
             plan = dry_run(request).plan
         rehearsed = [(NO_FAULT, "", "nothing goes wrong")]
         rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
-        rehearsed += [(item.fault, item.on, f"ought to be ended by: {item.drill.by}") for item in self._rehearsals]
+        rehearsed += [
+            (item.fault, item.on, f"ought to be ended by: {item.drill.ended_by}") for item in self._rehearsals
+        ]
         planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
         devices = [device.name for device in request.devices]
         return PlannedDrill(self._file.name, True, devices, planned, self._left_out)
@@ -162,7 +164,7 @@ class EmulatedDrill:
             if drill.stays_on and end.without_power is False and not end.confirmed
         ]
         return self._finding(
-            item.fault, item.on, item.parameters, drill.by, drill.within_s, rehearsed, fault_time, faults, notes
+            item.fault, item.on, item.parameters, drill.ended_by, drill.within_s, rehearsed, fault_time, faults, notes
         )
 
     def _finding(

@@ -10,7 +10,7 @@ from leactl.driver.far_end import RegisterStore
 
 CONVERSION, CONFIG, LOW, HIGH = range(4)
 _OS, _SINGLE = 0x8000, 0x0100
-_SEEN = 0x0004  # COMP_LAT, without effect while the comparator is off
+HANDLED_BIT = 0x0004  # COMP_LAT, without effect while the comparator is off
 _FULL_SCALE = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
 _RATE = (8, 16, 32, 64, 128, 250, 475, 860)
 _PAIRS = ((0, 1), (0, 3), (1, 3), (2, 3))
@@ -62,7 +62,7 @@ class Ads1115Emulator:
         if asked != self._shown:
             self.write(CONFIG, asked, now)
             self._shown, self._answering = asked, bool(asked & _OS)
-        held = self.read(CONFIG, now) ^ _SEEN
+        held = self.read(CONFIG, now) ^ HANDLED_BIT
         if self._answering and held != self._shown:
             store.write(CONVERSION, self._registers[CONVERSION])
             store.write(CONFIG, held)

@@ -12,7 +12,7 @@ from leactl_plugins.ads1115.settings import COMPARATOR_OFF, CONFIG, SINGLE_SHOT,
 
 ADDRESSES = range(0x48, 0x4C)
 AT_REST = START | SINGLE_SHOT | COMPARATOR_OFF  # idle, in single-shot mode, comparator off (TI SBAS444, 9.6.3)
-ALL_ONES = 0xFFFF  # that a bus shows where nothing drives it
+ALL_ONES = 0xFFFF  # read from a bus that no device drives
 AFTER_RESET = 0x8583
 
 

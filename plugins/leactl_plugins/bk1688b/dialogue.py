@@ -31,7 +31,7 @@ class Bk1688bDialogue:
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._step = settings, settings.rating.step_A
         self._held = LevelCounts(round(LEAST_V / STEP_V), 0)  # what was commanded
-        self._most = HIGHEST  # V and A; until it has told its own limits, it may be another model
+        self._most = HIGHEST  # V and A; it may be another model until it reports its limits
         self._mark = 0
         self._looked = 0.0
         self._regulation = Regulation()
@@ -96,7 +96,7 @@ class Bk1688bDialogue:
 
         Raises
         ------
-        DeviceError : they come back as others.
+        DeviceError : other levels read back.
         """
         yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 

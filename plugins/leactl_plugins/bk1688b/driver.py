@@ -12,7 +12,7 @@ from leactl_plugins.bk1688b.models import LEAST_V, STEP_V
 from leactl_plugins.bk1688b.probe import Bk1688bProbe
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
-FLOWS = 2.0  # times `off_current_A`, from which a current that flows can be told from none
+FLOWS = 2.0  # times `off_current_A`, from which a current can be distinguished from none
 
 
 class Bk1688b(SupplyDriver):

@@ -22,10 +22,10 @@ RATINGS: Final = {
     "1687B": SupplyRating(36.0, 10.0, 0.1),
     "1688B": SupplyRating(18.0, 20.0, 0.1),
 }
-HIGHEST: Final = max(one.voltage for one in RATINGS.values()), max(one.current for one in RATINGS.values())
+HIGHEST: Final = max(rating.voltage for rating in RATINGS.values()), max(rating.current for rating in RATINGS.values())
 
 
 def is_near(most: LevelCounts, rating: SupplyRating) -> bool:
-    """Whether a supply that tells these limits can be of the model with this rating."""
+    """Whether a supply that reports these limits can be of the model with this rating."""
     volts, amperes = most.volts * STEP_V, most.amperes * rating.step_A
     return abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED

@@ -1,4 +1,4 @@
-"""Recognise a BK Precision supply by its limits (GMAX), or by its settings where it does not tell those (GETS)."""
+"""Recognise a BK Precision supply by its limits (GMAX), or by its settings (GETS) if it does not report limits."""
 
 from typing import Any
 

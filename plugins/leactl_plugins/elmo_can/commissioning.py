@@ -18,7 +18,7 @@ OF_32_BITS = (-0x80000000, 0x80000000)
 ALL_MODES = 0xFFFFFFFF
 RESET_S = 0.5  # that a drive may take to leave its fault
 MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 holds
-ON_CHANGE = 255  # transmission type of a TPDO that is sent when what it holds has changed
+ON_CHANGE = 255  # transmission type of a TPDO that is sent when its content has changed
 INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
 INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, tables 66 and 71)
 MAKES_SYNC = 1 << 30  # bit of 0x1005
@@ -29,7 +29,7 @@ CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the 
 
 
 def interpolation_time(period: float) -> tuple[int, int]:
-    """Units and exponent of 0x60C2 for a time [s]: milliseconds where they hold it, else the finest that reach it."""
+    """Units and exponent of 0x60C2 for a time [s]: milliseconds if they express it, else the finest that suffice."""
     milliseconds = round(1e3 * period)
     if 1 <= milliseconds <= MOST_UNITS and math.isclose(1e3 * period, milliseconds):
         return milliseconds, -3
@@ -62,8 +62,8 @@ def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
         raise
 
 
-def number_if_told(sdo: Sdo, index: int, sub: int) -> int | None:
-    """A number of 32 bits that a node need not tell; None where it refuses for any reason, or has another length.
+def optional_number(sdo: Sdo, index: int, sub: int) -> int | None:
+    """Read an optional number of 32 bits; None if the node refuses for any reason, or answers another length.
 
     Raises
     ------
@@ -78,10 +78,10 @@ def number_if_told(sdo: Sdo, index: int, sub: int) -> int | None:
 
 
 class SetpointTime(NamedTuple):
-    """What a drive knows of the time between two setpoints; None where it lacks the object."""
+    """The drive's values of the time between two setpoints; None for an object that it lacks."""
 
     interpolation: tuple[int, int] | None  # units and exponent of 0x60C2
-    sync_us: int | None  # 0x1006, the time between two SYNCs, 0 where it is not told; None too where it makes the SYNC
+    sync_us: int | None  # 0x1006, the time between two SYNCs, 0 if it is not set; None also if the drive makes the SYNC
 
 
 def identity_of(sdo: Sdo) -> Identity:
@@ -93,10 +93,10 @@ def identity_of(sdo: Sdo) -> Identity:
     """
     name, hardware, software = (_text(sdo, index) for index in (0x1008, 0x1009, 0x100A))
     model = f"{name}, hardware {hardware}" if name and hardware else name
-    serial = number_if_told(sdo, 0x1018, 4)
+    serial = optional_number(sdo, 0x1018, 4)
     if not model:
         kind, product, revision = (
-            number_if_told(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
+            optional_number(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
         )
         model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
     return Identity(model, str(serial or ""), software)
@@ -116,7 +116,7 @@ class Commissioning:
         self._name, self._settings, self._sdo, self._clock = name, settings, sdo, clock
 
     def check_identity(self) -> None:
-        """Raise DeviceError if the vendor is another one than in the settings."""
+        """Raise DeviceError if the vendor differs from the one in the settings."""
         expected = self._settings.vendor_id
         vendor = self._sdo.read(0x1018, 1, "u32")
         if expected is not None and vendor != expected:
@@ -124,7 +124,7 @@ class Commissioning:
             raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
 
     def check_alone(self) -> None:
-        """Raise DeviceError if two devices have the node, so that all that was asked so far was answered twice."""
+        """Raise DeviceError if two devices have the node number, so that every request was answered twice."""
         if self._sdo.surplus > MOST_DOUBLED:
             raise DeviceError(
                 f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
@@ -220,13 +220,13 @@ class Commissioning:
                 f"{self._name}: its positions are user units, {units:.6g} of them a count (0x608F, 0x6091, 0x6092);"
                 " counts were expected: set all of these to 1"
             )
-        for what, counts in (
+        for source, counts in (
             ("0x608F", ratios[0x608F]),
-            ("CA[18], 0x3034:18", number_if_told(self._sdo, 0x3034, 18) or 0),
+            ("CA[18], 0x3034:18", optional_number(self._sdo, 0x3034, 18) or 0),
         ):
             if counts > 1 and counts != settings.counts_per_turn:
                 raise DeviceError(
-                    f"{self._name}: it counts {counts:g} in a turn ({what}), the bench file says counts_per_turn:"
+                    f"{self._name}: it counts {counts:g} in a turn ({source}), the bench file says counts_per_turn:"
                     f" {settings.counts_per_turn}"
                 )
 
@@ -247,16 +247,16 @@ class Commissioning:
         return (low, high) if low < high else OF_32_BITS
 
     def setpoint_time(self) -> SetpointTime:
-        """What the drive knows of the time between two setpoints (CiA 402, 0x60C2; CiA 301, 0x1006)."""
+        """Read the drive's values of the time between two setpoints (CiA 402, 0x60C2; CiA 301, 0x1006)."""
         units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
-        makes_sync = (number_if_told(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # by this time, where it is not 0
+        makes_sync = (optional_number(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # with this period, unless it is 0
         return SetpointTime(
             None if units is None or exponent is None else (units, exponent),
-            None if makes_sync else number_if_told(self._sdo, 0x1006, 0),
+            None if makes_sync else optional_number(self._sdo, 0x1006, 0),
         )
 
     def expect_setpoints_every(self, period: float, before: SetpointTime) -> None:
-        """Tell the drive the time between two setpoints [s], over which it interpolates, as far as it has the objects.
+        """Set the drive's values of the time between two setpoints [s], over which it interpolates, where it has them.
 
         A time that 0x60C2 cannot hold is rounded up, because an early setpoint does no harm.
 
@@ -272,7 +272,7 @@ class Commissioning:
         )
 
     def set_setpoint_time(self, time: SetpointTime) -> None:
-        """Set what the drive knows of the time between two setpoints; one that refuses the SYNC's period keeps its own.
+        """Set the drive's values of the time between two setpoints; one that refuses the SYNC's period keeps its own.
 
         Raises
         ------
@@ -292,7 +292,7 @@ class Commissioning:
 
     def supported_modes(self) -> int:
         """Bits of the supported modes (0x6502, bit 0 is mode 1); all bits if the drive lacks the object."""
-        return number_if_told(self._sdo, 0x6502, 0) or ALL_MODES
+        return optional_number(self._sdo, 0x6502, 0) or ALL_MODES
 
     def arm_dead_man(self) -> None:
         """Make the drive stop by itself when the host's heartbeat stays away (301IG, chapter 14).
@@ -303,7 +303,7 @@ class Commissioning:
         """
         settings = self._settings
         consumer = settings.host_node << 16 | settings.consumer_heartbeat_ms
-        for what, index, sub, kind, value in (
+        for name, index, sub, kind, value in (
             ("abort option", 0x6007, 0, "i16", settings.abort_option),
             ("consumer heartbeat", 0x1016, 1, "u32", consumer),
         ):
@@ -311,7 +311,7 @@ class Commissioning:
             held = self._sdo.read(index, sub, kind)
             if held != value:
                 raise DeviceError(
-                    f"{self._name}: its dead-man cannot be armed: {what} 0x{index:04X}:{sub} was written as 0x{value:X}"
+                    f"{self._name}: its dead-man cannot be armed: {name} 0x{index:04X}:{sub} was written as 0x{value:X}"
                     f" and read back as 0x{held:X}; it would not stop without the host"
                 )
 
@@ -322,7 +322,7 @@ class Commissioning:
     def map_pdos(self) -> None:
         """Map the exchange of a cycle to PDOs that act at the SYNC; the node has to be pre-operational.
 
-        All others are made invalid: what another master has left there would act on this drive or load the bus.
+        All other PDOs are made invalid: those that another master has left would act on this drive or load the bus.
         """
         node = self._settings.node
         self._map(0x1400, 0x1600, 0x200 + node, (0x60400010, 0x60710010, 0x60600008))
@@ -364,7 +364,7 @@ class Commissioning:
     ) -> None:
         """Remap one PDO in the order of CiA 301: invalid, type, inhibit time, empty, entries, count, valid.
 
-        Whether it may be asked for by a remote frame stays as it is: a drive that knows none refuses a change.
+        The bit that allows remote frames stays as it is: a drive without remote frames refuses a change.
         """
         identifier |= self._sdo.read(communication, 1, "u32") & WITHOUT_REQUEST
         self._sdo.write(communication, 1, "u32", INVALID | identifier)

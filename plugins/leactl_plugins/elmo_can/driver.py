@@ -32,15 +32,15 @@ NETWORK_STATES = {0x00: "boot-up", 0x04: "stopped", 0x7F: "pre-operational"}
 INTERNAL_LIMIT = 0x0800  # statusword bit 11
 QUIET_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
 MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 REFERENCES = {
     Mode.CURRENT: CURRENT,
     Mode.TORQUE_PROFILE: CURRENT,
     Mode.VELOCITY: VELOCITY,
     Mode.ANGLE: ANGLE,
-    Mode.OFF: ANGLE,  # where NaN is written, for nothing is set
+    Mode.OFF: ANGLE,  # receives NaN, as nothing is commanded
 }
-# by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
+# names for the code of every cycle: access to an enum's attribute takes ten times as long (Python 3.11)
 STATUS, MOTION, VOLTAGE = range(3)  # the TPDOs that answer every SYNC
 OFF, ENABLED = Mode.OFF, DriveState.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
@@ -50,12 +50,13 @@ BUS_VOLTAGE = bytes.fromhex("796000")  # index and subindex in an SDO frame
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 STO_STATUS = bytes.fromhex("862000")  # of the safe torque off (Elmo's Gold EDS)
 READ_STO_STATUS = bytes.fromhex("4086200000000000")
-FOUR_BYTES = (0x43, 0x42)  # first byte of an answer with four bytes, which 0x42 leaves unsaid (CiA 301, 7.2.4.3.5)
+# first byte of an answer with four bytes; 0x42 does not state their number (CiA 301, 7.2.4.3.5)
+FOUR_BYTES = (0x43, 0x42)
 DOWNLOADS = (1, 6)  # first three bits of a client's request to write: at once or in segments, and in blocks
-APART_S = 0.02  # between two questions by SDO, of which a drive takes one at a time
+APART_S = 0.02  # between two SDO requests, since a drive takes one at a time
 NAN, NEVER = math.nan, -math.inf
-LATE_S = 0.05  # that an answer may be late, which is as old as the supervisor lets a reading be at 60 Hz and above
-CLOCKS_APART = 2e-4  # s in a second, that the drive's clock may go faster than the host's
+LATE_S = 0.05  # allowed delay of an answer: the age that the supervisor allows a reading at 60 Hz and above
+CLOCKS_APART = 2e-4  # s/s, by which the drive's clock may be faster than the host's
 
 _torque_demand = struct.Struct("<Hhb")
 _motion_demand = struct.Struct("<ii")
@@ -67,18 +68,18 @@ class _Lateness:
     """Delay of the drive's answers beyond the shortest one, by the drive's own clock."""
 
     def __init__(self) -> None:
-        self._clock, self._at = 0, NAN  # microseconds of the drive, going on where its 32 bits go round; s of the host
+        self._clock, self._at = 0, NAN  # microseconds of the drive, unwrapped from 32 bits; s of the host
         self._least, self._late = math.inf, 0
 
     def see(self, clock: int, now: float) -> float:
         """Delay of an answer that arrived now [s], if it and the one before exceed `LATE_S`; else 0."""
-        passed = (clock - self._clock + 0x80000000 & 0xFFFFFFFF) - 0x80000000 if self._at == self._at else clock
-        elapsed = now - self._at if self._at == self._at else 0.0
-        self._clock, self._at = self._clock + passed, now
+        elapsed_us = (clock - self._clock + 0x80000000 & 0xFFFFFFFF) - 0x80000000 if self._at == self._at else clock
+        elapsed_s = now - self._at if self._at == self._at else 0.0
+        self._clock, self._at = self._clock + elapsed_us, now
         behind = now - 1e-6 * self._clock
-        self._least = min(self._least + CLOCKS_APART * elapsed, behind)
+        self._least = min(self._least + CLOCKS_APART * elapsed_s, behind)
         late = behind - self._least
-        self._late = self._late + 1 if late > LATE_S else 0  # one may have come while the host was held up
+        self._late = self._late + 1 if late > LATE_S else 0  # a single late answer may be due to a delay of the host
         return late if self._late >= 2 else 0.0
 
 
@@ -87,27 +88,27 @@ class _SignsOfLife:
 
     def __init__(self) -> None:
         self.lateness = _Lateness()
-        self.heard_until = NEVER  # its last heartbeat counts
-        self.fed = NEVER  # the host's heartbeat was sent
-        self.asked = NEVER  # for the bus voltage
-        self.due = NEVER  # when `feed` next has something to send
+        self.heard_until = NEVER  # until then its last heartbeat is valid
+        self.fed = NEVER  # when the host's heartbeat was last sent
+        self.asked = NEVER  # when the bus voltage was last requested
+        self.due = NEVER  # when `feed` has to send next
 
 
-class _Standing:
-    """State of a drive apart from its samples."""
+class _DriveCondition:
+    """State of a drive that is read and commanded more rarely than every cycle."""
 
     def __init__(self) -> None:
-        self.started = False  # its node was told to start
-        self.operational = False  # and has said since that it did
-        self.most_per_mille = 0  # of its rated current that it lets flow
-        self.modes = ALL_MODES  # bits of those that it knows
-        self.voltage_refused = False  # 0x6079 was answered otherwise than by four bytes
-        self.sto_asked = False  # since it was told to enter operation
-        self.sto_status: int | None = None  # 0x2086, if it has told
-        self.of_other_master = ""  # what one was heard to do
+        self.started = False  # the node was commanded to start
+        self.operational = False  # and has since reported to be operational
+        self.most_per_mille = 0  # of its rated current, the highest that it allows
+        self.modes = ALL_MODES  # bits of its supported modes
+        self.voltage_refused = False  # 0x6079 was not answered by four bytes
+        self.sto_asked = False  # since it was commanded to enter operation
+        self.sto_status: int | None = None  # 0x2086, once it was answered
+        self.of_other_master = ""  # description of another master's action
         self.is_read_by_others = False
-        self.safe = False  # it has confirmed so, and nothing was asked of it since
-        self.setpoint_time: SetpointTime | None = None  # that it knew before
+        self.safe = False  # it has confirmed to be safe, and got no demand since
+        self.setpoint_time: SetpointTime | None = None  # before `pace` changed it
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = self.quiet_of_answers_until = -math.inf
@@ -145,7 +146,7 @@ class ElmoCan(Driver):
         self._emergency = ""
         self._life = _SignsOfLife()
         self._position = CountedPosition(*OF_32_BITS)
-        self._standing = _Standing()
+        self._condition = _DriveCondition()
         self._followed = self._follows
         self.values = [NAN] * len(self.loop_channels)
 
@@ -169,7 +170,7 @@ class ElmoCan(Driver):
             state = cia402.state_of(word)
             if state not in (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION):
                 self._show(word, self._shown_mode)
-                self._standing.safe = True
+                self._condition.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
             reason = f"still {state}, statusword 0x{word:04X}"
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
@@ -208,7 +209,7 @@ class ElmoCan(Driver):
         DeviceError : the drive is absent, another one, refuses a setting, or its dead-man cannot be armed;
             `DeviceFault` if it is in fault.
         """
-        self._standing = _Standing()
+        self._condition = _DriveCondition()
         self._sdo.surplus = 0  # what came before is of another start, or of a stop that awaits no answer
         self._connect()
         self._emergency = ""  # of a drive that is in fault still, its state tells
@@ -220,13 +221,13 @@ class ElmoCan(Driver):
             setup.check_identity()
         setup.disable_voltage()
         if setup.leave_fault():
-            self._emergency = self._standing.of_other_master
-        self._standing.identity = setup.identity()
+            self._emergency = self._condition.of_other_master
+        self._condition.identity = setup.identity()
         setup.check_scales()
         setup.clear_offsets()
-        self._standing.modes = setup.supported_modes()
+        self._condition.modes = setup.supported_modes()
         self._position = CountedPosition(*setup.position_range())
-        self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
+        self._current_per_mille, self._condition.most_per_mille = setup.read_scales()
         self._turn_to(Mode.OFF)
         setup.check_alone()
         setup.arm_dead_man()
@@ -239,18 +240,18 @@ class ElmoCan(Driver):
         setup.start_heartbeat()
         self._nmt(NMT_START)
         self._hear()
-        self._standing.started = True
+        self._condition.started = True
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
 
     def identity(self) -> Identity:
         """Device name, serial number and software version (0x1008 to 0x100A, 0x1018) as read when it was opened."""
-        return self._standing.identity
+        return self._condition.identity
 
     def close(self) -> None:
         """Stop listening and close the bus; a safe drive gets its setpoint time back and its monitoring ends."""
         if self._opened:
-            if self._standing.safe and self._standing.started:
+            if self._condition.safe and self._condition.started:
                 with suppress(DeviceError):  # it is safe, which is what counts
                     self._leave_as_met()
             self._opened = False
@@ -261,8 +262,8 @@ class ElmoCan(Driver):
     def _leave_as_met(self) -> None:
         setup = self._setup()
         setup.disarm_dead_man()
-        if self._standing.setpoint_time is not None:
-            setup.set_setpoint_time(self._standing.setpoint_time)
+        if self._condition.setpoint_time is not None:
+            setup.set_setpoint_time(self._condition.setpoint_time)
 
     def _setup(self) -> Commissioning:
         return Commissioning(self.name, self.settings, self._sdo, self._clock)
@@ -301,22 +302,22 @@ class ElmoCan(Driver):
         """Begin to enter operation in this mode with zero demand; in angle mode the present angle is held."""
         if mode not in MODES or mode is Mode.OFF:
             raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
-        if not self._standing.modes >> MODES[mode] - 1 & 1:
+        if not self._condition.modes >> MODES[mode] - 1 & 1:
             raise InputError(
                 f"{self.name}: the drive has no mode {MODES[mode]}, which '{mode}' needs (0x6502:"
-                f" 0x{self._standing.modes:08X})"
+                f" 0x{self._condition.modes:08X})"
             )
         self._turn_to(mode)
-        self._position.located = self._standing.safe = self._standing.sto_asked = False
-        self._standing.sto_status = None
+        self._position.located = self._condition.safe = self._condition.sto_asked = False
+        self._condition.sto_status = None
         self._enable_by = self._clock.now() + ENABLE_TIME_S
 
     def pace(self, period: float) -> None:
         """Set the time between setpoints [s]; the drive's own value is restored at `close`."""
-        setup, standing = self._setup(), self._standing
-        if standing.setpoint_time is None:
-            standing.setpoint_time = setup.setpoint_time()
-        setup.expect_setpoints_every(period, standing.setpoint_time)
+        setup, condition = self._setup(), self._condition
+        if condition.setpoint_time is None:
+            condition.setpoint_time = setup.setpoint_time()
+        setup.expect_setpoints_every(period, condition.setpoint_time)
 
     def release(self) -> None:
         """Begin to leave operation; no current flows once the drive has left it."""
@@ -332,7 +333,7 @@ class ElmoCan(Driver):
         scale, limit, origin = self._angle_per_count, 0x7FFFFFFF, 0
         by_current = self._reference == CURRENT
         if by_current:
-            scale, limit = self._current_per_mille, self._standing.most_per_mille
+            scale, limit = self._current_per_mille, self._condition.most_per_mille
         elif self._mode is Mode.ANGLE:
             limit, origin = self._position.half - 1, self._position.counts  # half a round is the furthest it can tell
         demand = value / scale
@@ -379,7 +380,7 @@ class ElmoCan(Driver):
             )
         word = cia402.towards_enabled(self.state)
         if word == ENABLE_OPERATION and self._shown_mode != self._mode_number:
-            return cia402.SWITCH_ON  # it would follow what the mode before was told last
+            return cia402.SWITCH_ON  # it would follow the last demand of the mode before
         return word
 
     def end_cycle(self, deadline: float) -> None:
@@ -437,21 +438,21 @@ class ElmoCan(Driver):
 
         The drive reports a limited demand by bit 11 of the statusword.
         """
-        standing, irregular = self._standing, self._answers.irregular
+        condition, irregular = self._condition, self._answers.irregular
         now = self._clock.now()
-        if irregular != standing.shown and (now >= standing.quiet_of_answers_until or self._mode is OFF):
-            standing.quiet_of_answers_until = now + QUIET_S
-            standing.shown = replace(irregular)
-            standing.notices.append(str(irregular))
-        notices, standing.notices = standing.notices + self._port.notices(), []
+        if irregular != condition.shown and (now >= condition.quiet_of_answers_until or self._mode is OFF):
+            condition.quiet_of_answers_until = now + QUIET_S
+            condition.shown = replace(irregular)
+            condition.notices.append(str(irregular))
+        notices, condition.notices = condition.notices + self._port.notices(), []
         return notices
 
     def take(self) -> list[Row]:
         """Bus voltages since the last call."""
-        standing = self._standing
-        if not standing.rows:
-            return standing.rows
-        rows, standing.rows = standing.rows, []
+        condition = self._condition
+        if not condition.rows:
+            return condition.rows
+        rows, condition.rows = condition.rows, []
         return rows
 
     def reset_fault(self) -> None:
@@ -462,7 +463,7 @@ class ElmoCan(Driver):
         DeviceFault : the drive is still in fault afterwards, its cause is still there.
         """
         self._setup().reset_fault()
-        self._emergency = self._standing.of_other_master
+        self._emergency = self._condition.of_other_master
 
     # -- set-up ------------------------------------------------------------------------------------------------------
 
@@ -508,7 +509,7 @@ class ElmoCan(Driver):
         self._mode, self._mode_number, self._value = mode, MODES[mode], 0
         self._reference: int = REFERENCES[mode]
         scale = self._current_per_mille if self._reference == CURRENT else self._angle_per_count
-        self._scale = NAN if mode is Mode.OFF else scale  # of what a demand stands for
+        self._scale = NAN if mode is Mode.OFF else scale  # A, rad/s or rad per unit of the drive's demand
         # current, velocity and angle that this mode's demands stand for
         self._follows: list[float] = [NAN, NAN, NAN]
         self._show(self.statusword, self._shown_mode)
@@ -568,7 +569,7 @@ class ElmoCan(Driver):
 
     def _refuse_length(self, number: int, data: bytearray, expected: int) -> None:
         """End the run for a PDO of another length than mapped; before the node's start an earlier mapping may show."""
-        if self._standing.started and not self._emergency:
+        if self._condition.started and not self._emergency:
             self._emergency = (
                 f"TPDO{number} has {len(data)} bytes, {expected} were mapped: another master has mapped it since"
             )
@@ -615,11 +616,11 @@ class ElmoCan(Driver):
         )
 
     def _accuse(self, text: str) -> None:
-        """End the run, or refuse the start, for what another master does.
+        """End the run, or refuse the start, because of what another master does.
 
         Resetting a fault does not excuse it.
         """
-        self._standing.of_other_master = self._standing.of_other_master or text
+        self._condition.of_other_master = self._condition.of_other_master or text
         self._emergency = self._emergency or text
 
     def _on_other_demand(self, data: bytearray, _timestamp: float) -> None:
@@ -629,14 +630,14 @@ class ElmoCan(Driver):
         )
 
     def _on_other_request(self, data: bytearray, _timestamp: float) -> None:
-        """Report another master's SDO: one that writes ends the run, one that reads is told once."""
-        standing = self._standing
+        """Report another master's SDO: a write ends the run, a read is reported once."""
+        condition = self._condition
         shown = f"by SDO ({bytes(data).hex() or 'empty'})"
         if data and data[0] >> 5 in DOWNLOADS:
             self._accuse(f"another master on the bus writes to node {self._node} {shown}")
-        elif not standing.is_read_by_others:
-            standing.is_read_by_others = True
-            standing.notices.append(
+        elif not condition.is_read_by_others:
+            condition.is_read_by_others = True
+            condition.notices.append(
                 f"another master on the bus reads from node {self._node} {shown}; answers to both may be mixed up"
             )
 
@@ -644,27 +645,27 @@ class ElmoCan(Driver):
         has_four = len(data) == 8 and data[0] in FOUR_BYTES
         if data[1:4] == STO_STATUS:
             if has_four:
-                self._standing.sto_status = int.from_bytes(data[4:8], "little")
+                self._condition.sto_status = int.from_bytes(data[4:8], "little")
         elif data[1:4] != BUS_VOLTAGE:
             self._sdo.on_frame(data, timestamp)
         elif has_four:
-            self._standing.rows.append(
+            self._condition.rows.append(
                 Row(f"{self.name}_supply", self._clock.now(), (int.from_bytes(data[4:8], "little") * 1e-3,))
             )
-        elif not self._standing.voltage_refused:
-            self._standing.voltage_refused = True
-            self._standing.notices.append(
+        elif not self._condition.voltage_refused:
+            self._condition.voltage_refused = True
+            self._condition.notices.append(
                 f"0x6079 (bus voltage) is answered by {bytes(data).hex()}; 43796000 and four bytes were expected: there"
                 " is no bus voltage"
             )
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
         """Only "operational" counts as alive; frames from before the node's start may still arrive after it."""
-        state, standing = (data[0] & 0x7F if data else -1), self._standing
+        state, condition = (data[0] & 0x7F if data else -1), self._condition
         if state == OPERATIONAL:
-            standing.operational = standing.started
+            condition.operational = condition.started
             self._hear()
-        elif standing.started and (standing.operational or state == BOOTED) and not self._emergency:
+        elif condition.started and (condition.operational or state == BOOTED) and not self._emergency:
             shown = NETWORK_STATES.get(state, f"heartbeat {bytes(data).hex() or 'empty'}")
             self._emergency = f"node {self._node} rebooted or left the operational state ({shown})"
 
@@ -676,10 +677,10 @@ class ElmoCan(Driver):
         return 3e-3 * self.settings.producer_heartbeat_ms + 1e-3 * self.settings.consumer_heartbeat_ms
 
     def _note_limiting(self, word: int) -> None:
-        now, standing = self._clock.now(), self._standing
-        if now >= standing.quiet_until:
-            standing.quiet_until = now + QUIET_S
-            standing.notices.append(f"the drive limits its demand by itself (bit 11 of statusword 0x{word:04X})")
+        now, condition = self._clock.now(), self._condition
+        if now >= condition.quiet_until:
+            condition.quiet_until = now + QUIET_S
+            condition.notices.append(f"the drive limits its demand by itself (bit 11 of statusword 0x{word:04X})")
 
     def _on_emergency(self, data: bytearray, _timestamp: float) -> None:
         if len(data) != emergency.LENGTH or emergency.code_of(data) != emergency.CODE_RESET:
@@ -700,14 +701,14 @@ class ElmoCan(Driver):
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
-        standing = self._standing
-        if now > self._enable_by - ENABLE_TIME_S / 2 and not standing.sto_asked and now > self._life.asked + APART_S:
-            standing.sto_asked, self._life.asked = True, now
+        condition = self._condition
+        if now > self._enable_by - ENABLE_TIME_S / 2 and not condition.sto_asked and now > self._life.asked + APART_S:
+            condition.sto_asked, self._life.asked = True, now
             self._port.send(0x600 + self._node, READ_STO_STATUS)
         if now > self._enable_by:
             text = f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
             if self._shown_mode != self._mode_number:
                 raise NoAnswer(f"{text}, mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for")
-            status = standing.sto_status
+            status = condition.sto_status
             shown = "" if status is None else f", safe torque off 0x2086 is 0x{status:08X}"
             raise NoAnswer(f"{text}{shown}; look at its safe torque off, its inhibit inputs and its brake")

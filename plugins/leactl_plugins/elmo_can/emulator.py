@@ -87,7 +87,7 @@ class ElmoEmulator:
         self._host_deadline = math.inf
         self._booted = False
         self._emergencies: list[Frame] = []
-        self._changed = False  # the state, which a TPDO that is sent on a change has not told yet
+        self._changed = False  # whether a TPDO sent on change still has to report the state
         self._plan_pdos()
 
     @property
@@ -226,8 +226,8 @@ class ElmoEmulator:
     def _entry(self, index: int, sub: int) -> ObjectEntry:
         entry = self._entries.get((index, sub))
         if entry is None:
-            known = any(key[0] == index for key in self._entries)
-            raise Abort(ABORT_NO_SUBINDEX if known else ABORT_NO_OBJECT)
+            has_index = any(key[0] == index for key in self._entries)
+            raise Abort(ABORT_NO_SUBINDEX if has_index else ABORT_NO_OBJECT)
         return entry
 
     def _upload(self, index: int, sub: int) -> bytes:
@@ -277,8 +277,8 @@ class ElmoEmulator:
             if sum(entry & 0xFF for entry in entries) > 64:
                 raise Abort(ABORT_PDO_LENGTH)
         elif index == 0x1016 and value & 0xFFFF:
-            other = self._values[0x1016, 3 - sub]
-            if other & 0xFFFF and other >> 16 == value >> 16:
+            other_entry = self._values[0x1016, 3 - sub]
+            if other_entry & 0xFFFF and other_entry >> 16 == value >> 16:
                 raise Abort(ABORT_INCOMPATIBLE)
 
     def _is_mappable(self, entry: int) -> bool:
@@ -421,7 +421,7 @@ class ElmoEmulator:
         values = self._values
         mode = _FOLLOW.get(self._shown_mode)
         offset = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
-        added = values.get((offset, 0), 0) if offset else 0  # whoever left it there (CiA 402, 6.3.2 and 6.4)
+        added = values.get((offset, 0), 0) if offset else 0  # whoever has set it (CiA 402, 6.3.2 and 6.4)
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":

@@ -8,7 +8,7 @@ from leactl.driver.can_port import NMT_ID, SYNC_ID, CanPort
 from leactl.driver.far_end import Frame
 from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl.errors import NoAnswer
-from leactl_plugins.elmo_can.commissioning import identity_of, number_if_told
+from leactl_plugins.elmo_can.commissioning import identity_of, optional_number
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings, identifiers_of
 
@@ -37,7 +37,7 @@ class ElmoProbe(CanProbe):
         }
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """SYNC, network management, or an SDO request."""
+        """Describe a frame that only a host sends (SYNC, network management, SDO request); empty if there is none."""
         for identifier, data in frames:
             if identifier == SYNC_ID and len(data) <= 1:
                 return "CANopen's SYNC"
@@ -50,11 +50,11 @@ class ElmoProbe(CanProbe):
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """Those that CiA 301 gives a node."""
+        """CAN identifiers that CiA 301 assigns to a node."""
         return identifiers_of(address)
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
-        """Ask every node for its device type, and who answers for its identity."""
+        """Ask every node for its device type, and those that answer for their identity."""
         left_out = [node for node in NODES if REQUEST + node in taken]
         if left_out:
             yield f"the nodes {_numbers(left_out)} were not asked by SDO: another device acts on these identifiers"
@@ -82,13 +82,13 @@ class ElmoProbe(CanProbe):
 
 
 def _sweep(port: CanPort, nodes: Sequence[int]) -> dict[int, list[bytes]]:
-    """Ask each node for its device type; the first answers of those that sent any."""
+    """Ask each node for its device type; returns the first answers of the nodes that sent any."""
     answers: dict[int, list[bytes]] = {}
 
     def take(node: int, data: bytearray, _timestamp: float) -> None:
-        kept = answers.setdefault(node, [])
-        if len(kept) < MOST_ANSWERS:
-            kept.append(bytes(data))
+        answers_of_node = answers.setdefault(node, [])
+        if len(answers_of_node) < MOST_ANSWERS:
+            answers_of_node.append(bytes(data))
 
     for node in nodes:
         port.listen(ANSWER + node, partial(take, node))
@@ -112,7 +112,7 @@ def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Si
     sdo = Sdo(port, node, ANSWER_S)
     port.listen(ANSWER + node, sdo.on_frame)
     try:
-        vendor, product, revision = (number_if_told(sdo, 0x1018, sub) for sub in (1, 2, 3))
+        vendor, product, revision = (optional_number(sdo, 0x1018, sub) for sub in (1, 2, 3))
         identity = identity_of(sdo)
     except NoAnswer as error:
         return f"{error}, although it answered before"

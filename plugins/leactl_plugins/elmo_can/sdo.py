@@ -13,7 +13,7 @@ from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
 FRAME_BYTES = 8  # of every SDO frame (CiA 301, 7.2.4.3); `canopen` breaks over a shorter one
-# bits of command, expedited and size in the first byte, and their value where no size is told (CiA 301, 7.2.4.3.5)
+# bits of command, expedited and size in the first byte, and their value if no size is stated (CiA 301, 7.2.4.3.5)
 UPLOAD_MASK, EXPEDITED_WITHOUT_SIZE = 0xE3, 0x42
 SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
 LONGEST_TEXT = 256  # bytes; names have some 30
@@ -21,7 +21,7 @@ TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
 FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it would say on stderr is raised here as an error
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # its messages for stderr are raised here as errors
 
 
 class Refused(DeviceError):

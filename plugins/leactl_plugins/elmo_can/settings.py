@@ -29,7 +29,7 @@ class ClockObject(BaseModel):
 
 
 def identifiers_of(node: int) -> frozenset[int]:
-    """Network management, SYNC, and all that CiA 301 gives a node."""
+    """CAN identifiers of network management and SYNC, and those that CiA 301 assigns to a node."""
     return frozenset((0x000, 0x080, *(base + node for base in range(0x080, 0x780, 0x80))))
 
 
@@ -56,12 +56,12 @@ class ElmoSettings(DriverSettings):
 
     @property
     def bus_address(self) -> int:
-        """The node."""
+        """Number of the node."""
         return self.node
 
     @property
     def bus_identifiers(self) -> frozenset[int]:
-        """Network management, SYNC, both heartbeats, and all that CiA 301 gives a node."""
+        """CAN identifiers of network management, SYNC and both heartbeats, and those of the node by CiA 301."""
         return identifiers_of(self.node) | {0x700 + self.host_node}
 
     @property
@@ -71,7 +71,7 @@ class ElmoSettings(DriverSettings):
 
     @property
     def host_silence_s(self) -> float:
-        """The consumer heartbeat time."""
+        """Consumer heartbeat time [s]."""
         return 1e-3 * self.consumer_heartbeat_ms
 
     @model_validator(mode="after")

@@ -120,7 +120,7 @@ class ElmoRecorderCsv(Driver):
             return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
         rows = order_rows(time, values, where)
-        empty = [name for name, kept in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(kept).all()]
+        empty = [name for name, column in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(column).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0
@@ -197,7 +197,7 @@ class ElmoRecorderCsv(Driver):
         return signed
 
     def _unwrapped(self, table: Table, heading: str, counts: Array, told_wraps: list[str]) -> Array:
-        """Counts that go on where the drive's own wrap at the end of its range.
+        """Counts that continue where the drive's own counts wrap at the end of its range.
 
         Raises
         ------

@@ -72,7 +72,7 @@ class SerialCommissioning:
         DeviceError : it is still on, or runs no program that would stop it without the host.
         """
         replies = self._interpreter.ask("SR", "MF", within_s=self._answer_s)
-        status, bits = StatusRegister(replies.whole("SR")), replies.whole("MF")
+        status, bits = StatusRegister(replies.integer("SR")), replies.integer("MF")
         if status.motor_on:
             raise DeviceError(f"{self._name}: is not off after MO=0: {status}")
         if status.faulty and not self._settings.reset_fault_at_start:
@@ -95,10 +95,10 @@ class SerialCommissioning:
         """
         variable, wanted = self._settings.silence_variable, self._settings.silence_ms
         replies = self._interpreter.ask(f"{variable}={wanted}", variable, within_s=self._answer_s)
-        if replies.whole(variable) != wanted:
+        if replies.integer(variable) != wanted:
             raise DeviceError(
                 f"{self._name}: its dead-man cannot be armed: {variable} was set to {wanted} and reads"
-                f" {replies.whole(variable)}"
+                f" {replies.integer(variable)}"
             )
 
     def limits(self) -> DriveLimits:
@@ -120,7 +120,7 @@ class SerialCommissioning:
                 f"{self._name}: PL[1] is {limits.peak:g} A, CL[1] {limits.continuous:g} A; with 0 the drive lets"
                 " nothing flow: it has not been tuned to a motor"
             )
-        counts = replies.whole("CA[18]") if "CA[18]" in replies else 0
+        counts = replies.integer("CA[18]") if "CA[18]" in replies else 0
         if counts > 1 and counts != self._settings.counts_per_turn:
             raise DeviceError(
                 f"{self._name}: it counts {counts} in a turn (CA[18]), the bench file says counts_per_turn:"
@@ -131,7 +131,7 @@ class SerialCommissioning:
     def position(self) -> CountedPosition:
         """A position that is unwrapped over the drive's range (XM[1] to XM[2]-1, or 32 bits)."""
         replies = self._interpreter.ask("XM[1]", "XM[2]", within_s=self._answer_s)
-        low, high = (replies.whole(name) if name in replies else 0 for name in ("XM[1]", "XM[2]"))
+        low, high = (replies.integer(name) if name in replies else 0 for name in ("XM[1]", "XM[2]"))
         return CountedPosition(*((low, high) if low < high else COUNTS_OF_32_BITS))
 
     def exchange_s(self) -> float:

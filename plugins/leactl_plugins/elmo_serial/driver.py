@@ -35,20 +35,21 @@ from leactl_plugins.elmo_serial.probe import ElmoSerialProbe
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
-DEMANDS = ("TC", "JV", "PA")  # what sets it
+DEMANDS = ("TC", "JV", "PA")  # commands that set the references
 MOTOR_OFF = SPOILS + b"MO=0;"
-CYCLE_SHARE = 0.55  # of a cycle's time that an exchange may take: the loop waits for 0.6
-ENABLE_TIME_S = 3.0  # the lapse of the dead-man that is tried first included
-SAFE_TRY_S = 0.2  # that one try of the safe state may take, echo and lost bytes included
-AFRESH_S = 0.01  # between a connection that has failed and what is sent over the next
-MUST_BE_ON = 58  # what a demand is refused by while the motor is off
-LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds bytes back for up to 16 ms
+CYCLE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
+ENABLE_TIME_S = 3.0  # including the test of the dead-man before
+SAFE_TRY_S = 0.2  # longest try of the safe state, with echo and lost bytes
+AFRESH_S = 0.01  # between a failed connection and the first bytes over the next
+MUST_BE_ON = 58  # error number of a demand while the motor is off
+LEAST_PATIENCE_S = 0.02  # for an answer in the loop; an adapter on USB delays bytes by up to 16 ms
 LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
 MOST_GARBLED = 3  # exchanges in a row
 QUIET_S = 1.0  # at most one notice of each kind in this time
-NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))  # of what is read; more is told
+# of the readings; a larger deviation is reported
+NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))
 NAN = math.nan
 
 
@@ -56,7 +57,7 @@ class _Record:
     """Notices, rows and counts of one opened drive for the run."""
 
     def __init__(self) -> None:
-        self.irregular, self.told = Irregular(), Irregular()
+        self.irregular, self.reported = Irregular(), Irregular()
         self.notices: list[str] = []
         self.rows: list[Row] = []
         self.quiet_until = self.quiet_of_limits_until = self.quiet_of_outliers_until = -math.inf
@@ -94,10 +95,10 @@ class ElmoSerial(EngagingDrive):
         self._exchange_s, self._patience_s = math.inf, settings.answer_timeout_s
         self._record = _Record()
         self._status = StatusRegister(0)
-        self._forgiven = False  # the latched fault that it was met with, until it is switched on
-        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._forgiven = False  # whether the fault latched at `open` is ignored until the drive is switched on
+        self._safe = False  # it has confirmed to be off, and got no demand since
         self._supervised = False  # since the last exchange, so that the next one may be a sign of life
-        self._proved = False  # that its program switches it off where the host's counter stands still
+        self._proved = False  # whether its program was seen to switch it off while the host's counter stood still
         self._heard = self._voltage_due = -math.inf
         self._garbled = 0
         self._late = False  # the exchange under way was sent in an earlier cycle
@@ -116,14 +117,14 @@ class ElmoSerial(EngagingDrive):
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                replies = self._told_off(min(seconds_left, SAFE_TRY_S))
+                replies = self._switch_off_and_query(min(seconds_left, SAFE_TRY_S))
             except DeviceError as error:
                 if not (reason and isinstance(error, NoAnswer)):  # the last try has little time
                     reason = str(error)
                 self._start_afresh(until)
                 continue
-            status = StatusRegister(replies.whole("SR"))
-            if not status.motor_on and replies.whole("MO") == 0:
+            status = StatusRegister(replies.integer("SR"))
+            if not status.motor_on and replies.integer("MO") == 0:
                 self._status, self._safe = status, True
                 break
             reason = f"still on: {status}"
@@ -135,8 +136,8 @@ class ElmoSerial(EngagingDrive):
             else Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
         )
 
-    def _told_off(self, within_s: float) -> Replies:
-        """Switch off and query the state; the echo is switched off too, in case it drowns the answers."""
+    def _switch_off_and_query(self, within_s: float) -> Replies:
+        """Switch off and query the state; the echo is switched off too, because it may drown the answers."""
         self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), first=MOTOR_OFF)
         replies = self._interpreter.collect(self._clock.now() + within_s)
         if replies is None:
@@ -144,7 +145,7 @@ class ElmoSerial(EngagingDrive):
             raise NoAnswer(f"no answer to MO=0 in {within_s:.2g} s")
         replies.check()
         for command in ("MO", "SR"):
-            replies.whole(command)
+            replies.integer(command)
         return replies
 
     def _start_afresh(self, until: float) -> None:
@@ -262,7 +263,7 @@ class ElmoSerial(EngagingDrive):
 
         Raises
         ------
-        DeviceError : it does not; with the highest possible rate.
+        DeviceError : it does not fit; the message has the highest possible rate.
         """
         if self._exchange_s > CYCLE_SHARE * period:
             most = math.floor(CYCLE_SHARE / self._exchange_s)
@@ -365,8 +366,8 @@ class ElmoSerial(EngagingDrive):
     def notices(self) -> list[str]:
         """Notices: time between the readings of a row, irregular answers, and each start of a limited current."""
         record, now = self._record, self._clock.now()
-        if record.irregular != record.told and (now >= record.quiet_until or self._mode is Mode.OFF):
-            record.quiet_until, record.told = now + QUIET_S, replace(record.irregular)
+        if record.irregular != record.reported and (now >= record.quiet_until or self._mode is Mode.OFF):
+            record.quiet_until, record.reported = now + QUIET_S, replace(record.irregular)
             record.notices.append(str(record.irregular))
         notices, record.notices = record.notices, []
         return notices
@@ -421,7 +422,7 @@ class ElmoSerial(EngagingDrive):
 
     def _take_in(self, replies: Replies, now: float) -> None:
         """Evaluate a complete exchange; its readings go into the row if it belongs to this cycle."""
-        status = StatusRegister(replies.whole("SR"))
+        status = StatusRegister(replies.integer("SR"))
         self._heard = now
         try:
             replies.check()
@@ -430,7 +431,7 @@ class ElmoSerial(EngagingDrive):
                 raise DeviceFault(f"{self.name}: {error}") from None
             self._asks_why = self._was_on  # for MF tells more; one that comes on takes no torque yet
             self._checked = None
-        current, speed, counts = replies.number("IQ"), replies.number("VX"), replies.whole("PX")
+        current, speed, counts = replies.number("IQ"), replies.number("VX"), replies.integer("PX")
         voltage = self.settings.bus_voltage_command
         if voltage is not None and voltage in replies:
             self._record.rows.append(Row(f"{self.name}_supply", self._interpreter.answered, (replies.number(voltage),)))
@@ -440,7 +441,7 @@ class ElmoSerial(EngagingDrive):
         self._garbled = 0
         self._see(status, now)
         if "MF" in replies and self._asks_why:
-            raise DeviceFault(f"{self.name}: {left_operation(status, replies.whole('MF'))}")
+            raise DeviceFault(f"{self.name}: {left_operation(status, replies.integer('MF'))}")
         if self._late:
             self._record.irregular.late += 1
             return

@@ -62,7 +62,7 @@ class ElmoSerialEmulator:
         self._machine, self._q_axis_per_ampere = machine, q_axis_per_ampere
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
         self._voltage_command, self._watched = voltage_command, variables
-        self.values: dict[str, float] = {  # what may be set, by name with index
+        self.values: dict[str, float] = {  # of the variables that can be set, by name with index
             "EO": 1,
             "HX": 0,
             "UM": 5,
@@ -83,7 +83,7 @@ class ElmoSerialEmulator:
             **{f"RV[{number}]": number for number in range(1, 17)},
             **{f"UI[{number}]": 0 for number in range(1, 25)},
         }
-        self._recording: dict[int, list[int]] = {}  # what the recorder holds, by bit of RC
+        self._recording: dict[int, list[int]] = {}  # samples of the recorder, by bit of RC
         self._next_sample, self._samples_left = math.inf, 0
         self.serial_number = "1"
         self.on = False
@@ -95,7 +95,7 @@ class ElmoSerialEmulator:
         self._input = b""
         self._output: deque[tuple[float, bytes]] = deque()
         self._busy = 0.0
-        self._seen, self._quiet_ticks, self._next_tick = 0.0, 0, 0.0
+        self._last_counter, self._quiet_ticks, self._next_tick = 0.0, 0, 0.0
 
     # -- the wire ----------------------------------------------------------------------------------------------------
 
@@ -138,8 +138,8 @@ class ElmoSerialEmulator:
     def _watch(self) -> None:
         """Switch off if the host's counter has not changed for the allowed time, as the drive's program does."""
         counter, allowed = (self.values[variable] for variable in self._watched)
-        if counter != self._seen:
-            self._seen, self._quiet_ticks = counter, 0
+        if counter != self._last_counter:
+            self._last_counter, self._quiet_ticks = counter, 0
         else:
             self._quiet_ticks += 1
         if 1e3 * TICK_S * self._quiet_ticks >= allowed:
@@ -159,7 +159,7 @@ class ElmoSerialEmulator:
         if on:
             self.fault_bits, self.values["TC"], self.values["JV"] = 0, 0.0, 0
             self._quiet_ticks, self._next_tick = 0, now + TICK_S
-            self._seen = self.values[self._watched[0]]
+            self._last_counter = self.values[self._watched[0]]
             self.values["PA"] = self._position()
             self._begun_motion = ("angle", self._machine.read()[2]) if self.values["UM"] in (4, 5) else None
             self._move()
@@ -226,8 +226,8 @@ class ElmoSerialEmulator:
 
     def _upload(self, value: float) -> str:
         """The answer to BH: the recording of the lowest bit of RC in `value`; items have 4 or 8 digits by signal."""
-        asked = int(value) & int(self.values["RC"])
-        bit = (asked & -asked).bit_length() - 1
+        requested = int(value) & int(self.values["RC"])
+        bit = (requested & -requested).bit_length() - 1
         if self._samples_left or bit not in self._recording:
             raise InterpreterError(NO_DATA)
         long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
@@ -253,7 +253,7 @@ class ElmoSerialEmulator:
             raise InterpreterError(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
         name = match[1] if match[2] is None else f"{match[1]}[{int(match[2])}]"
         if match[3] is None:
-            return self._execute(name) if name in ("BG", "ST") else self._told(name)
+            return self._execute(name) if name in ("BG", "ST") else self._query(name)
         if not match[4]:
             raise InterpreterError(EMPTY)
         if not _number.fullmatch(match[4]):
@@ -263,14 +263,14 @@ class ElmoSerialEmulator:
         self._set(name, float(match[4]), now)
         return ""
 
-    def _told(self, name: str) -> str:
+    def _query(self, name: str) -> str:
         """The value of a query."""
         current, velocity, _ = self._machine.read()
         if name == "IQ":
             return f"{current / self._q_axis_per_ampere:.4f}" if self.on else "0"
         if name == self._voltage_command:
             return f"{self._machine.bus_voltage:.2f}"
-        whole = {
+        integers = {
             "ID": 0,
             "VX": round(velocity * self._counts_per_rad),
             "PX": self._position(),
@@ -281,8 +281,8 @@ class ElmoSerialEmulator:
             "EC": self._last_error,
             "RR": 2 if self._samples_left else 0 if self._recording else -1,
         }
-        if name in whole:
-            return str(whole[name])
+        if name in integers:
+            return str(integers[name])
         if name in ("VR", "SN[4]"):
             return VERSION if name == "VR" else self.serial_number
         if name in self.values:
@@ -292,7 +292,7 @@ class ElmoSerialEmulator:
     def _unknown(self, name: str) -> int:
         """Error number for an unknown variable."""
         word = name[:2]
-        vectors = {known[:2] for known in self.values if "[" in known} | {"AN", "SN"}
+        vectors = {variable[:2] for variable in self.values if "[" in variable} | {"AN", "SN"}
         if word in vectors:
             return BAD_INDEX if "[" in name else NEEDS_INDEX
         return BAD_COMMAND

@@ -18,17 +18,17 @@ from leactl_plugins.elmo.fault_names import refusal
 
 END, REFUSED = b";", b"?"
 SPOILS = b"!;"  # makes an incomplete earlier command invalid, which might otherwise be MO=1
-EXECUTED = frozenset(("BG", "ST"))  # commands that carry no value and are answered by none
-UPLOAD = "BH="  # which is answered by a value although it looks like an assignment
+EXECUTED = frozenset(("BG", "ST"))  # commands without a value, whose answers have none either
+UPLOAD = "BH="  # looks like an assignment, but is answered by a value
 TAGS = 900
 FIRST_TAG = 100
 LONGEST_VALUE = 64
-MOST_SEGMENTS = 200  # that may come before an answer: a device that says more babbles
+MOST_SEGMENTS = 200  # that may arrive before an answer; with more, the exchange is given up
 MISHEARD = frozenset(
     (2, 3, 5, 16, 18, 19, 32, 97, 110, 136, 162)
 )  # what the drive says of a command garbled on its way
 _number = re.compile(rb"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
-_whole = re.compile(rb"-?[0-9]{1,10}", re.ASCII)
+_integer = re.compile(rb"-?[0-9]{1,10}", re.ASCII)
 
 
 class CommandRefused(DeviceError):
@@ -86,7 +86,7 @@ class Replies:
             raise Unreadable(f"{command} was answered by '{self.text(command)}' where a number was expected")
         return value
 
-    def whole(self, command: str) -> int:
+    def integer(self, command: str) -> int:
         """An answer as an integer of 32 bits.
 
         Raises
@@ -94,7 +94,7 @@ class Replies:
         Unreadable : the answer has another form.
         CommandRefused : the command was refused.
         """
-        value = int(self._read(command, _whole, "a whole number"))
+        value = int(self._read(command, _integer, "a whole number"))
         if not -0x80000000 <= value <= 0xFFFFFFFF:
             raise Unreadable(f"{command} was answered by {value} where 32 bits were expected")
         return value
@@ -125,9 +125,9 @@ class Interpreter:
         self._pending: _Pending | None = None
         self._segments: list[bytes] = []
         self._number = 0
-        self.garbled = False  # the exchange under way has ended in another shape than it ought to
+        self.garbled = False  # the pending exchange has ended in an unexpected form
         self.surplus = 0  # answers that belonged to no exchange
-        self.asked = self.answered = 0.0  # when the last exchange that was answered was sent, and its answer was whole
+        self.asked = self.answered = 0.0  # times [s] of the last answered exchange: sent, and completely answered
 
     @property
     def pending_since(self) -> float | None:

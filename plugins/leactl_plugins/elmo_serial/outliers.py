@@ -7,20 +7,20 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-AHEAD = 5.0  # times what lies between the neighbours, by which a reading has to be off their mean
+AHEAD = 5.0  # times the difference of the neighbours, by which an outlier differs from their mean
 
 
 class Outlier(NamedTuple):
     """A reading with its two neighbours."""
 
-    what: str
+    quantity: str
     value: float
     before: float
     after: float
 
     def __str__(self) -> str:
         return (
-            f"{self.what} of {self.value:.6g} between {self.before:.6g} and {self.after:.6g}: a digit may have been"
+            f"{self.quantity} of {self.value:.6g} between {self.before:.6g} and {self.after:.6g}: a digit may have been"
             " garbled on the line"
         )
 
@@ -36,9 +36,11 @@ class Outliers:
     def see(self, values: Sequence[float]) -> Outlier | None:
         """Add the readings of a row; returns the first outlier of the row before, or None."""
         outlier = None
-        for (what, noise), before, value, after in zip(self._noise, self._before, self._latest, values, strict=True):
+        for (quantity, noise), before, value, after in zip(
+            self._noise, self._before, self._latest, values, strict=True
+        ):
             if abs(value - 0.5 * (before + after)) > AHEAD * abs(after - before) + noise:  # NaN compares false
                 self.count += 1
-                outlier = outlier or Outlier(what, value, before, after)
+                outlier = outlier or Outlier(quantity, value, before, after)
         self._before, self._latest = self._latest, tuple(values)
         return outlier

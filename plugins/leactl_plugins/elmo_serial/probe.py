@@ -16,7 +16,7 @@ SERIAL = re.compile(r"[0-9]{1,10}", re.ASCII)
 
 
 class ElmoSerialProbe(LineProbe):
-    """Asks two questions; what a drive echoes is no answer to either."""
+    """Asks two questions; the echo of a question is not taken for an answer."""
 
     baudrates = (19200, 57600, 115200)
 

@@ -34,7 +34,7 @@ SIGNALS = {
     16: "DV[2] (counts/s)",
 }
 HEAD = 20  # digits: type 2, width 2, length 4, gap 4, factor 8
-WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and what it is
+WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and its type
 CELLS = 16  # bits of RC
 SHORTEST_US, LONGEST_US = 10, 10_000  # of WS[29], beyond which it is no time in microseconds
 UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
@@ -78,7 +78,7 @@ def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
     DeviceError : it has no recording, is busy, or its answer cannot be parsed.
     """
     replies = interpreter.ask("RR", "RC", "RG", "WS[29]", within_s=answer_s)
-    state, cells, gap, sampling_us = (replies.whole(name) for name in ("RR", "RC", "RG", "WS[29]"))
+    state, cells, gap, sampling_us = (replies.integer(name) for name in ("RR", "RC", "RG", "WS[29]"))
     if state != 0:
         state_text = "holds nothing" if state < 0 else "waits for its trigger, or records"
         raise DeviceError(f"its recorder {state_text} (RR is {state}); 0 was expected, which is a whole recording")
@@ -87,7 +87,7 @@ def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
     columns: dict[str, Upload] = {}
     for cell in range(1, CELLS + 1):
         if cells >> cell - 1 & 1:
-            number = interpreter.ask(f"RV[{cell}]", within_s=answer_s).whole(f"RV[{cell}]")
+            number = interpreter.ask(f"RV[{cell}]", within_s=answer_s).integer(f"RV[{cell}]")
             command = f"{UPLOAD}{1 << cell - 1}"
             text = interpreter.ask(command, within_s=UPLOAD_S, tries=1).text(command)
             columns[SIGNALS.get(number, f"signal {number}")] = upload = parsed(text)

@@ -1,4 +1,4 @@
-"""Parse a supply's answers, which have no end, no checksum and no echo; what has another form is Unreadable."""
+"""Parse a supply's answers, which have no end mark, no checksum and no echo; any other form is Unreadable."""
 
 import re
 from typing import NamedTuple
@@ -50,7 +50,7 @@ def thousandths(answer: bytes) -> int:
 
 
 def set_thousandths(answer: bytes) -> int:
-    """Parse a current that is set; some firmwares send a sixth byte behind it, which means nothing.
+    """Parse a set current; some firmwares send a meaningless sixth byte after it.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def status(answer: bytes) -> SupplyStatus:
 
 
 def identity(answer: bytes) -> KoradIdentity:
-    """Parse name, firmware and serial number; some firmwares send a byte behind them that is no text.
+    """Parse name, firmware and serial number; some firmwares send a byte after them that is no text.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Commands of a supply that confirms none of them and whose answers have no end: every setting is read back.
+"""Commands of a supply that confirms none of them and whose answers have no end mark: every setting is read back.
 
-An answer ends by silence, so that bytes too many are seen as well as bytes too few. Nothing in an answer tells which
-query it belongs to; before an output counts as off, a voltage must be read back that was not set lately.
+Silence ends an answer, so that too many bytes are noticed as well as too few. An answer does not identify its query;
+before an output counts as off, a voltage must be read back that was not set recently.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,14 +22,14 @@ END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back 
 QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
 LONGEST_CHATTER_S = 0.5  # of a line; a late answer has passed by then
 LEAST_MARK, MARKS = 100, 100  # settings from 1.00 V to 1.99 V
-TRIES, LOOKS = 3, 10  # at settings that are not taken; at the state until a switched output has risen or fallen
-SETTINGS_S = 1.0  # between two looks at what is set
-# sigrok's wiki: OVP1 and OCP1 switch off what passes the set voltage or current; no command sets or tells a level
+TRIES, LOOKS = 3, 10  # to set levels; readings of the state until a switched output has risen or fallen
+SETTINGS_S = 1.0  # between two readings of the settings
+# sigrok's wiki: OVP1 and OCP1 switch off above the set voltage or current; no command sets or reads a level
 UNPROTECTED = (
     "no protection with a level of its own (OVP, OCP): voltage_limit_V and current_limit_A bound nothing but what is"
     " commanded"
 )
-BEYOND = 1.2  # times its rating: what a supply does not show
+BEYOND = 1.2  # times its rating, above which no supply displays a value
 
 
 def _query(text: str, means: Callable[[bytes], Any]) -> Query:
@@ -42,7 +42,7 @@ STATUS, IDENTIFY = _query("STATUS?", answers.status), _query("*IDN?", answers.id
 
 
 class Levels(NamedTuple):
-    """What is set, in steps of 0.01 V and 0.001 A."""
+    """Set levels, in steps of 0.01 V and 0.001 A."""
 
     volts: int
     amperes: int
@@ -58,7 +58,7 @@ class OutputState(NamedTuple):
     voltage: float  # V
     current: float  # A
     time: float  # s, middle of the queries for voltage and current
-    seen: float  # s, of the last answer
+    answer_time: float  # s, of the last answer
 
     def __str__(self) -> str:
         return f"{self.voltage:.2f} V and {self.current:.3f} A, its state {'on' if self.status.on else 'off'}"
@@ -71,19 +71,19 @@ class KoradDialogue:
 
     def __init__(self, settings: KoradKaSettings, port: SerialPort) -> None:
         self._settings, self._port = settings, port
-        self._held = Levels(0, 0)  # what was commanded
+        self._commanded = Levels(0, 0)
         self._mark = 0
-        self._looked = 0.0
+        self._settings_read_at = 0.0
         self._regulation = Regulation()
-        self._panel = ""  # what was set there
-        self.met: KoradIdentity | None = None
+        self._panel = ""  # fault text if the settings were changed at the panel
+        self.reported_identity: KoradIdentity | None = None
 
     def in_step(self) -> Script[None]:
-        """Wait until nothing has come for `QUIET_S`.
+        """Wait until nothing has arrived for `QUIET_S`.
 
         Raises
         ------
-        NoAnswer : something comes again and again for `LONGEST_CHATTER_S`.
+        NoAnswer : the line is not silent within `LONGEST_CHATTER_S`.
         """
         until = self._port.clock.now() + LONGEST_CHATTER_S
         while not self._port.silent_for(QUIET_S):
@@ -103,8 +103,8 @@ class KoradDialogue:
             mark = LEAST_MARK + self._mark
             yield f"VSET1:{mark * STEP_V:05.2f}"
             try:
-                held: int = yield from ask(SET_VOLTS)
-                if held != mark:
+                read_back: int = yield from ask(SET_VOLTS)
+                if read_back != mark:
                     continue
                 output = yield from self._output()
             except Unreadable:
@@ -114,39 +114,39 @@ class KoradDialogue:
             off_trouble.text = f"the output is still on, {output}"
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Switch off, check the model by its name, and set both levels to nothing.
+        """Switch off, check the model by its name, and set both levels to 0.
 
         Raises
         ------
         DeviceError : another model, a firmware that is too slow, a setting that reads back differently, or an output
             that cannot be switched off.
         """
-        self.met = None
+        self.reported_identity = None
         model, notices = self._settings.model, [UNPROTECTED]
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
-            met: KoradIdentity = yield from ask(IDENTIFY)
+            reported: KoradIdentity = yield from ask(IDENTIFY)
         except NoAnswer:
             notices.append(f"does not tell its model (*IDN?); it is taken for a {model}")
         else:
-            if (met.name, met.firmware) == TOO_SLOW:
+            if (reported.name, reported.firmware) == TOO_SLOW:
                 raise DeviceError(
-                    f"{met.name} with firmware {met.firmware} answers, which needs too long for a command"
+                    f"{reported.name} with firmware {reported.firmware} answers, which needs too long for a command"
                 )
-            if model_of(met.name) != model:
+            if model_of(reported.name) != model:
                 names = " or ".join([f"KORAD{model}", *(name for name, sold in SOLD_AS.items() if sold == model)])
-                raise DeviceError(f"{met.name} answers; a {model}, which answers {names}, was expected")
-            self.met = met
+                raise DeviceError(f"{reported.name} answers; a {model}, which answers {names}, was expected")
+            self.reported_identity = reported
         yield from self._put(Levels(0, 0))
         return notices
 
     def identity(self) -> Identity:
-        """Name, serial number and firmware that were told."""
-        return identity_of(self.met) if self.met else Identity()
+        """Name, serial number and firmware that the supply reported."""
+        return identity_of(self.reported_identity) if self.reported_identity else Identity()
 
     def leave(self) -> Script[Sequence[str]]:
-        """Do nothing: no protection was touched, for OCP would end every output that regulates its current."""
+        """Do nothing: `set_up` does not change the protections, since OCP would end every current-regulated output."""
         yield from ()
         return ()
 
@@ -155,23 +155,23 @@ class KoradDialogue:
 
         Raises
         ------
-        DeviceError : they come back as others, three times.
+        DeviceError : three times, other levels read back.
         """
         yield from self._put(Levels(round(voltage / STEP_V), round(current / STEP_A)))
 
-    def _put(self, wanted: Levels) -> Script[None]:
-        self._held = wanted
+    def _put(self, levels: Levels) -> Script[None]:
+        self._commanded = levels
         self._regulation.begin_anew()
         for _ in range(TRIES):
-            yield f"ISET1:{wanted.amperes * STEP_A:.3f}"
-            yield f"VSET1:{wanted.volts * STEP_V:05.2f}"
-            held = yield from self._levels()
-            if held == wanted:
+            yield f"ISET1:{levels.amperes * STEP_A:.3f}"
+            yield f"VSET1:{levels.volts * STEP_V:05.2f}"
+            read_back = yield from self._levels()
+            if read_back == levels:
                 return
-        raise DeviceError(f"{held} are set after {wanted} were commanded")
+        raise DeviceError(f"{read_back} are set after {levels} were commanded")
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and check its state; off is repeated, on is not, for a protection may have tripped.
+        """Switch the output and check its state; off is repeated, on is not, because a protection may have tripped.
 
         Raises
         ------
@@ -191,11 +191,11 @@ class KoradDialogue:
     def measured(self) -> Script[SupplyReading]:
         """Measure voltage and current and read the state; every `SETTINGS_S`, also read the settings.
 
-        A round begins after a silence, in which late answers pass and the instrument obeys `off` at once.
+        A round begins after a silence, in which late answers arrive and the instrument obeys `off` at once.
 
         Raises
         ------
-        Unreadable : far more than the supply's rating.
+        Unreadable : a value is far above the supply's rating.
         """
         yield from self.in_step()
         output = yield from self._output()
@@ -204,20 +204,20 @@ class KoradDialogue:
             raise Unreadable(f"{output}, where no more than {rating.voltage:g} V and {rating.current:g} A can be")
         on = self._is_on(output)
         mode = ("constant current" if output.status.limited else "constant voltage") if on else ""
-        if output.seen - self._looked >= SETTINGS_S:
-            self._looked = output.seen
-            held = yield from self._levels()
-            differs = held != self._held
-            self._panel = f"set to {held} by itself; {self._held} were commanded" if differs else ""
+        if output.answer_time - self._settings_read_at >= SETTINGS_S:
+            self._settings_read_at = output.answer_time
+            levels = yield from self._levels()
+            differs = levels != self._commanded
+            self._panel = f"set to {levels} by itself; {self._commanded} were commanded" if differs else ""
         fault = self._panel or (self._astray(output) if on else "")
         return SupplyReading(output.time, output.voltage, output.current, on, mode, fault)
 
     def _astray(self, output: OutputState) -> str:
-        levels = self._held.volts * STEP_V, self._held.amperes * STEP_A
+        levels = self._commanded.volts * STEP_V, self._commanded.amperes * STEP_A
         measured = output.voltage, output.current
-        if not self._regulation.is_lost(measured, levels, output.status.limited, output.seen):
+        if not self._regulation.is_lost(measured, levels, output.status.limited, output.answer_time):
             return ""
-        return f"out of regulation, {output.voltage:.2f} V and {output.current:.3f} A; {self._held} are set"
+        return f"out of regulation, {output.voltage:.2f} V and {output.current:.3f} A; {self._commanded} are set"
 
     def _is_on(self, output: OutputState) -> bool:
         off_v, off_a = self._settings.off_voltage_V, self._settings.off_current_A
@@ -238,11 +238,11 @@ class KoradDialogue:
         return OutputState(state, volts.value * STEP_V, amperes.value * STEP_A, middle, amperes.seen)
 
 
-def identity_of(met: KoradIdentity) -> Identity:
-    """Identity by what a supply told."""
-    return Identity(met.name, met.serial_number, met.firmware)
+def identity_of(reported: KoradIdentity) -> Identity:
+    """Identity that a supply has reported."""
+    return Identity(reported.name, reported.serial_number, reported.firmware)
 
 
 def known_names() -> str:
-    """Names of the models and of their sellers, for a person."""
+    """Names of the models and of their sellers, as text."""
     return ", ".join((*RATINGS, *SOLD_AS))

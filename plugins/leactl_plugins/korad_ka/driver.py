@@ -40,7 +40,7 @@ class KoradKa(SupplyDriver):
         self._line = SupplyLine(name, role, settings, port, self._dialogue, try_s)
 
     def identity(self) -> Identity:
-        """Name, serial number and firmware from `*IDN?`; older firmwares tell no number."""
+        """Name, serial number and firmware from `*IDN?`; older firmwares report no number."""
         return self._dialogue.identity()
 
     @classmethod

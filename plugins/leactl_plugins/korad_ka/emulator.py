@@ -1,8 +1,7 @@
-"""Emulator of the supply: commands end when the line falls silent, and one that comes too soon is lost.
+"""Emulator of the supply: commands end when the line is silent, and a command that arrives too soon is lost.
 
 Too soon is before the answer to a query, or within a rest after a setting or `STATUS?`, which take the instrument
-longer (libsigrok, pull request 210). Settings are not answered, nor is what it does not understand or is out of its
-range.
+longer (libsigrok, pull request 210). Settings, unknown commands and values out of range are not answered.
 """
 
 import math
@@ -85,7 +84,7 @@ class KoradEmulator(SupplyEnd):
         return None
 
     def _change(self, command: str) -> None:
-        """Carry out a setting; what it does not understand, or is out of its range, changes nothing."""
+        """Carry out a setting; an unknown one, or a value out of range, changes nothing."""
         if command in ("OUT0", "OUT1"):
             self._switch(command == "OUT1")
         elif match := re.fullmatch(r"(OVP|OCP)([01])", command):

@@ -36,7 +36,7 @@ TOO_SLOW: Final = (
 
 
 def model_of(name: str) -> str | None:
-    """Model of a supply that tells this name; None for a name that is none of this driver's."""
+    """Model that reports this name; None for a name of no model of this driver."""
     name = name.replace(" ", "")
     model = name.removeprefix("KORAD")
     return model if model != name and model in RATINGS else SOLD_AS.get(name)

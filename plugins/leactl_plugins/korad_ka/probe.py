@@ -15,18 +15,18 @@ class KoradProbe(LineProbe):
     baudrates = (9600,)
 
     def ask(self, port: SerialPort) -> Seen:
-        """Ask who it is; where nothing answers, end the line, for other instruments wait for that."""
+        """Ask for the identity; if nothing answers, send an end of line, which other instruments wait for."""
         port.line_end = b""
         try:
-            met = Talk(port, _identified(), ANSWER_S).finish(port.clock.now() + 2 * ANSWER_S)
+            reported = Talk(port, _identified(), ANSWER_S).finish(port.clock.now() + 2 * ANSWER_S)
         except NoAnswer:
             port.write(b"\n")
             return
-        model = model_of(met.name)
+        model = model_of(reported.name)
         if model is None:
-            yield Sighting(None, identity_of(met), None, f"no supply of this driver ({known_names()})")
+            yield Sighting(None, identity_of(reported), None, f"no supply of this driver ({known_names()})")
         else:
-            yield Sighting(None, identity_of(met), {"model": model})
+            yield Sighting(None, identity_of(reported), {"model": model})
 
 
 def _identified() -> Script[KoradIdentity]:

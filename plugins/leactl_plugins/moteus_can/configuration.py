@@ -1,7 +1,7 @@
-"""A controller's parameters by their names: `conf get` and `conf set` of its diagnostic text.
+"""Read and write a controller's parameters by name: `conf get` and `conf set` of its diagnostic text.
 
-Source: mjbots, `docs/protocol/diagnostic.md` and `docs/reference/configuration.md` of the moteus repository. What is
-set here is held in the controller's memory alone, and lost when it is switched off: `conf write` is never sent.
+Source: mjbots, `docs/protocol/diagnostic.md` and `docs/reference/configuration.md` of the moteus repository. Written
+values are held in the controller's memory only, and lost when it is switched off: `conf write` is never sent.
 """
 
 import math
@@ -10,7 +10,7 @@ from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier, padded, poll_for_text, text_to_device
 
-TIMEOUT_MODE = "servo.timeout_mode"  # what is done once a command has run out
+TIMEOUT_MODE = "servo.timeout_mode"  # reaction to an expired command
 TIMEOUT_STOPPED = 0  # the power stage is switched off
 KV = "motor.Kv"  # rpm/V
 RATIO = "motor_position.rotor_to_output_ratio"  # turns of the output per turn of the rotor
@@ -23,9 +23,9 @@ BEMF_FEEDFORWARD = "servo.bemf_feedforward"  # refused by the firmware without a
 
 CHANNEL = 1
 MOST_TEXT = 48  # bytes an answer
-TRIES = 3  # of one question or one write: a frame may get lost
+TRIES = 3  # of one query or one write: a frame may get lost
 POLLS = 3  # for one answer within the loop, each with as much text as a frame holds
-AGAIN_S = 0.002  # before text that is not there yet is polled for again
+AGAIN_S = 0.002  # between two polls for text that is not ready yet
 NEAR = 1e-6  # of a value, for the controller's single precision
 
 
@@ -38,21 +38,21 @@ class Configuration:
         self._answered = identifier(host | FROM_HOST, node)
         self._came = [False]
         self._text = b""
-        self._parameter = ""  # that `continue_reading` asks for, once what an earlier host has left is thrown away
+        self._parameter = ""  # of `continue_reading`, which first discards text left by an earlier host
         self._is_asked, self._heard = False, b""
         self._asked_at, self._polls = -math.inf, 0
         self._ask_again_at = -math.inf
 
     def on_text(self, text: bytes) -> None:
-        """Take what a poll has brought, nothing included."""
+        """Receive the text of a poll, which may be empty."""
         self._text, self._came[0] = text, True
 
     def read(self, parameter: str) -> float:
-        """Ask for a parameter's value; a switch is 0 or 1.
+        """Query a parameter's value; a switch is 0 or 1.
 
         Raises
         ------
-        DeviceError : the controller does not have it; `NoAnswer` where it does not answer.
+        DeviceError : the controller lacks it; `NoAnswer` if it does not answer.
         """
         return self._number_in(parameter, self._ask(f"conf get {parameter}"))
 
@@ -65,27 +65,29 @@ class Configuration:
             ) from None
 
     def write(self, parameter: str, value: float) -> None:
-        """Set a parameter and see that the controller keeps it.
+        """Set a parameter and read it back.
 
         Raises
         ------
-        DeviceError : it does not; `NoAnswer` where it does not answer.
+        DeviceError : another value reads back; `NoAnswer` if the controller does not answer.
         """
         answer = self._ask(f"conf set {parameter} {value:g}")
-        kept = self.read(parameter)
-        if not abs(kept - value) <= NEAR * abs(value):
-            raise DeviceError(f"{self._name}: {parameter} is {kept:g} although {value:g} was written ('{answer[:40]}')")
+        read_back = self.read(parameter)
+        if not abs(read_back - value) <= NEAR * abs(value):
+            raise DeviceError(
+                f"{self._name}: {parameter} is {read_back:g} although {value:g} was written ('{answer[:40]}')"
+            )
 
     def begin_reading(self, parameter: str) -> None:
-        """Begin to query a parameter within the control loop; `continue_reading` goes on with it."""
+        """Begin to query a parameter within the control loop; `continue_reading` continues the query."""
         self._parameter, self._ask_again_at = parameter, -math.inf
         self._came[0] = self._is_asked = False
 
     def continue_reading(self) -> float | None:
-        """Send the next frames of the query without waiting; returns the value once it has come.
+        """Send the next frame of the query without waiting; returns the value once it has arrived.
 
-        A poll that is not answered within `answer_timeout_s` begins the query anew, and so does a question whose answer
-        is not whole by then and after three polls: a cycle may take longer than the time-out.
+        If a poll is not answered within `answer_timeout_s`, the query begins again; so it does if the answer is
+        incomplete by then and after three polls: a cycle may take longer than the time-out.
 
         Raises
         ------
@@ -111,7 +113,7 @@ class Configuration:
         return None
 
     def _ask(self, line: str) -> str:
-        """Send a line and wait for the first line of what comes; what an earlier host has left is thrown away."""
+        """Send a line and return the first line of the answer; text left by an earlier host is discarded first."""
         for _ in range(TRIES):
             until = self._port.clock.now() + self._timeout_s
             while self._poll(until):
@@ -130,7 +132,7 @@ class Configuration:
         raise NoAnswer(f"{self._name}: '{line}' was not answered in {TRIES} times {self._timeout_s:g} s")
 
     def _poll(self, until: float) -> bytes | None:
-        """Text that waits in the controller; None where the poll is not answered."""
+        """Text that waits in the controller; None if the poll is not answered."""
         self._send_poll()
         return self._text if self._port.pump_until(self._came, until) else None
 

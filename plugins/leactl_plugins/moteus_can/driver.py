@@ -1,7 +1,7 @@
-"""mjbots moteus controllers over CAN-FD: one frame a cycle that commands and asks, one that answers.
+"""mjbots moteus controllers over CAN-FD: each cycle, one frame with command and query, and one with the answer.
 
-All modes are the controller's position mode with some of its parts switched off: a command runs out by itself there
-alone. The README of this plug-in lists the sources, and what only a real controller can show.
+All modes are the controller's position mode with some of its parts switched off, because only there does a command
+expire by itself. The README of this plug-in lists the sources, and what has to be verified on a real controller.
 """
 
 import math
@@ -31,19 +31,19 @@ from leactl_plugins.moteus_can.registers import (
 )
 from leactl_plugins.moteus_can.settings import HOST, MoteusSettings
 
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {Mode.CURRENT: CURRENT, Mode.VELOCITY: VELOCITY, Mode.ANGLE: ANGLE}
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
-FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
+FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
 ENABLE_TIME_S = 2.0
 TRIES = 3  # of one question: a frame may get lost
-SECOND_ANSWER_S = 0.01  # within which another controller of the same number has answered too
+SECOND_ANSWER_S = 0.01  # within which a second controller of the same number answers too
 QUIET_S = 1.0  # at most one notice of a kind in this time
-TORQUE_SHOWS_A = 1.0  # of amplitude, above which torque and current are held against each other
+TORQUE_SHOWS_A = 1.0  # of amplitude, above which torque and current are compared
 TORQUE_SAMPLES = 50
-TORQUE_NEAR = 0.05  # of their ratio; a wrong factor or gear is further off
-GIVEN_NEAR = 0.01  # of a value that the bench file gives as well
+TORQUE_NEAR = 0.05  # allowed difference of their ratio; that of a wrong factor or gear is larger
+GIVEN_NEAR = 0.01  # allowed difference from a value that the bench file states
 NAN = math.nan
 
 STOP = write(Register.MODE, [OperatingMode.STOPPED], Resolution.INT8)
@@ -54,7 +54,7 @@ STATUS = query(
     (Register.FAULT, 1, Resolution.INT8),
     (Register.COMMAND_TIMEOUT, 1, Resolution.FLOAT),
 )
-WITH_SUPPLY = query(  # in place of the time-out: a frame holds no more beside a command
+WITH_SUPPLY = query(  # instead of the time-out: a frame with a command has no room for both
     (Register.MODE, 1, Resolution.INT8),
     (Register.POSITION, 4, Resolution.FLOAT),
     (Register.FAULT, 1, Resolution.INT8),
@@ -87,35 +87,35 @@ class MoteusCan(Driver):
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._lowest_turns, self._highest_turns = -FARTHEST_TURNS, FARTHEST_TURNS
         self._identity = Identity()
-        self._timeout_mode_as_met: float | None = None  # given back at the end
-        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._timeout_mode_before: float | None = None  # restored at `close`
+        self._safe = False  # it has confirmed to be safe, and got no demand since
         self._exchange = ControllerExchange(port, self._to)
-        self._answer: dict[int, float] = {}  # the last one
+        self._answer: dict[int, float] = {}  # the last answer, by register
         self._heard_until = -math.inf
-        self.reported_mode: int | None = None  # since the mode to follow changed last; None until it reports one
+        self.reported_mode: int | None = None  # since the last change of the demanded mode; None until one is reported
         self.fault = 0
         self._reported_timeout = NAN
-        self._turns = NAN  # where the shaft is
+        self._turns = NAN  # revolutions, reported position of the shaft
         self._supply_due = -math.inf
-        self._with_supply = self._had_supply = False  # the next question, and the last one
+        self._with_supply = self._had_supply = False  # whether the next query, and the last one, asks for the supply
         self._rows: list[Row] = []
         self._limited, self._reported_limit = 0, 0
         self._quiet_until = -math.inf
-        self._supervised = False  # since the last command, so that the next one may be sent
+        self._supervised = False  # whether `feed` was called since the last command, so that the next may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
-        self._timeout_mode = NAN  # as it has read back since the mode to follow changed last
-        self._prepared = False  # it has reported since that it is stopped, with the time-out mode that `open` set
+        self._timeout_mode = NAN  # as read back since the last change of the demanded mode
+        self._prepared = False  # whether it has since reported to be stopped, with the time-out mode that `open` set
         self._enable_by = math.inf
-        self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller shows
+        self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller reports
         self._samples = 0
-        self._followed = [NAN, NAN, NAN]  # current, velocity and angle in force since the readings were asked for last
+        self._followed = [NAN, NAN, NAN]  # current, velocity and angle references in force since the last query
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Stop the controller, from any state, over a fresh connection if need be; never raises.
+        """Stop the controller, from any state, over a new connection if needed; never raises.
 
-        Confirmed is what it reports in an answer to a frame that told it to stop, or to a later one. A controller in
-        fault has no power at its output, and a stop would clear the fault: one that is known to be in fault is asked.
+        Only the answer to a frame with a stop command, or to a later frame, confirms it. A controller in fault has no
+        power at its output, and a stop would clear the fault: if a fault is known, the controller is only queried.
         """
         return self._stop(deadline_s, self.reported_mode == OperatingMode.FAULT)
 
@@ -149,9 +149,9 @@ class MoteusCan(Driver):
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
 
     def stop_now(self) -> None:
-        """Send what stops the controller, and wait for nothing; over a fresh connection if need be.
+        """Send the command that stops the controller, without waiting; over a new connection if needed.
 
-        One that has reported a fault has no power at its output, and is left in fault.
+        A controller that has reported a fault has no power at its output, and is left in fault.
         """
         in_fault = self.reported_mode == OperatingMode.FAULT
         self._follow(Mode.OFF)
@@ -164,17 +164,17 @@ class MoteusCan(Driver):
         send_at_once(send, self._port, lambda: self._connected)
 
     def open(self) -> None:
-        """Meet the controller, look at its faults, stop it, read its scales, and set what it does on a time-out.
+        """Identify the controller, check its faults, stop it, read its scales, and set its reaction to a time-out.
 
         Raises
         ------
         DeviceError : it is absent, has another register map, shares its number, or holds a setting that cannot be
-            driven or that the bench file says otherwise; `DeviceFault` where it is in fault.
+            driven or that contradicts the bench file; `DeviceFault` if it is in fault.
         """
         self._connect()
-        self._safe, self._timeout_mode_as_met = False, None
+        self._safe, self._timeout_mode_before = False, None
         self._exchange.begin()
-        self._meet()
+        self._identify()
         if self.reported_mode == OperatingMode.FAULT and not self.settings.reset_fault_at_start:
             raise DeviceFault(
                 f"{self.name}: {fault_text(self.fault)}; reset_fault_at_start: true clears it when its cause is gone"
@@ -184,25 +184,25 @@ class MoteusCan(Driver):
             raise DeviceError(f"{self.name}: the controller does not stop: {confirmation.detail}")
         self._safe = False
         self._read_scales()
-        met = self._configuration.read(conf.TIMEOUT_MODE)
-        if met != conf.TIMEOUT_STOPPED:
+        timeout_mode = self._configuration.read(conf.TIMEOUT_MODE)
+        if timeout_mode != conf.TIMEOUT_STOPPED:
             self._configuration.write(conf.TIMEOUT_MODE, conf.TIMEOUT_STOPPED)
-            self._timeout_mode_as_met = met
+            self._timeout_mode_before = timeout_mode
         self._heard_until = self._clock.now() + self.settings.host_silence_s
 
     def close(self) -> None:
-        """Stop listening and let the bus go; a controller that is safe gets its own time-out mode back."""
+        """Stop listening and close the bus; the time-out mode of a safe controller is restored."""
         if self._connected:
-            if self._safe and self._timeout_mode_as_met is not None:
+            if self._safe and self._timeout_mode_before is not None:
                 with suppress(DeviceError):  # it is safe, which is what counts
-                    self._configuration.write(conf.TIMEOUT_MODE, self._timeout_mode_as_met)
+                    self._configuration.write(conf.TIMEOUT_MODE, self._timeout_mode_before)
             self._connected = False
             self._port.listen_fd(self._from, None)
             self._port.close()
 
     @classmethod
     def far_end(cls, settings: MoteusSettings, role: str, physics: Physics) -> CanEmulator:
-        """A controller of this number that turns the bench's machine."""
+        """A controller of this number that turns the bench's motor."""
         from leactl_plugins.moteus_can.emulator import MoteusEmulator
 
         return MoteusEmulator(
@@ -213,19 +213,19 @@ class MoteusCan(Driver):
         )
 
     def identity(self) -> Identity:
-        """Model number, serial number as `moteus_tool --info` prints it, and firmware, as told when it was opened."""
+        """Model number, serial number as `moteus_tool --info` prints it, and firmware, as read when it was opened."""
         return self._identity
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        """Channels of `values`: the references that were in force until the query, and the readings."""
         return drive_channels(self.role, self.name)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage and the board's temperature, asked for at their own pace."""
+        """The bus voltage and the board's temperature, queried at their own rate."""
         channels = (
             ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage"),
             ChannelSpec("drive_temperature", "drive_temperature", self.role, self.name, "temperature of the board"),
@@ -234,7 +234,7 @@ class MoteusCan(Driver):
 
     @property
     def engaged(self) -> bool:
-        """True where the controller has told that it follows commands, each of which runs out in the time asked for."""
+        """Whether the controller reports position mode, and commands that expire after the demanded time."""
         return (
             self._mode is not Mode.OFF
             and self._prepared
@@ -243,7 +243,7 @@ class MoteusCan(Driver):
         )
 
     def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
+        """Begin to enter operation in this mode with zero demand; in angle mode the present angle is held.
 
         Raises
         ------
@@ -264,7 +264,7 @@ class MoteusCan(Driver):
 
         Raises
         ------
-        InputError : not finite, or beyond what the controller lets through: it would cut it.
+        InputError : not finite, or above the controller's limit, at which it would clip the demand.
         """
         if self._reference == CURRENT:
             low, high, units, where = -self._most_current, self._most_current, "A", conf.MAX_CURRENT
@@ -281,9 +281,9 @@ class MoteusCan(Driver):
         self._value = value
 
     def begin_cycle(self) -> None:
-        """Send this cycle's command, and ask for the readings in the same frame.
+        """Send this cycle's command and the query of the readings in one frame.
 
-        A command is what keeps the controller going: none is sent that no supervised cycle came before.
+        Commands keep the controller in operation: one is sent only after a supervised cycle.
         """
         command = b""
         if self._mode is not Mode.OFF and self._prepared:
@@ -299,12 +299,12 @@ class MoteusCan(Driver):
         self._exchange.ask(command, WITH_SUPPLY if with_supply else STATUS)
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the readings; NaN where they did not come.
+        """Collect the readings; NaN if they did not arrive.
 
         Raises
         ------
-        DeviceFault : the controller has a fault, its command has run out, or it left operation by itself.
-        NoAnswer : its answers stayed away, or it did not enter operation in time.
+        DeviceFault : the controller has a fault, its command has expired, or it left operation by itself.
+        NoAnswer : it does not answer, or did not enter operation in time.
         """
         values = self.values
         came = self._port.pump_until(self._exchange.came, deadline)
@@ -325,11 +325,11 @@ class MoteusCan(Driver):
         if engaged:
             self._enable_by = -math.inf  # from here on, leaving operation is the controller's own doing
             if came:
-                self._hold_torque_against_current(self._answer)
+                self._check_torque_per_ampere(self._answer)
         self._judge(now, engaged)
 
     def feed(self) -> None:
-        """Let the next command be sent, which is valid for the time of the watchdog; ask for the supply at its pace."""
+        """Allow the next command, which is valid for the watchdog's time; query the supply if that is due."""
         self._supervised = True
         now = self._clock.now()
         if now >= self._supply_due:
@@ -337,12 +337,12 @@ class MoteusCan(Driver):
             self._with_supply = True
 
     def take(self) -> list[Row]:
-        """Bus voltages and temperatures that have come in since the last call."""
+        """Bus voltages and temperatures since the last call."""
         rows, self._rows = self._rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """A line for irregular and unreadable answers, for what limits the output, and for a full bus."""
+        """Notices: irregular and unreadable answers, changes of what limits the output, and a full bus."""
         lines, now = [], self._clock.now()
         if now >= self._quiet_until or self._mode is Mode.OFF:
             lines += self._exchange.notices()
@@ -359,7 +359,7 @@ class MoteusCan(Driver):
     # -- on the way into operation -----------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode, with no demand; what the controller has shown so far is of the mode before."""
+        """Turn to a mode with zero demand; earlier reports of the controller belong to the mode before."""
         self._mode, self._value = mode, 0.0
         self._reference = FOLLOWED.get(mode, ANGLE)
         self._enable_by, self._supervised = math.inf, False
@@ -368,15 +368,15 @@ class MoteusCan(Driver):
         self._configuration.begin_reading(conf.TIMEOUT_MODE)
 
     def _read_timeout_mode(self) -> None:
-        """Go on reading what the controller does on a time-out: one that has restarted has forgotten it."""
+        """Continue to query the time-out mode, which a controller that has restarted has lost."""
         read = self._configuration.continue_reading()
         self._timeout_mode = NAN if read is None else read
 
     def _demand(self) -> bytes:
-        """The command of the mode; until the controller is in operation the angle is where the shaft is."""
+        """Command of the mode; until the controller is in operation, the demanded angle is the present one."""
         if self._reference == ANGLE and not self.engaged:
             if not abs(self._turns) <= FARTHEST_TURNS:
-                return b""  # until it is known where the shaft is
+                return b""  # until the position of the shaft is known
             self._value = self._turns * self._turn
         position, velocity, torque, loop = NAN, 0.0, 0.0, 1.0
         if self._reference == CURRENT:
@@ -393,7 +393,7 @@ class MoteusCan(Driver):
         )
 
     def _judge(self, now: float, engaged: bool) -> None:
-        """Say what keeps the drive out of operation, where it should be in it."""
+        """Raise the reason why the drive is not in operation although it should be."""
         self._expect_one_controller()
         if self.reported_mode == OperatingMode.FAULT:
             raise DeviceFault(f"{self.name}: {fault_text(self.fault)}")
@@ -422,10 +422,10 @@ class MoteusCan(Driver):
                 where += f"; {conf.TIMEOUT_MODE} was not answered"
             raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{where}")
 
-    def _hold_torque_against_current(self, answer: Mapping[int, float]) -> None:
-        """Refuse a controller whose own torque per ampere is another than that by which currents are sent.
+    def _check_torque_per_ampere(self, answer: Mapping[int, float]) -> None:
+        """Raise DeviceError if the controller's torque per ampere differs from the one by which currents are sent.
 
-        It works its torque out of its current: what it shows is the factor that it divides demands by.
+        The controller computes its torque from its current, so their ratio is the factor by which it divides demands.
         """
         current, torque = answer[Register.Q_CURRENT], answer[Register.TORQUE]
         if not abs(current) >= TORQUE_SHOWS_A:
@@ -453,8 +453,8 @@ class MoteusCan(Driver):
         elif self._port.bus is None:
             self._port.reopen()
 
-    def _meet(self) -> None:
-        """See that one controller of this number is there and has the register map that is known here."""
+    def _identify(self) -> None:
+        """Check that one controller of this number answers and has the known register map."""
         now = self._clock.now
         if not any(self._exchange.is_answered(b"", WHO, now() + self.settings.answer_timeout_s) for _ in range(TRIES)):
             raise NoAnswer(
@@ -479,11 +479,11 @@ class MoteusCan(Driver):
             )
 
     def _read_scales(self) -> None:
-        """Read what demands are converted and bounded by, and hold it against the bench file.
+        """Read the scales and limits of demands, and compare them with the bench file.
 
         Raises
         ------
-        DeviceError : the controller is not calibrated, is set up to be driven otherwise, or differs.
+        DeviceError : the controller is not calibrated, is configured for another kind of control, or differs.
         """
         get = self._configuration.read
         for parameter, reason in REFUSED.items():

@@ -1,9 +1,9 @@
-"""The far end of a moteus controller's wire: registers, position mode, time-outs, faults, limits and the text tunnel.
+"""Emulator of a moteus controller: registers, position mode, time-outs, faults, limits and the text tunnel.
 
-Frames in, frames out; it shares with the driver the numbers and scales of registers, and takes frames apart by itself,
-as the firmware does: a frame whose rest cannot be read is heeded as far as it could be. Modes and limits follow the
-maker's `fw/bldc_servo_control.h`, of which stopped, current and position can be commanded here; an answer tells the
-state before the command of its own frame.
+Frames in, frames out; it shares with the driver the numbers and scales of registers, and parses frames by itself, as
+the firmware does: if the end of a frame cannot be read, the part before it is still obeyed. Modes and limits follow the
+maker's `fw/bldc_servo_control.h`; of the modes, stopped, current and position can be commanded here. An answer reports
+the state before the command of its own frame.
 """
 
 import base64
@@ -42,11 +42,11 @@ COMMANDS = {  # what each register holds after the mode was written
     Register.COMMAND_ILIMIT_SCALE: 1.0,
 }
 ON_THE_WAY = (2, 3, 4)  # from stopped to the mode that was commanded
-FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that a controller can be told
+FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that can be commanded
 
 
 class MoteusEmulator:
-    """One controller at a number, turning a machine."""
+    """One controller of a number, which turns a motor."""
 
     def __init__(
         self, node: int, machine: Machine, *, torque_constant: float | None = None, max_current: float | None = None
@@ -79,20 +79,20 @@ class MoteusEmulator:
         self._commanded = dict(COMMANDS)
         self._wanted = int(OperatingMode.STOPPED)  # mode of the last command
         self._expires = self._enabled_at = math.inf
-        self._wrote_mode = self._is_asked = False  # by the frame at hand
-        self._sensed = (0.0, 0.0, 0.0)  # for it: current, velocity and angle of one moment
+        self._wrote_mode = self._is_asked = False  # by the present frame
+        self._sensed = (0.0, 0.0, 0.0)  # for this frame: current, velocity and angle at one time
         self._line, self._text = b"", b""
 
     # -- time --------------------------------------------------------------------------------------------------------
 
     @property
     def due(self) -> float:
-        """When the command runs out, or the way into operation ends."""
+        """Time at which the command expires, or operation begins [s]."""
         runs_out = self._expires if self.mode == OperatingMode.POSITION else math.inf
         return math.inf if self.frozen else min(runs_out, self._enabled_at)
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what time brings; a controller sends nothing by itself."""
+        """Let commands expire and operation begin; a controller sends nothing by itself."""
         if self.frozen:
             return []
         if now >= self._enabled_at:
@@ -106,7 +106,7 @@ class MoteusEmulator:
         return []
 
     def _run_out(self) -> None:
-        """Do what `servo.timeout_mode` says; only a stop leads out of it."""
+        """React to an expired command by `servo.timeout_mode`; only a stop ends this state."""
         if self.parameters["servo.timeout_mode"] in (OperatingMode.ZERO_VELOCITY, OperatingMode.POSITION):
             self._machine.command("velocity", 0.0)
         else:
@@ -131,7 +131,7 @@ class MoteusEmulator:
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take one frame from the bus and answer it."""
+        """Receive one frame from the bus; returns the answer."""
         source, destination = frame.identifier >> 8 & 0xFF, frame.identifier & 0xFF
         if self.frozen or not isinstance(frame, FdFrame) or destination not in (self.node, 0x7F):
             return []
@@ -148,7 +148,7 @@ class MoteusEmulator:
         return [FdFrame(self.node << 8 | source & 0x7F, answer.ljust(length, b"\x50"))]
 
     def _heed(self, data: bytes) -> bytes:
-        """Do what the subframes say, in order; the answer, as far as the frame could be read."""
+        """Obey the subframes in order; returns the answer, as far as the frame could be read."""
         answer, offset = bytearray(), 0
         try:
             while offset < len(data) and len(answer) <= LENGTHS[-1] - KEPT_FREE:
@@ -164,7 +164,7 @@ class MoteusEmulator:
         return bytes(answer)
 
     def _tunnel(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
-        """Take text, or be polled for it; where no answer is asked for, none is given away."""
+        """Receive text, or a poll for text; if no answer is requested, no text is taken from the buffer."""
         channel, offset = _varuint(data, offset)
         count, offset = _varuint(data, offset)
         most = LENGTHS[-1] - KEPT_FREE
@@ -181,7 +181,7 @@ class MoteusEmulator:
         return offset
 
     def _registers(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
-        """Write or read registers of one subframe; what is not known ends the reading of a frame."""
+        """Write or read the registers of one subframe; an unknown register ends the reading of the frame."""
         resolution, count, head = kind >> 2 & 3, kind & 3, b""
         if not count:
             count, offset = _varuint(data, offset)
@@ -189,11 +189,11 @@ class MoteusEmulator:
         register, offset = _varuint(data, offset)
         layout = LAYOUTS[resolution]
         if kind < 0x10:
-            for each in range(register, register + count):
+            for number in range(register, register + count):
                 (raw,) = layout.unpack_from(data, offset)
                 offset += layout.size
-                if error := self._write(each, _physical(each, resolution, raw)):
-                    answer += bytes((0x30,)) + _varuint_of(each) + bytes((error,))
+                if error := self._write(number, _physical(number, resolution, raw)):
+                    answer += bytes((0x30,)) + _varuint_of(number) + bytes((error,))
             return offset
         if not self._is_asked:
             return offset
@@ -202,12 +202,12 @@ class MoteusEmulator:
             answer += bytes((0x31,)) + _varuint_of(register) + bytes((NO_ROOM,))
             return offset
         values = b""
-        for each in range(register, register + count):
-            value = self._read(each, resolution)
+        for number in range(register, register + count):
+            value = self._read(number, resolution)
             if value is None:
-                answer += bytes((0x31,)) + _varuint_of(each) + bytes((UNKNOWN_REGISTER,))
+                answer += bytes((0x31,)) + _varuint_of(number) + bytes((UNKNOWN_REGISTER,))
                 raise IndexError
-            values += layout.pack(_coded(each, resolution, value))
+            values += layout.pack(_coded(number, resolution, value))
         answer += head + values
         return offset
 
@@ -243,21 +243,21 @@ class MoteusEmulator:
             Register.FAULT: self.fault_code,
             Register.TEMPERATURE: self.temperature,
         }
-        whole: dict[int, int] = dict(
+        integers: dict[int, int] = dict(
             zip(range(Register.SERIAL_NUMBER, Register.SERIAL_NUMBER + 3), self.words, strict=True)
         ) | {
             Register.MODEL_NUMBER: self.model,
             Register.FIRMWARE_VERSION: self.firmware,
             Register.REGISTER_MAP_VERSION: self.map_version,
         }
-        if register in whole:
-            return whole[register] if resolution == 2 else None
+        if register in integers:
+            return integers[register] if resolution == 2 else None
         return plain.get(register)
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def _take_command(self, now: float) -> None:
-        """Change the mode as the firmware does: a fault and a time-out are left by a stop alone."""
+        """Change the mode as the firmware does: only a stop ends a fault or a time-out."""
         if self._wanted == OperatingMode.STOPPED:
             self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
             self._expires = self._enabled_at = math.inf
@@ -282,7 +282,7 @@ class MoteusEmulator:
         self._drive()
 
     def _drive(self) -> None:
-        """Have the machine follow the command, cut to the limits with the code of the one that cuts."""
+        """Let the motor follow the command within the limits; a limit that acts sets its fault code."""
         commanded, self.fault_code = self._commanded, 0
         position, velocity = commanded[Register.COMMAND_POSITION], commanded[Register.COMMAND_VELOCITY]
         if self.mode == OperatingMode.CURRENT:
@@ -301,7 +301,7 @@ class MoteusEmulator:
             self._machine.command("angle", position * TURN)
 
     def _current(self) -> float:
-        """The amplitude that the torque asked for leads to."""
+        """Current amplitude for the demanded torque."""
         torque = self._commanded[Register.COMMAND_FEEDFORWARD_TORQUE]
         most = self._commanded[Register.COMMAND_MAX_TORQUE]
         if abs(torque) > most:
@@ -309,7 +309,7 @@ class MoteusEmulator:
         return self._limited(torque / self._torque_constant)
 
     def _limited(self, current: float) -> float:
-        """An amplitude within what configuration and temperature allow."""
+        """Current amplitude within the limits of configuration and temperature."""
         most, code = self.parameters["servo.max_current_A"], LIMIT_CURRENT
         margin = self.parameters["servo.temperature_margin"]
         hot = (self.temperature - self.parameters["servo.fault_temperature"] + margin) / margin
@@ -323,7 +323,7 @@ class MoteusEmulator:
 
     @property
     def _torque_constant(self) -> float:
-        """N*m at the output per ampere of amplitude."""
+        """Torque at the output per ampere of amplitude [N*m/A]."""
         return TORQUE_FACTOR / self.parameters["motor.Kv"] / self.parameters["motor_position.rotor_to_output_ratio"]
 
     # -- text --------------------------------------------------------------------------------------------------------
@@ -350,7 +350,7 @@ class MoteusEmulator:
 
     @property
     def serial_number(self) -> str:
-        """As `moteus_tool --info` prints it."""
+        """Serial number as `moteus_tool --info` prints it."""
         return base64.b64encode(struct.pack(">3I", *self.words)).decode("ascii")
 
     @serial_number.setter
@@ -363,7 +363,7 @@ class MoteusEmulator:
     # -- faults inside the drive -------------------------------------------------------------------------------------
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        """Stop answering and keep the last demand (`frozen` True), or return to normal."""
         self.frozen = frozen
 
     def restart(self) -> None:
@@ -375,7 +375,7 @@ class MoteusEmulator:
         self._machine.command("off", 0.0)
 
     def fault(self, code: int) -> None:
-        """Take the power away with the maker's code that is nearest to this one of CiA 301."""
+        """Enter fault with the maker's code that is closest to this CiA 301 code."""
         self._fail(FAULT_OF_CLASS.get(code >> 8, MOTOR_DRIVER))
 
 
@@ -402,7 +402,7 @@ def _physical(register: int, resolution: int, raw: float) -> float:
 
 
 def _coded(register: int, resolution: int, value: float) -> float:
-    """A value as it is sent: clipped, not rounded, with the lowest code for NaN, as the firmware does."""
+    """Value as sent: clipped, not rounded, with the lowest code for NaN, as the firmware does."""
     if resolution == 3:
         return value
     highest = -LOWEST[resolution] - 1

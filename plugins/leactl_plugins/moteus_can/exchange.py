@@ -1,7 +1,7 @@
-"""Numbered questions to one controller: which of them an answer belongs to, and what came otherwise.
+"""Numbered queries to one controller: match answers to queries, and count lost, late and surplus answers.
 
-Each question writes its number into a register that the controller heeds in PWM mode alone, and reads it back in the
-same frame: an answer carries the number of its question, whatever was lost or late before it.
+Each query writes its number into a register that the controller uses in PWM mode only, and reads it back in the same
+frame: an answer carries the number of its query, whatever was lost or late before it.
 """
 
 import math
@@ -15,43 +15,43 @@ from leactl_plugins.moteus_can.registers import MODES, Register
 
 NUMBER = Register.PWM_PHASE_A
 LAST_NUMBER = 1 << 23  # whole numbers up to here are exact in single precision
-LATEST = 64  # questions whose answers may still come
-WIDEST_TURNS = 32768.0  # beyond which the controller counts no position
+LATEST = 64  # queries whose answers may still arrive
+WIDEST_TURNS = 32768.0  # range of the controller's position
 
 
 class RegisterQuery(NamedTuple):
-    """What is asked for: subframes, and the registers that an answer has to hold, each once."""
+    """A query: its subframes, and the registers that an answer has to hold, each once."""
 
     subframes: bytes
     registers: frozenset[int]
 
 
 def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
-    """Ask for registers: the first of each part, how many from it on, and how they are to be sent."""
-    registers = {each for first, count, _ in parts for each in range(first, first + count)}
-    asked = read(NUMBER) + b"".join(read(*part) for part in parts)
-    return RegisterQuery(asked, frozenset((NUMBER, *registers)))
+    """Make a query of registers: for each part, the first register, their count, and their resolution."""
+    registers = {number for first, count, _ in parts for number in range(first, first + count)}
+    subframes = read(NUMBER) + b"".join(read(*part) for part in parts)
+    return RegisterQuery(subframes, frozenset((NUMBER, *registers)))
 
 
 class ControllerExchange:
-    """The questions to one controller, and its answers."""
+    """The queries to one controller, and its answers."""
 
     def __init__(self, port: CanPort, identifier: int) -> None:
         self._port, self._identifier = port, identifier
         self._number, self._registers = 0, frozenset[int]()
-        self._unanswered: dict[float, bool] = {}  # whether a cycle has given the answer up
+        self._unanswered: dict[float, bool] = {}  # by number: whether the answer was counted as lost
         self._answered, self._answered_by = 0, b""
         self.came = [False]  # the answer to the last question
         self.begin()
 
     def begin(self) -> None:
-        """Count from nothing again."""
+        """Reset all counts."""
         self.irregular, self._irregular_reported = Irregular(), Irregular()
         self.unreadable, self._unreadable_reported, self._last_unreadable = 0, 0, ""
         self.second_controller = False
 
     def ask(self, command: bytes, asked: RegisterQuery) -> None:
-        """Send a command, which may be none, and a question; does not wait.
+        """Send a command, which may be empty, and a query; does not wait.
 
         Raises
         ------
@@ -62,21 +62,21 @@ class ControllerExchange:
         self._unanswered[self._number] = False
         if len(self._unanswered) > LATEST:
             del self._unanswered[next(iter(self._unanswered))]
-        number = write(NUMBER, [float(self._number)])  # behind the mode, which resets what was written before it
+        number = write(NUMBER, [float(self._number)])  # after the mode, which resets what was written before it
         self._port.send_fd(self._identifier, padded(command + number + asked.subframes))
 
     def is_answered(self, command: bytes, asked: RegisterQuery, until: float) -> bool:
-        """Send a command and a question, and wait for the answer until this moment."""
+        """Send a command and a query, and wait for the answer until `until` [s]; returns whether it came."""
         self.ask(command, asked)
         return self._port.pump_until(self.came, until)
 
     def give_up(self) -> None:
-        """Count the answer to the last question as lost, until it comes after all."""
+        """Count the answer to the last query as lost, unless it arrives later."""
         self.irregular.lost += 1
         self._unanswered[self._number] = True
 
     def takes(self, reply: ControllerReply, data: bytes) -> bool:
-        """Whether a reply is the answer to the last question; it is counted where it is not."""
+        """Whether a reply answers the last query; other replies are counted."""
         number = reply.values.get(NUMBER, math.nan)
         if self.came[0] or number != self._number:
             self._take_another(number, data)
@@ -95,7 +95,7 @@ class ControllerExchange:
         self._last_unreadable = fault
 
     def notices(self) -> list[str]:
-        """A line for what was counted since the last call: irregular answers, unreadable ones."""
+        """Lines for irregular and for unreadable answers since the last call."""
         lines = []
         if self.irregular != self._irregular_reported:
             self._irregular_reported = replace(self.irregular)
@@ -106,9 +106,9 @@ class ControllerExchange:
         return lines
 
     def _take_another(self, number: float, data: bytes) -> None:
-        """Count an answer to an earlier question, or to none.
+        """Count an answer to an earlier query, or to none.
 
-        A controller's frame may come twice; another frame with the same number is of another controller.
+        A controller's frame may arrive twice; a different frame with the same number is from another controller.
         """
         given_up = self._unanswered.pop(number, None)
         if given_up:
@@ -120,7 +120,7 @@ class ControllerExchange:
                 self.second_controller = True
 
     def _fault_of(self, reply: ControllerReply) -> str:
-        """Why a reply cannot be the answer although it has the number; empty where it can."""
+        """Reason why a reply with the right number is not a valid answer; empty if it is valid."""
         values = reply.values
         if reply.errors:
             refused = ", ".join(f"0x{register:03X} (error {code})" for register, code in reply.errors.items())

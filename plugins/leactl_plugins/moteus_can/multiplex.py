@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from leactl_plugins.moteus_can.registers import KNOWN, SCALES
+from leactl_plugins.moteus_can.registers import KNOWN_REGISTERS, SCALES
 
 WRITE, READ, REPLY = 0x00, 0x10, 0x20  # the resolution is in bits 2 and 3, a number up to 3 in bits 0 and 1
 WRITE_ERROR, READ_ERROR = 0x30, 0x31
@@ -22,7 +22,7 @@ FROM_HOST = 0x80  # in the source, where an answer is asked for
 
 
 class Resolution(IntEnum):
-    """How a register's value is sent."""
+    """Layout of a register's value in a frame."""
 
     INT8 = 0
     INT16 = 1
@@ -35,7 +35,7 @@ NAN_CODES = (-128, -32768, -2147483648)  # of a physical value, by resolution
 
 
 class ControllerReply(NamedTuple):
-    """What one frame of a controller says."""
+    """Content of one frame of a controller."""
 
     values: dict[int, float]  # by register, in the maker's units; NaN where the controller says that it has none
     errors: dict[int, int]  # by register, the code with which it was refused
@@ -48,7 +48,7 @@ def identifier(source: int, destination: int) -> int:
 
 
 def varuint(number: int) -> bytes:
-    """A whole number from 0, seven bits a byte, the least significant first."""
+    """Encode a non-negative integer in groups of seven bits, the least significant first."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -58,7 +58,7 @@ def varuint(number: int) -> bytes:
 
 
 def write(register: int, values: Sequence[float], resolution: Resolution = Resolution.FLOAT) -> bytes:
-    """A subframe that writes registers from this one on, physical values in the maker's units.
+    """Subframe that writes consecutive registers, in physical values of the maker's units.
 
     Raises
     ------
@@ -69,22 +69,22 @@ def write(register: int, values: Sequence[float], resolution: Resolution = Resol
 
 
 def read(register: int, count: int = 1, resolution: Resolution = Resolution.FLOAT) -> bytes:
-    """A subframe that asks for so many registers from this one on."""
+    """Subframe that queries consecutive registers."""
     return _head(READ, register, count, resolution)
 
 
 def text_to_device(channel: int, text: bytes) -> bytes:
-    """A frame that hands text to the controller's tunnel."""
+    """Subframe that sends text to the controller's tunnel."""
     return bytes((TEXT_TO_DEVICE,)) + varuint(channel) + varuint(len(text)) + text
 
 
 def poll_for_text(channel: int, most: int) -> bytes:
-    """A frame that asks the controller's tunnel for so many bytes at the most."""
+    """Subframe that polls the controller's tunnel for at most so many bytes."""
     return bytes((POLL_FOR_TEXT,)) + varuint(channel) + varuint(most)
 
 
 def padded(subframes: bytes) -> bytes:
-    """Subframes as a frame of a length that CAN-FD has.
+    """Pad subframes to a length that CAN-FD has.
 
     Raises
     ------
@@ -120,12 +120,12 @@ def _packed(register: int, value: float, resolution: Resolution) -> bytes:
 
 
 def parse(data: bytes) -> ControllerReply:
-    """Take a controller's frame apart.
+    """Parse a controller's frame.
 
     Raises
     ------
-    ValueError : it is no frame of a controller, or tells a register twice, one of unknown scale, or a part of a whole
-        number; nothing of it can be trusted then.
+    ValueError : the frame is not a controller's, holds a register twice, one of unknown scale, or an integer register
+        with a fraction; the whole frame is then unusable.
     """
     values: dict[int, float] = {}
     errors: dict[int, int] = {}
@@ -155,7 +155,7 @@ def parse(data: bytes) -> ControllerReply:
 
 
 def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) -> int:
-    """Take a subframe of values from the byte behind its first one; gives the byte behind it."""
+    """Parse the values of a subframe, from the byte after its first one; returns the offset after it."""
     resolution, count = kind >> 2 & 3, kind & 3
     if not count:
         count, offset = _take_varuint(data, offset)
@@ -163,18 +163,18 @@ def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) 
     if not count:
         raise ValueError(f"has no register in the subframe before byte {offset}")
     layout = LAYOUTS[resolution]
-    for each in range(register, register + count):
-        if each in values:
-            raise ValueError(f"tells register 0x{each:03X} twice")
+    for number in range(register, register + count):
+        if number in values:
+            raise ValueError(f"tells register 0x{number:03X} twice")
         (value,) = layout.unpack_from(data, offset)
-        values[each] = _value(each, value, resolution)
+        values[number] = _value(number, value, resolution)
         offset += layout.size
     return offset
 
 
 def _value(register: int, value: float, resolution: int) -> float:
-    """The physical value or the whole number that a register's code stands for."""
-    if register not in KNOWN:
+    """Physical value or integer for the code of a register."""
+    if register not in KNOWN_REGISTERS:
         raise ValueError(f"tells register 0x{register:03X}, whose scale is not known here")
     scales = SCALES.get(register)
     if scales is None:
@@ -187,7 +187,7 @@ def _value(register: int, value: float, resolution: int) -> float:
 
 
 def _take_varuint(data: bytes, offset: int) -> tuple[int, int]:
-    """A number and the byte behind it."""
+    """Decode an integer; returns it and the offset after it."""
     number = 0
     for count in range(MOST_OF_A_VARUINT):
         byte = data[offset + count]

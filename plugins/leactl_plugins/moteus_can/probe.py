@@ -1,4 +1,4 @@
-"""Recognise moteus controllers by reading their identity: no register is written, the one of the mode included."""
+"""Recognise moteus controllers by reading their identity: no register is written, not even that of the mode."""
 
 import base64
 import struct
@@ -28,23 +28,23 @@ MOST_ANSWERS = 3  # that are kept of a node
 
 
 class MoteusProbe(CanProbe):
-    """Reads model, versions and serial number of every number that a controller can have."""
+    """Reads model, versions and serial number from every number that a controller can have."""
 
     fd = True
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """A frame to a controller that asks for an answer."""
+        """Describe a frame that only a host sends: one that requests an answer; empty if there is none."""
         for frame in frames:
             if isinstance(frame, FdFrame) and frame.identifier >> 16 == 0 and frame.identifier & ASKED_BY_A_HOST:
                 return f"a command to the moteus at node {frame.identifier & 0x7F}"
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """Those whose low byte is the node, from whatever source, and that of its answers."""
+        """Identifiers of frames to the node, from any source, and of its answers."""
         return frozenset((*range(address, LAST_OF_11_BITS + 1, 0x100), identifier(address, HOST)))
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
-        """Ask every node who it is."""
+        """Ask every node for its identity."""
         answers: dict[int, list[bytes]] = {}
         for node in NODES:
             port.listen_fd(identifier(node, HOST), partial(_keep, answers, node))
@@ -61,7 +61,7 @@ class MoteusProbe(CanProbe):
 
 
 def identity_of(values: Mapping[int, float]) -> Identity:
-    """Identity of a controller, by the registers of `WHO`."""
+    """Identity of a controller from the registers of `WHO`."""
     model, firmware = int(values[Register.MODEL_NUMBER]), int(values[Register.FIRMWARE_VERSION])
     words = [int(values[Register.SERIAL_NUMBER + word]) for word in range(3)]
     serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
@@ -71,9 +71,9 @@ def identity_of(values: Mapping[int, float]) -> Identity:
 
 
 def _keep(answers: dict[int, list[bytes]], node: int, data: bytearray, _timestamp: float) -> None:
-    kept = answers.setdefault(node, [])
-    if len(kept) < MOST_ANSWERS:
-        kept.append(bytes(data))
+    answers_of_node = answers.setdefault(node, [])
+    if len(answers_of_node) < MOST_ANSWERS:
+        answers_of_node.append(bytes(data))
 
 
 def _read(node: int, frames: Sequence[bytes]) -> Sighting | str:

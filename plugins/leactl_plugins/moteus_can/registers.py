@@ -80,7 +80,7 @@ SCALES: dict[int, tuple[float, float, float]] = {  # of one count as int8, int16
 }
 """Registers that hold a physical value; the other ones known here hold whole numbers without a code for NaN."""
 
-KNOWN = frozenset((*Register, Register.SERIAL_NUMBER + 1, Register.SERIAL_NUMBER + 2))
+KNOWN_REGISTERS = frozenset((*Register, Register.SERIAL_NUMBER + 1, Register.SERIAL_NUMBER + 2))
 """Registers whose scale is known, each word of the serial number included."""
 
 FAULTS = {  # the mode is FAULT
@@ -117,10 +117,10 @@ TORQUE_FACTOR = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 
 
 def fault_text(code: int) -> str:
-    """What a fault code means, in the maker's words."""
+    """Meaning of a fault code, in the maker's words."""
     return f"{FAULTS.get(code, 'a fault unknown here')} (code {code})"
 
 
 def limit_text(code: int) -> str:
-    """What limits the output, in the maker's words."""
+    """Name of what limits the output, in the maker's words."""
     return f"{LIMITS.get(code, 'a limit unknown here')} (code {code})"

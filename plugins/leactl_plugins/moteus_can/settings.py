@@ -30,12 +30,12 @@ class MoteusSettings(DriverSettings):
 
     @property
     def bus_identifiers(self) -> frozenset[int]:
-        """Of the host's frames, with and without an answer asked for, and of the controller's."""
+        """Identifiers of the host's frames, with and without a requested answer, and of the controller's."""
         return frozenset(
             (identifier(HOST, self.node), identifier(HOST | FROM_HOST, self.node), identifier(self.node, HOST))
         )
 
     @property
     def host_silence_s(self) -> float:
-        """The time for which a command is valid."""
+        """Time for which a command is valid [s]."""
         return 1e-3 * self.watchdog_ms

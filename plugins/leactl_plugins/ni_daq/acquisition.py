@@ -32,23 +32,23 @@ ERRORS = {  # code: NI's name for it, and what to do
 
 
 class DaqmxError(DeviceError):
-    """An error of NI-DAQmx: its code, its name where it is known, and what to do."""
+    """An error of NI-DAQmx: its code, its name if it is known, and a hint."""
 
     def __init__(self, code: int, text: str = "") -> None:
         self.code = code
         name, hint = ERRORS.get(code, ("", ""))
-        said = hint or next((line.strip() for line in text.splitlines() if line.strip()), "no description")
-        super().__init__(f"NI-DAQmx {code}{f' ({name})' if name else ''}: {said}")
+        description = hint or next((line.strip() for line in text.splitlines() if line.strip()), "no description")
+        super().__init__(f"NI-DAQmx {code}{f' ({name})' if name else ''}: {description}")
 
 
 class Acquisition(Protocol):
     """One configured task of a device; every method raises `DaqmxError` for an error of NI-DAQmx."""
 
     product: str
-    serial_number: str  # as on its label; empty where it tells none
+    serial_number: str  # as on its label; empty if the device reports none
     rate_Hz: float  # noqa: N815 (as the device coerced it)
     convert_Hz: float  # noqa: N815 (from one input to the next)
-    warnings: list[str]  # what the device said beside
+    warnings: list[str]  # of the device
 
     def start(self) -> None:
         """Start sampling."""

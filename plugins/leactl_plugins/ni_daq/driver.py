@@ -1,7 +1,7 @@
 """NI converter at a motor's leads: it samples by its own clock, and the driver takes the samples in blocks.
 
-The stamps are those of the sample clock as the device coerced it; each input's own sample comes later by its turn at
-the multiplexer, which the channel says. What the device lost is there as NaN, one for each sample, and told.
+The stamps are those of the sample clock at the rate that the device accepted; the multiplexer converts each input
+later by its position, which the channel states. Each sample that the device lost is NaN, and a notice reports it.
 """
 
 import math
@@ -47,10 +47,10 @@ class NiDaq(Driver):
         self._task: Acquisition | None = None
         self._running = self._ended = False
         self._start = self._due = self._heard = math.nan
-        self._count = self._left = 0  # samples since the start, and still to come of a finite acquisition
+        self._count = self._remaining = 0  # samples since the start, and still to come of a finite acquisition
         self._last = -math.inf  # stamp of the last row
         self._restarts, self._slip = 0, 0.0
-        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has told yet
+        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has reported yet
         self._notices: list[str] = []
         self._identity = Identity()
 
@@ -64,7 +64,7 @@ class NiDaq(Driver):
         Raises
         ------
         InputError : the bench file chooses another library than its bench has; neither takes the other's place.
-        DeviceError : NI's driver or package is not there, the device is absent, another one, in use, or refuses.
+        DeviceError : NI's driver or package is not installed, or the device is absent, another one, in use, or refuses.
         """
         settings = self.settings
         expected, where = (
@@ -74,7 +74,7 @@ class NiDaq(Driver):
             raise InputError(
                 f"{self.name}: library '{settings.library}' on a bench that is {where}; {expected} was expected"
             )
-        self._left = settings.samples or 0
+        self._remaining = settings.samples or 0
         task = self._acquire()
         self._identity = Identity(f"NI {task.product}", task.serial_number)
         if settings.product and task.product != settings.product:
@@ -93,7 +93,7 @@ class NiDaq(Driver):
         from leactl_plugins.ni_daq.nidaqmx_library import NidaqmxLibrary
 
         try:
-            self._task = (self._port or NidaqmxLibrary()).acquire(self.settings, self._left or None)
+            self._task = (self._port or NidaqmxLibrary()).acquire(self.settings, self._remaining or None)
         except DeviceError as error:
             raise self._named(error) from None
         return self._task
@@ -188,9 +188,9 @@ class NiDaq(Driver):
         self._keep_behind(now, samples, task)
         times = self._start + np.arange(self._count, self._count + samples) / task.rate_Hz
         self._count += samples
-        if self._left:
-            self._left -= samples
-            if self._left <= 0:
+        if self._remaining:
+            self._remaining -= samples
+            if self._remaining <= 0:
                 self._end(f"the acquisition of {self.settings.samples} samples is complete")
         return [self._block(times, self._scaled(volts))]
 
@@ -232,12 +232,12 @@ class NiDaq(Driver):
         self._task.close()
         begun, now = self._start + self._count / rate, self._clock.now()
         lost = max(0, math.floor((now - begun) * rate))
-        if self._left:
-            lost = min(lost, self._left)
-            self._left -= lost
+        if self._remaining:
+            lost = min(lost, self._remaining)
+            self._remaining -= lost
         self._restarts += 1
         self._notices.append(f"{lost} samples are lost, and NaN, after {error}")
-        if self.settings.samples is not None and not self._left:
+        if self.settings.samples is not None and not self._remaining:
             self._end("the acquisition is complete, its end lost")
         else:
             self._begin(self._acquire())

@@ -1,7 +1,7 @@
 """An emulated USB-6218 at a motor's leads: one converter behind a multiplexer, 16 bit, four ranges.
 
-It stands in for NI-DAQmx below the driver, coerces the clock as that does, and answers with its error codes. What it
-adds to the voltages at the leads is an error of its scale, drawn once from the stated uncertainty, and its steps.
+It replaces NI-DAQmx below the driver, coerces the clock in the same way, and answers with its error codes. It adds to
+the voltages at the leads an error of scale, drawn once from the stated uncertainty, and the steps of its converter.
 """
 
 import math
@@ -83,7 +83,7 @@ class EmulatedTask:
         self.convert_Hz = 1.0 / min(CONVERT_S, 1.0 / (count * self.rate_Hz))
         self._daq, self._inputs, self._samples = daq, settings.inputs, samples
         self._room = round(BUFFER_S * settings.rate_Hz)
-        self._began, self._taken, self._unread = math.nan, 0, 0
+        self._began, self._converted, self._unread = math.nan, 0, 0
         self._blocks: list[NDArray[np.float64]] = []
         self.due = math.inf
 
@@ -99,20 +99,20 @@ class EmulatedTask:
         until = math.floor((now - last - self._began) * self.rate_Hz + 1e-6) + 1
         if self._samples is not None:
             until = min(until, self._samples)
-        if until > self._taken:
+        if until > self._converted:
             self._convert(until)
-        done = self._taken >= self._samples if self._samples is not None else self._unread > self._room
+        done = self._converted >= self._samples if self._samples is not None else self._unread > self._room
         self.due = math.inf if done else now + LOOK_S
 
     def _convert(self, until: int) -> None:
-        times = self._began + np.arange(self._taken, until) / self.rate_Hz
+        times = self._began + np.arange(self._converted, until) / self.rate_Hz
         block = np.empty((len(self._inputs), len(times)))
         for index, item in enumerate(self._inputs):
             leads = self._daq.terminals[item.role].voltages(times + index / self.convert_Hz, item.pair)
             step = min(end for end in RANGES_V if end >= item.range_V) / CODES
             volts = self._daq.scale * item.sign * leads / item.scale_per_V
             block[index] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
-        self._taken = until
+        self._converted = until
         self._unread += len(times)
         self._blocks.append(block)
 

@@ -45,7 +45,7 @@ class NidaqmxTask:
 
         self.warnings: list[str] = []
         self._inputs = len(settings.inputs)
-        with told(), warnings.catch_warnings(record=True) as heard:
+        with converted_errors(), warnings.catch_warnings(record=True) as heard:
             warnings.simplefilter("always")
             device = nidaqmx.system.Device(settings.device)
             self.product: str = device.product_type
@@ -80,21 +80,21 @@ class NidaqmxTask:
 
     def start(self) -> None:
         """Start sampling."""
-        with told():
+        with converted_errors():
             self._task.start()
 
     def read(self) -> NDArray[np.float64]:
         """Samples since the last call, (inputs, samples), V."""
-        with told():
-            there = self._stream.avail_samp_per_chan
-            values = np.empty((self._inputs, there))
-            if there:
-                self._reader.read_many_sample(values, there, timeout=0.0)
+        with converted_errors():
+            available = self._stream.avail_samp_per_chan
+            values = np.empty((self._inputs, available))
+            if available:
+                self._reader.read_many_sample(values, available, timeout=0.0)
         return values
 
     def close(self) -> None:
         """Stop sampling and release the device."""
-        with suppress(DeviceError), told():
+        with suppress(DeviceError), converted_errors():
             self._task.close()
 
 
@@ -108,7 +108,7 @@ def _serial_number(nidaqmx: Any, device: Any) -> str:
 
 
 @contextmanager
-def told() -> Iterator[None]:
+def converted_errors() -> Iterator[None]:
     """Convert NI-DAQmx's errors in the block to DaqmxError."""
     from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqNotFoundError, DaqNotSupportedError
 

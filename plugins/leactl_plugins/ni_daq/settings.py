@@ -50,8 +50,8 @@ class NiDaqSettings(DriverSettings):
 
     def shown(self) -> list[MeasurableRange]:
         """Measurable range of each input."""
-        places = enumerate(self.inputs)
-        ends = [(index, item, item.range_V * item.scale_per_V) for index, item in places]
+        numbered_inputs = enumerate(self.inputs)
+        ends = [(index, item, item.range_V * item.scale_per_V) for index, item in numbered_inputs]
         return [MeasurableRange(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
 
     @field_validator("inputs")

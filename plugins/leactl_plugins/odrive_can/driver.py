@@ -42,7 +42,7 @@ from leactl_plugins.odrive_can.parameters import Parameters
 from leactl_plugins.odrive_can.probe import OdriveProbe
 from leactl_plugins.odrive_can.settings import OdriveSettings
 
-CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 FOLLOWED = {
     Mode.CURRENT: (CURRENT, ControlMode.TORQUE, InputMode.PASSTHROUGH),
     Mode.TORQUE_PROFILE: (CURRENT, ControlMode.TORQUE, InputMode.TORQUE_RAMP),
@@ -50,12 +50,12 @@ FOLLOWED = {
     Mode.ANGLE: (ANGLE, ControlMode.POSITION, InputMode.PASSTHROUGH),
 }
 READ_BACK = (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG, endpoints.WATCHDOG_TIMEOUT)
-ENCODER, IQ = range(2)  # the readings that are asked for every cycle
+ENCODER, IQ = range(2)  # the readings that are queried every cycle
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
-FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
+FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
 ENABLE_TIME_S, RETRY_S = 2.0, 0.1
-SECOND_ANSWER_S = 0.01  # within which another drive of the same node has answered too
+SECOND_ANSWER_S = 0.01  # within which a second drive of the same node answers too
 QUIET_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
@@ -81,23 +81,23 @@ class OdriveCan(EngagingDrive):
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._identity = Identity()
         self._version: tuple[int, ...] = ()
-        self._versions: list[tuple[int, ...]] = []  # that came since the drive was asked first
-        self._beat, self._version_came = [False], [False]  # since it was last waited for
+        self._versions: list[tuple[int, ...]] = []  # received since the first query
+        self._beat, self._version_came = [False], [False]  # whether each arrived since the last wait
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
-        self._as_met: dict[str, float] = {}  # parameters that are given back at the end
-        self._safe = False  # it has confirmed so, and nothing was asked of it since
-        self._turns = NAN  # where the shaft is
+        self._values_before: dict[str, float] = {}  # parameters that are restored at `close`
+        self._safe = False  # it has confirmed to be idle, and got no demand since
+        self._turns = NAN  # turns, reported position of the shaft
         self._bus_voltage_due = -math.inf
         self._rows: list[Row] = []
         self._answers = Answers(2)
-        self._told, self._quiet_until = Irregular(), -math.inf
-        self._supervised = False  # since the last input, so that the next one may be sent
+        self._reported, self._quiet_until = Irregular(), -math.inf
+        self._supervised = False  # whether `feed` was called since the last input, so that the next may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
         self._control_mode = self._input_mode = 0
         self._enable_by, self._ask_at = math.inf, -math.inf
         self._asked_closed_loop = False
-        self._followed = [NAN, NAN, NAN]  # current, velocity and angle in force since the readings were asked for last
+        self._followed = [NAN, NAN, NAN]  # current, velocity and angle references in force since the last query
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -108,7 +108,7 @@ class OdriveCan(EngagingDrive):
         while self._clock.now() < until:
             try:
                 self._connect()
-                self._port.take_waiting()  # what was sent before it was told
+                self._port.take_waiting()  # drop frames sent before the command
                 self._set_state(AxisState.IDLE)
                 soon = min(until, self._clock.now() + 0.25)
                 heard = self._has_taken_all(soon) and self._hears(soon)  # no heartbeat that was on its way
@@ -140,13 +140,13 @@ class OdriveCan(EngagingDrive):
         Raises
         ------
         DeviceError : the drive is absent, shares its node, has another firmware than the table, or refuses a setting;
-            `DeviceFault` where it has an error.
+            `DeviceFault` if it has an error.
         """
         self._connect()
-        self._answers, self._safe, self._as_met = Answers(2), False, {}
+        self._answers, self._safe, self._values_before = Answers(2), False, {}
         self._set_state(AxisState.IDLE)
-        self._meet()
-        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # it may be met without any
+        self._identify()
+        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # a drive may send none until then
         if not self._hears(self._clock.now() + 0.5):
             raise NoAnswer(f"{self.name}: node {self.settings.node} answers, and sends no heartbeat")
         self._leave_errors()
@@ -156,14 +156,14 @@ class OdriveCan(EngagingDrive):
         self._take_over(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
         self._take_over(endpoints.ENCODER_PERIOD, 0)
         self._take_over(endpoints.CURRENT_PERIOD, 0)
-        self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
+        self._values_before[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
 
     def close(self) -> None:
         """Stop listening and close the bus; the changed parameters of a safe drive are restored."""
         if self._connected:
             if self._safe:
                 with suppress(DeviceError):  # it is safe, which is what counts
-                    for path, value in reversed(self._as_met.items()):
+                    for path, value in reversed(self._values_before.items()):
                         self._parameters.write(path, value)
             self._connected = False
             for identifier in self._listeners():
@@ -217,7 +217,7 @@ class OdriveCan(EngagingDrive):
 
         Raises
         ------
-        InputError : not finite, or above what the drive lets through: it would cut it without a word.
+        InputError : not finite, or above the drive's limit, at which it would clip the demand without a message.
         """
         if self._reference == CURRENT:
             most, units, where = self._most_current, "A", endpoints.CURRENT_SOFT_MAX
@@ -232,7 +232,7 @@ class OdriveCan(EngagingDrive):
     def begin_cycle(self) -> None:
         """Send this cycle's demand, and query the readings.
 
-        The drive's watchdog is fed by demands alone: none is sent that no supervised cycle came before.
+        Demands alone feed the drive's watchdog: one is sent only after a supervised cycle.
         """
         answers = self._answers
         if answers.watched:
@@ -294,8 +294,8 @@ class OdriveCan(EngagingDrive):
         """Notices: irregular answers, and a full bus."""
         lines, now = [], self._clock.now()
         irregular = self._answers.irregular
-        if irregular != self._told and (now >= self._quiet_until or self._mode is Mode.OFF):
-            self._quiet_until, self._told = now + QUIET_S, replace(irregular)
+        if irregular != self._reported and (now >= self._quiet_until or self._mode is Mode.OFF):
+            self._quiet_until, self._reported = now + QUIET_S, replace(irregular)
             lines.append(str(irregular))
         return lines + self._port.notices()
 
@@ -329,7 +329,7 @@ class OdriveCan(EngagingDrive):
     def _go_towards_operation(self, now: float) -> None:
         """Take the next step towards operation: idle, demanded mode, armed watchdog, closed loop.
 
-        An angle holds where the shaft is until then.
+        In angle mode, the present angle is held until then.
         """
         if self._reference == ANGLE:
             self._value = self._turns * self._turn
@@ -401,7 +401,7 @@ class OdriveCan(EngagingDrive):
             self._base | Command.GET_BUS_VOLTAGE_CURRENT: self._on_bus,
         }
 
-    def _meet(self) -> None:
+    def _identify(self) -> None:
         """Check that one drive of this node answers and has the firmware of the table of endpoints."""
         self._versions.clear()
         asked = next((count for count in (1, 2, 3) if self._has_taken_all(self._clock.now() + 0.25)), 0)
@@ -446,7 +446,7 @@ class OdriveCan(EngagingDrive):
         """Set a parameter that is restored at `close`."""
         before = self._parameters.read(path)
         self._parameters.write(path, value)
-        self._as_met[path] = before
+        self._values_before[path] = before
 
     def _leave_errors(self) -> None:
         """Clear the error that the end of an earlier host left, and other errors if the settings say so."""

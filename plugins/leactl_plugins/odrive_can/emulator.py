@@ -1,7 +1,7 @@
 """Emulator of an ODrive: queries, inputs, parameters, heartbeats and the watchdog.
 
-Frames in, frames out; it shares with the driver only the protocol's numbers. Where firmware versions differ it does
-what is harder on a host: its watchdog runs whenever it is enabled, and only inputs and states feed it.
+Frames in, frames out; it shares with the driver only the protocol's numbers. Where firmware versions differ it takes
+the behaviour that is harder for a host: its watchdog runs whenever it is enabled, and only inputs and states feed it.
 """
 
 import math

@@ -18,7 +18,7 @@ class Parameters:
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
         self._awaited, self._came = "", [False]
-        self.shown: dict[str, float] = {}  # the newest value that was told of each
+        self.shown: dict[str, float] = {}  # newest reported value of each
 
     def ask(self, path: str) -> None:
         """Query a parameter without waiting; its value arrives in `shown`."""
@@ -50,14 +50,14 @@ class Parameters:
 
         Raises
         ------
-        DeviceError : it does not; `NoAnswer` where it does not answer.
+        DeviceError : another value reads back; `NoAnswer` if the drive does not answer.
         """
         for _ in range(TRIES):
             self.tell(path, value)
-            kept = self.read(path)
-            if self.is_near(kept, value):
+            read_back = self.read(path)
+            if self.is_near(read_back, value):
                 return
-        raise DeviceError(f"{self._name}: {path} is {kept:g} although {value:g} was written")
+        raise DeviceError(f"{self._name}: {path} is {read_back:g} although {value:g} was written")
 
     def is_shown(self, path: str, value: float) -> bool:
         """Whether the drive has reported this value."""

@@ -44,7 +44,7 @@ class OdriveProbe(CanProbe):
         return {frame.identifier >> NODE_SHIFT for frame in frames if _is_heartbeat(frame)}
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """A command to a node that sends heartbeats."""
+        """Describe a frame that only a host sends: a command to a node with heartbeats; empty if there is none."""
         nodes = self.heard(frames)
         for identifier, data in frames:
             node, command = identifier >> NODE_SHIFT, identifier & (1 << NODE_SHIFT) - 1

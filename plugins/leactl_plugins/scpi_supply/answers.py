@@ -49,7 +49,7 @@ def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
 
     Raises
     ------
-    Unreadable : not of the family's own form to the last digit, or far above what the model is good for.
+    Unreadable : not exactly in the family's form, or far above the rating of the model.
     """
     text = _text(line)
     if not form.fullmatch(text):
@@ -116,17 +116,17 @@ def status_on(line: bytes, output: int) -> bool:
 
     Raises
     ------
-    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    Unreadable : not a hexadecimal number, or one without a valid connection of the outputs.
     """
     return bool(_status(line) >> (output + 3) & 1)
 
 
 def status_regulation(line: bytes, output: int) -> int:
-    """Parse how output 1 or 2 regulates by the status of an SPD3303X: 1 current, 2 voltage, as other families say it.
+    """Parse how output 1 or 2 regulates by the status of an SPD3303X: 1 current, 2 voltage, as in other families.
 
     Raises
     ------
-    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    Unreadable : not a hexadecimal number, or one without a valid connection of the outputs.
     """
     return 1 if _status(line) >> (output - 1) & 1 else 2
 
@@ -136,7 +136,7 @@ def status_outputs(line: bytes) -> str:
 
     Raises
     ------
-    Unreadable : not a hexadecimal number, or one that tells no connection of the outputs.
+    Unreadable : not a hexadecimal number, or one without a valid connection of the outputs.
     """
     return OUTPUTS[_status(line) >> 2 & 0b11]
 

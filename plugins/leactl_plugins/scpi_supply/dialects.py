@@ -1,7 +1,7 @@
-"""Commands of four families of supplies, for one output: what SCPI does not standardise, and which output is meant.
+"""Commands of four families of supplies, for one output, where SCPI leaves them open; each names its output if needed.
 
-Where a model has several outputs, every command and every query names the output itself, so that none depends on which
-output somebody has selected. In a command, `{}` stands for a value, or for ON or OFF.
+If a model has several outputs, every command and every query names the output itself, so that none depends on which
+output is selected. In a command, `{}` is replaced by a value, or by ON or OFF.
 """
 
 import math
@@ -43,7 +43,7 @@ class Protection(NamedTuple):
 
 
 class RequiredAnswer(NamedTuple):
-    """What the instrument must answer before the output is used, so that it and others do not act on each other."""
+    """Answer that the instrument must give before the output is used, so that outputs do not act on each other."""
 
     question: Query
     accepted: tuple[str, ...]
@@ -71,7 +71,7 @@ class ScpiDialect(NamedTuple):
     set_range: str = ""  # empty: the family has no ranges that can be set
     decimals: int = 4  # of a level
     least_current: float = 0.0  # A, that it can be set to
-    clear: bytes = b""  # gives up what the instrument is about, where it knows such a byte
+    clear: bytes = b""  # makes the instrument abandon its present command, if it has such a byte
     trip_accuracy: TripAccuracy = PROTECTION
 
     @property

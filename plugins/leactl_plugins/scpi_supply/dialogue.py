@@ -1,6 +1,6 @@
 """Commands of an SCPI supply, as scripts: synchronise, switch off, set up, set levels, measure.
 
-Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
+Every setting is read back, so that at most one command is pending and a refusal is noticed at once.
 """
 
 import math
@@ -27,8 +27,8 @@ from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
-SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
-PAUSES = 5  # some 10 ms each, in which the last command leaves: a closed line drops what it has not sent
+SETTINGS_S = 1.0  # between two readings of the settings, which a person may change at the panel
+PAUSES = 5  # some 10 ms each, in which the last command is sent: a closed line drops unsent bytes
 IDENTIFY = Query("*IDN?", answers.identity, patient=True)
 
 
@@ -54,14 +54,14 @@ class ScpiDialogue:
         output = settings.output or 0 if settings.model in models.OUTPUTS else 0
         self._settings, self._dialect = settings, DIALECTS[settings.dialect](settings.model, output)
         self._output = output
-        self.met: InstrumentIdentity | None = None  # who answered last
-        self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
+        self.reported_identity: InstrumentIdentity | None = None  # of the last answer
+        self.trips_at = settings.voltage_limit_V  # V, level of the over-voltage protection from the next `put` on
         self._armed_at = settings.voltage_limit_V
-        self._held = CommandedLevels(0.0, self._dialect.least_current)
-        self._looked = 0.0  # s, at what is set
+        self._commanded = CommandedLevels(0.0, self._dialect.least_current)
+        self._settings_read_at = 0.0  # time [s] at which the settings were read
         self._regulation = Regulation()
-        self._panel = ""  # what was set there
-        self._found: list[ProtectionBefore] = []  # protections of whoever had the supply before, to be put back
+        self._panel = ""  # fault text if the settings were changed at the panel
+        self._earlier_protections: list[ProtectionBefore] = []  # protections before `set_up`, which `leave` restores
         volts, amperes = models.most(settings.model, output)
         reading = partial(answers.reading, form=self._dialect.reading)
         self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=volts))
@@ -79,8 +79,8 @@ class ScpiDialogue:
 
     def in_step(self) -> Script[InstrumentIdentity]:
         """Query the identity and drop all replies before it, which belong to earlier queries."""
-        who: InstrumentIdentity = yield from ask(IDENTIFY)
-        return who
+        identity: InstrumentIdentity = yield from ask(IDENTIFY)
+        return identity
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off repeatedly until the instrument reports it and no current flows.
@@ -90,7 +90,7 @@ class ScpiDialogue:
         while True:
             yield self._dialect.off
             self._check((yield from self.in_step()))
-            # patient, as an answer to whoever asked before may be taken for the identity
+            # patient, as a late answer to an earlier host may be taken for the identity
             on = yield from ask(self._dialect.on._replace(patient=True))
             if on:
                 off_trouble.text = "the output is still on"
@@ -100,38 +100,38 @@ class ScpiDialogue:
                 return Confirmation(True, f"output off, {current:.3f} A")
             off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
 
-    def _check(self, who: InstrumentIdentity) -> None:
+    def _check(self, identity: InstrumentIdentity) -> None:
         """Raise DeviceError if another instrument answers."""
-        settings, self.met = self._settings, who
-        if who.model != settings.model:
-            raise DeviceError(f"{who.maker} {who.model} answers; {settings.model} was expected")
-        if settings.serial_number and who.serial_number != settings.serial_number:
-            raise DeviceError(f"serial number {who.serial_number} answers; {settings.serial_number} was expected")
+        settings, self.reported_identity = self._settings, identity
+        if identity.model != settings.model:
+            raise DeviceError(f"{identity.maker} {identity.model} answers; {settings.model} was expected")
+        if settings.serial_number and identity.serial_number != settings.serial_number:
+            raise DeviceError(f"serial number {identity.serial_number} answers; {settings.serial_number} was expected")
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Switch off, set levels to 0 and arm both protections at their limits; returns earlier errors as notices.
 
         Raises
         ------
-        DeviceError : another instrument, a setting that does not stick, a protection that has tripped or that somebody
-            has armed at a lower level than the limit, an output that cannot be switched off.
+        DeviceError : another instrument, a setting that reads back differently, a protection that has tripped or is
+            armed below its limit, or an output that cannot be switched off.
         """
         settings, dialect = self._settings, self._dialect
-        self._found, self._panel = [], ""
+        self._earlier_protections, self._panel = [], ""
         yield from self.output_off(off_trouble)
         before = yield from self._errors()
         yield from self._demand()
         if settings.output_range:
             yield dialect.set_range.format(settings.output_range.upper())
-        self._held = CommandedLevels(0.0, dialect.least_current)
+        self._commanded = CommandedLevels(0.0, dialect.least_current)
         yield from self._written(dialect.voltage, 0.0)
-        self._looked = yield from self._written(dialect.current, dialect.least_current)
+        self._settings_read_at = yield from self._written(dialect.current, dialect.least_current)
         protections = [
             (dialect.over_voltage, "voltage_limit_V", settings.voltage_limit_V),
             (dialect.over_current, "current_limit_A", settings.current_limit_A),
         ]
         limits = [(protection, key, limit) for protection, key, limit in protections if protection is not None]
-        self._found = yield from self._as_found(limits)
+        self._earlier_protections = yield from self._earlier_protections_of(limits)
         for protection, _key, limit in limits:
             yield from self._protect(protection, limit)
         self.trips_at = self._armed_at = settings.voltage_limit_V
@@ -148,7 +148,7 @@ class ScpiDialogue:
         ]
 
     def _demand(self) -> Script[None]:
-        """Check that the output can be used without acting on others; raise DeviceError if it cannot."""
+        """Check that the output can be used without acting on other outputs; raise DeviceError if it cannot."""
         for demand in self._dialect.demands:
             if (yield from ask(demand.question)) not in demand.accepted:
                 raise DeviceError(demand.otherwise)
@@ -156,9 +156,11 @@ class ScpiDialogue:
         if select is not None and (selected := (yield from ask(Query(select.query, answers.number)))) != self._output:
             raise DeviceError(f"output {selected:g} is selected after {select.command}")
 
-    def _as_found(self, limits: Sequence[tuple[Protection, str, float]]) -> Script[list[ProtectionBefore]]:
+    def _earlier_protections_of(
+        self, limits: Sequence[tuple[Protection, str, float]]
+    ) -> Script[list[ProtectionBefore]]:
         """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
-        found = []
+        protections = []
         for protection, key, limit in limits:
             level = yield from ask(Query(protection.level.query, answers.number))
             armed = yield from _armed(protection)
@@ -167,37 +169,37 @@ class ScpiDialogue:
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
                 )
-            found.append(ProtectionBefore(protection, level, armed))
-        return found
+            protections.append(ProtectionBefore(protection, level, armed))
+        return protections
 
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A], arm the over-voltage protection at its level, and read everything back.
 
-        What falls is set first, then the protection, then what rises: the protection never trips on a level that is to
-        rise, and never stands above what the levels beside it are meant for. It takes effect one read-back after what
-        falls; an output whose voltage has not come down to it by then, as one with nothing to discharge it, is switched
-        off by the protection, which is told as its trip.
+        Levels that fall are set first, then the protection, then levels that rise. The protection therefore never trips
+        on a level that is about to rise, and is never above the level meant for the present output. It takes effect one
+        read-back after the levels that fall; if the output's voltage has not fallen below it by then, as without a load
+        that discharges it, the protection switches the output off and this is reported as its trip.
 
         Raises
         ------
-        DeviceError : one comes back as another.
+        DeviceError : a level reads back as another value.
         """
-        dialect, before = self._dialect, self._held
-        wanted = CommandedLevels(voltage, max(current, dialect.least_current))
-        self._looked, seen = math.inf, 0.0  # not at levels that are on their way
+        dialect, before = self._dialect, self._commanded
+        target = CommandedLevels(voltage, max(current, dialect.least_current))
+        self._settings_read_at, read_at = math.inf, 0.0  # no check of the settings while they change
         self._regulation.begin_anew()
         levels = (
-            (dialect.current, wanted.current, before.current),
-            (dialect.voltage, wanted.voltage, before.voltage),
+            (dialect.current, target.current, before.current),
+            (dialect.voltage, target.voltage, before.voltage),
         )
-        for level, value, earlier in levels:
-            if value <= earlier:
-                seen = yield from self._written(level, value)
+        for level, value, earlier_value in levels:
+            if value <= earlier_value:
+                read_at = yield from self._written(level, value)
         yield from self._protected()
-        for level, value, earlier in levels:
-            if value > earlier:
-                seen = yield from self._written(level, value)
-        self._held, self._looked, self._panel = wanted, seen, ""
+        for level, value, earlier_value in levels:
+            if value > earlier_value:
+                read_at = yield from self._written(level, value)
+        self._commanded, self._settings_read_at, self._panel = target, read_at, ""
 
     def _protected(self) -> Script[None]:
         level, protection = self.trips_at, self._dialect.over_voltage
@@ -206,18 +208,18 @@ class ScpiDialogue:
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore all protections and give the front panel back; returns the names of the protections."""
-        names = [before.protection.name for before in self._found]
-        if self._found:
+        """Restore all protections and release the front panel; returns the names of the protections."""
+        names = [before.protection.name for before in self._earlier_protections]
+        if self._earlier_protections:
             self._check((yield from self.in_step()))
-        while self._found:
-            protection, level, armed = self._found[0]
+        while self._earlier_protections:
+            protection, level, armed = self._earlier_protections[0]
             yield from self._written(protection.level, level)
             if protection.switch:
                 yield protection.switch.format("ON" if armed else "OFF")
             if (yield from _armed(protection)) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
-            del self._found[0]
+            del self._earlier_protections[0]
         if self._dialect.local:
             yield self._dialect.local
             for _ in range(PAUSES):
@@ -229,7 +231,7 @@ class ScpiDialogue:
 
         Raises
         ------
-        DeviceFault : the instrument says that it is not.
+        DeviceFault : the instrument reports the other state.
         """
         self._regulation.begin_anew()
         yield self._dialect.switch.format("ON" if on else "OFF")
@@ -237,7 +239,7 @@ class ScpiDialogue:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measured(self) -> Script[SupplyReading]:
-        """Measure voltage and current, and read output, condition, errors, protections; each `SETTINGS_S` levels."""
+        """Measure voltage and current; read output, condition, errors, protections; every `SETTINGS_S`, the levels."""
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
@@ -248,29 +250,29 @@ class ScpiDialogue:
         mode = REGULATED.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
-        if current.seen - self._looked >= SETTINGS_S:
-            self._looked = current.seen
+        if current.seen - self._settings_read_at >= SETTINGS_S:
+            self._settings_read_at = current.seen
             self._panel = yield from self._changed()
         fault = fault or self._panel or (self._astray((voltage.value, current.value), mode, current.seen) if on else "")
         notices = tuple(f"error {number}, {text}" for number, text in errors)
         return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
     def _changed(self) -> Script[str]:
-        """Text that names levels that are not the commanded ones; empty if both are."""
+        """Text that names levels other than the commanded ones; empty if both are as commanded."""
         volts: float = yield from ask(Query(self._dialect.voltage.query, answers.number))
         amperes: float = yield from ask(Query(self._dialect.current.query, answers.number))
-        wanted = self._held
-        if abs(volts - wanted.voltage) <= _off_by(wanted.voltage) and (
-            abs(amperes - wanted.current) <= _off_by(wanted.current)
+        commanded = self._commanded
+        if abs(volts - commanded.voltage) <= _off_by(commanded.voltage) and (
+            abs(amperes - commanded.current) <= _off_by(commanded.current)
         ):
             return ""
-        return f"set to {_levels_text(volts, amperes)} by itself; {_levels_text(*wanted)} were commanded"
+        return f"set to {_levels_text(volts, amperes)} by itself; {_levels_text(*commanded)} were commanded"
 
     def _astray(self, measured: tuple[float, float], mode: str, moment: float) -> str:
-        """Text that tells that the output does not give the level that it is said to regulate; empty if it does."""
-        if not self._regulation.is_lost(measured, self._held, mode == REGULATED[1], moment):
+        """Text if the output does not have the level that it reports to regulate; empty if it has."""
+        if not self._regulation.is_lost(measured, self._commanded, mode == REGULATED[1], moment):
             return ""
-        return f"out of regulation, {_levels_text(*measured)} at {mode}; {_levels_text(*self._held)} are set"
+        return f"out of regulation, {_levels_text(*measured)} at {mode}; {_levels_text(*self._commanded)} are set"
 
     def _tripped(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
@@ -291,11 +293,11 @@ class ScpiDialogue:
     def _written(self, level: Level, value: float) -> Script[float]:
         """Write a level and read it back; raise if it differs by more than rounding; returns when it was read [s]."""
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
-        held = yield Query(level.query, answers.number)
-        assert held is not None
-        if not abs(held.value - value) <= _off_by(value):
-            raise DeviceError(f"{level.command.split()[0]} holds {held.value:g} after {value:g} was written")
-        return held.seen
+        reply = yield Query(level.query, answers.number)
+        assert reply is not None
+        if not abs(reply.value - value) <= _off_by(value):
+            raise DeviceError(f"{level.command.split()[0]} holds {reply.value:g} after {value:g} was written")
+        return reply.seen
 
     def _errors(self) -> Script[tuple[ErrorEntry, ...]]:
         """Read the error queue until it is empty."""

@@ -40,8 +40,8 @@ class ScpiSupply(SupplyDriver):
         self._line = SupplyLine(name, role, settings, port, self._dialogue)
 
     def identity(self) -> Identity:
-        """Maker with model, serial number and revision from `*IDN?`, in which 0 means that there is none."""
-        return identity_of(self._dialogue.met) if self._dialogue.met else Identity()
+        """Maker with model, serial number and revision from `*IDN?`; the instrument reports 0 if it has none."""
+        return identity_of(self._dialogue.reported_identity) if self._dialogue.reported_identity else Identity()
 
     @classmethod
     def far_end(cls, settings: ScpiSupplySettings, role: str, physics: Physics) -> SerialEmulator:

@@ -1,4 +1,4 @@
-"""One regulated output of an emulated supply: levels, switch, two protections, and what it feeds."""
+"""One regulated output of an emulated supply: levels, switch, two protections, and its load."""
 
 from leactl.driver.far_end import SupplyLoad
 
@@ -9,7 +9,7 @@ class NothingConnected:
     """Terminals without a load."""
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """The voltage [V] stands, and no current flows."""
+        """Hold the voltage [V]; no current flows."""
         return voltage, 0.0
 
 
@@ -21,7 +21,7 @@ class ProtectionState:
 
 
 class EmulatedOutput:
-    """An output with one range or two; a wrong or a missing one is nobody's business but its own."""
+    """One output with its protections and its load; `ratings` has one range or two, `range` is the present one."""
 
     def __init__(self, number: int, ratings: tuple[tuple[float, float], ...], load: SupplyLoad) -> None:
         self.number, self.ratings, self._load = number, ratings, load
@@ -39,23 +39,23 @@ class EmulatedOutput:
 
     @property
     def rating(self) -> tuple[float, float]:
-        """Volts and amperes of the present range."""
+        """Voltage [V] and current [A] of the present range."""
         return self.ratings[self.range]
 
     @property
     def tripped(self) -> bool:
-        """Whether a protection has switched it off."""
+        """Whether a protection has switched the output off."""
         return self.over_voltage.tripped or self.over_current.tripped
 
     @property
     def condition(self) -> int:
-        """1 where the current is regulated, 2 where the voltage is, 0 where neither is."""
+        """1 if the current is regulated, 2 if the voltage is, 0 if neither is."""
         if not self.on or self.share != 1.0 or self.tripped:
             return 0
         return 1 if self.volts < self.set_volts - 1e-6 else 2
 
     def regulate(self) -> None:
-        """Bring the terminals to the levels; a protection that is passed trips."""
+        """Set the terminals to the levels; a protection whose level is exceeded trips."""
         live = self.stuck or (self.on and not self.tripped)
         asked = (self.set_volts * self.share, self.set_amperes * self.share) if live else (0.0, 0.0)
         self.volts, self.amperes = self._load.feed(*asked)

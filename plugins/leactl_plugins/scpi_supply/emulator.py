@@ -20,7 +20,7 @@ MOST_INPUT = 512
 QUEUE = 20
 OTHER_RATING = ((60.0, 60.0),)  # a DP800 as well, whose range is set at the instrument
 UNSERVED = (25.0, 1.0)  # an output that the driver does not serve
-OVER_RATING = 1.03  # what can still be programmed
+OVER_RATING = 1.03  # times the rating, the highest level that can be set
 LEAST_A = {"e36300": 0.001}
 ON = ("1", "ON")
 BOOLEANS = (*ON, "0", "OFF")
@@ -41,7 +41,7 @@ Act = Callable[[EmulatedOutput, str], str | None]
 
 
 class ScpiSupplyEmulator:
-    """One supply whose output of this number, or whose only one, feeds a load; nothing is connected to the others."""
+    """One supply, whose output of this number or whose only output feeds a load; nothing is at the others."""
 
     def __init__(
         self,
@@ -79,9 +79,9 @@ class ScpiSupplyEmulator:
 
     def _ratings(self) -> Sequence[tuple[tuple[float, float], ...]]:
         if self.model in OUTPUTS:
-            known = OUTPUTS[self.model]
+            ratings_by_output = OUTPUTS[self.model]
             count = 2 if self.model.startswith("DP82") else 3
-            return [(known.get(number, UNSERVED),) for number in range(1, count + 1)]
+            return [(ratings_by_output.get(number, UNSERVED),) for number in range(1, count + 1)]
         return [RANGES.get(self.model, OTHER_RATING) if self.dialect == "e36xx" else OTHER_RATING]
 
     # -- what a bench may have go wrong ------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class ScpiSupplyEmulator:
             self._output.append((self._busy, text.encode("ascii")))
 
     def _acted(self, act: Act, numbered: str | None, argument: str) -> list[str]:
-        """Answers of the outputs that a command names in its header or argument, or of the selected one."""
+        """Act on the outputs named in the header or argument, or on the selected one; returns their answers."""
         numbers, value = ([int(numbered)] if numbered else []), argument
         if self.dialect == "e36300" and (match := CHANNEL_LIST.fullmatch(argument)):
             numbers, value = [int(each) for each in match[2].split(",")], match[1] or ""
@@ -186,8 +186,13 @@ class ScpiSupplyEmulator:
             "MEASure:CURRent[:DC]?": lambda output, _: self._number(output.amperes),
             "OUTPut[:STATe]": self._switch,
         }
-        own = {"e36xx": self._e36xx, "e36300": self._e36300, "dp800": self._dp800, "spd3303": self._spd3303}
-        return [(_pattern(name), act) for name, act in (common | own[self.dialect]()).items()]
+        commands_of_dialect = {
+            "e36xx": self._e36xx,
+            "e36300": self._e36300,
+            "dp800": self._dp800,
+            "spd3303": self._spd3303,
+        }
+        return [(_pattern(name), act) for name, act in (common | commands_of_dialect[self.dialect]()).items()]
 
     def _panel(self) -> dict[str, Act]:
         return {
@@ -233,12 +238,12 @@ class ScpiSupplyEmulator:
             "OUTPut:TRACk?": lambda output, _: self._truth(self.tracking) if output.number in pair else "NONE",
             "SYSTem:ONOFFSync?": lambda *_: self._truth(self.coupled),
         }
-        one: dict[str, Act] = {"STATus:QUEStionable:CONDition?": lambda output, _: self._register(output.condition)}
+        single: dict[str, Act] = {"STATus:QUEStionable:CONDition?": lambda output, _: self._register(output.condition)}
         return {
             **self._panel(),
             **self._protection("OUTPut:OVP", ":VALue", ":QUES?", "over_voltage"),
             **self._protection("OUTPut:OCP", ":VALue", ":QUES?", "over_current"),
-            **(several if len(self.outputs) > 1 else one),
+            **(several if len(self.outputs) > 1 else single),
         }
 
     def _spd3303(self) -> dict[str, Act]:
@@ -248,9 +253,9 @@ class ScpiSupplyEmulator:
         }
 
     def _status(self) -> int:
-        told = list(enumerate(self.outputs[:2]))  # output 3 is not in it
-        regulated = sum(1 << bit for bit, output in told if output.condition == 1)
-        on = sum(0x10 << bit for bit, output in told if output.on)
+        reported_outputs = list(enumerate(self.outputs[:2]))  # output 3 is not in it
+        regulated = sum(1 << bit for bit, output in reported_outputs if output.condition == 1)
+        on = sum(0x10 << bit for bit, output in reported_outputs if output.on)
         return regulated | (0x0C if self.coupled else 0x04) | on
 
     def _protection(self, head: str, level: str, tripped: str, which: str) -> dict[str, Act]:

@@ -1,6 +1,6 @@
 """Ratings, outputs and dialects of known models; an unlisted model has one output without known limits.
 
-An output with a negative or a fixed voltage is not listed, because it cannot feed a motor as it is asked to.
+An output with a negative or a fixed voltage is not listed, because it cannot feed a motor as commanded.
 """
 
 import math
@@ -44,7 +44,7 @@ _BEGINNINGS: Final[Mapping[str, Dialect]] = {"E3631": "e36300", "E363": "e36xx",
 
 
 def most(model: str, output: int) -> Rating:
-    """Highest voltage and highest current of a model's output, in any range; 0 is the only output."""
+    """Highest voltage [V] and current [A] of a model's output, in any range; 0 stands for the only output."""
     if output:
         return OUTPUTS[model][output]
     ranges = RANGES.get(model, ((math.inf, math.inf),))
@@ -52,7 +52,7 @@ def most(model: str, output: int) -> Rating:
 
 
 def dialect_of(model: str) -> Dialect | None:
-    """Dialect of a known model; None of another one."""
+    """Dialect of a known model; None for another model."""
     if model not in RANGES and model not in OUTPUTS:
         return None
     return next(dialect for beginning, dialect in _BEGINNINGS.items() if model.startswith(beginning))
@@ -64,7 +64,7 @@ def models_of(dialect: Dialect) -> list[str]:
 
 
 def output_trouble(model: str, output: int | None) -> str:
-    """What is wrong with a model's output of this number, None: without one; empty if nothing is."""
+    """Reason why a model has no output of this number (None: no number given); empty if it has."""
     numbers = sorted(OUTPUTS.get(model, {1: ()}))
     expected = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
     if output is None:

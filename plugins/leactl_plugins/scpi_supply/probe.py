@@ -14,7 +14,7 @@ class ScpiProbe(LineProbe):
     baudrates = (9600, 19200, 38400, 57600, 115200)
 
     def ask(self, port: SerialPort) -> Seen:
-        """Ask who it is."""
+        """Ask for the identity."""
         who: InstrumentIdentity | None = self.answer(port, IDENTIFY)
         if who is None:
             return
@@ -27,7 +27,7 @@ class ScpiProbe(LineProbe):
         yield Sighting(None, identity, {"dialect": dialect, "model": who.model, **number}, left_open=several)
 
 
-def identity_of(who: InstrumentIdentity) -> Identity:
-    """Maker with model, serial number and revision, in which 0 means that there is none."""
-    serial, revision = (text if text.strip("0") else "" for text in (who.serial_number, who.revision))
-    return Identity(f"{who.maker} {who.model}", serial, revision)
+def identity_of(reported: InstrumentIdentity) -> Identity:
+    """Maker with model, serial number and revision; the instrument reports 0 if it has none."""
+    serial, revision = (text if text.strip("0") else "" for text in (reported.serial_number, reported.revision))
+    return Identity(f"{reported.maker} {reported.model}", serial, revision)

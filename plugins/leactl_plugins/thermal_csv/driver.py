@@ -102,7 +102,7 @@ class ThermalCsv(Driver):
         times = self.settings.time
         resolution = max(sheet.clock.resolution for sheet in files)
         rows = order_rows(time, values, where, times.backward, resolution, times.frame_rate_Hz)
-        empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
+        empty = [spec.name for spec, column in zip(self.channels, rows.values.T, strict=True) if np.isnan(column).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         remarks = list(dict.fromkeys(text for sheet in files for text in sheet.remarks))
@@ -119,21 +119,21 @@ class ThermalCsv(Driver):
 
 
 def joined(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
-    """Times and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
+    """Times [s] and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
 
     Raises
     ------
     InputError : some parts have a date or zone and others have none.
     """
     midnights = [sheet.clock.midnight for sheet in sheets]
-    known = [moment.timestamp() for moment in midnights if moment is not None]
+    known_midnights = [moment.timestamp() for moment in midnights if moment is not None]
     days = [sheet.clock.day for sheet in sheets]
-    for given in (midnights, days):
-        if None in given and any(given):
-            raise InputError(f"{sheets[given.index(None)].where(0)}: no day or no zone, which other files have")
-    began = min(known) if known else None
+    for dates in (midnights, days):
+        if None in dates and any(dates):
+            raise InputError(f"{sheets[dates.index(None)].where(0)}: no day or no zone, which other files have")
+    began = min(known_midnights) if known_midnights else None
     if began is not None:
-        shifts = [moment - began for moment in known]
+        shifts = [moment - began for moment in known_midnights]
     else:
         dated = [day for day in days if day is not None]
         shifts = [(day - min(dated)).total_seconds() for day in dated] or [0.0] * len(sheets)

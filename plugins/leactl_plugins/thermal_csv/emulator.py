@@ -1,4 +1,4 @@
-"""The camera's program: exports of regions over time or of frames, in any dialect; a camera that looks at a bench."""
+"""Emulator of the camera's program, which exports regions over time or frames, and of a camera aimed at a bench."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ def series(
     above: Sequence[str] = (),
     unit_in_cells: bool = False,
 ) -> bytes:
-    """A series of regions; `columns` are in degC, by heading."""
+    """Export a series of regions; `columns` are in degC, by heading."""
     lines = [
         dialect.head(),
         *(line + dialect.line_end for line in above),
@@ -47,7 +47,7 @@ def series(
 def heading(
     columns: Sequence[str] | dict[str, Sequence[float]], dialect: TableDialect, unit: str, time_heading: str
 ) -> str:
-    """The line of headings, units in brackets."""
+    """Line of headings with units in brackets."""
     return dialect.row([time_heading, *(f"{name} ({SYMBOLS[unit]})" for name in columns)])
 
 
@@ -57,19 +57,19 @@ def matrix(
     dialect: TableDialect,
     unit: str = "degC",
 ) -> bytes:
-    """Frames of pixels in degC, each under its own lines."""
+    """Export frames of pixels in degC, each below its own lines of text."""
     lines = [dialect.head()]
-    for frame, said in zip(frames, above, strict=True):
-        lines += [line + dialect.line_end for line in said]
+    for frame, text_lines in zip(frames, above, strict=True):
+        lines += [line + dialect.line_end for line in text_lines]
         lines += [dialect.row([dialect.number(FROM_CELSIUS[unit](value)) for value in row]) for row in frame]
         lines.append(dialect.line_end)
     return dialect.encoded("".join(lines), begins=True)
 
 
 class CameraEmulator:
-    """A camera that looks at a bench, and whose program writes a series into a folder while it runs.
+    """A camera aimed at a bench; its program writes a series into a folder while it runs.
 
-    The program records before the bench begins, by a clock of the camera's own.
+    The program records before the bench begins, by the camera's own clock.
     """
 
     def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
@@ -83,11 +83,11 @@ class CameraEmulator:
 
     @property
     def due(self) -> float:
-        """When the next frame is taken."""
+        """Time at which the next frame is taken [s]."""
         return self._frame * self._period / (1.0 + 1e-6 * FAST_PPM) - BEFORE_S
 
     def tick(self, now: float) -> None:
-        """Take the frames up to now; write those of a second at once."""
+        """Take the frames up to `now`; write the frames of a second together."""
         while self.due <= now + 1e-9:
             self._frame += 1
             cells = [self._dialect.number(FROM_CELSIUS[self._unit](read())) for read in self._regions.values()]
@@ -110,7 +110,7 @@ class CameraEmulator:
         return TableDialect(decimal=self._dialect.decimal, decimals=3).number(since)
 
     def _write(self) -> None:
-        """Write what is pending; a program whose disk fails it writes no more, and the bench goes on without it."""
+        """Write the pending frames; if the disk fails, the program stops writing and the bench continues without it."""
         text = "".join(self._pending)
         self._pending.clear()
         if self._fails:

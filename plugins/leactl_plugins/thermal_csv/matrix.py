@@ -45,8 +45,8 @@ STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "
 NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 FRAME_LABEL = re.compile(r"[^\W\d_]+\s*[0-9]+")  # `Frame 12`, in the first cell of the first row of a frame
 SIZE_NAMES = (("height", "imageheight"), ("width", "imagewidth"))  # of rows and of columns, in lower case
-FEWEST_COUNTED = 3  # rows or columns that rise or fall evenly, as an axis does and pixels hardly do
-ROUGHEST = 1 / 3  # of an axis' step: what its rounding may move a number by
+FEWEST_COUNTED = 3  # rows or columns that rise or fall evenly, to be taken for an axis
+ROUGHEST = 1 / 3  # of an axis' step: largest rounding of a number
 NUMBER = re.compile(r"[+-]?[0-9]+([.,][0-9]+)?")
 HINT = "skip_lines, index_column and frame_size tell which cells are pixels"
 
@@ -60,7 +60,7 @@ class PixelFrame:
     delimiter: str
     rows: list[str] = field(default_factory=list)
     above: list[Aside] = field(default_factory=list)
-    label: tuple[int, int] = (0, 0)  # line and cells of what looks like a row behind a word and is taken for none
+    label: tuple[int, int] = (0, 0)  # line and number of cells of a labelled line above, which looks like a row
     size: tuple[int | None, int | None] = (None, None)  # rows and columns, as the file states them
 
     def cells(self, row: int) -> list[str]:
@@ -84,39 +84,41 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         if delimiter == settings.decimal:
             delimiter, lines = ";", join_halves(lines)
         remarks.append(f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells")
-        *of_file, rest = frames_in(path, lines, delimiter, settings)
-        if rest.rows:
-            of_file.append(rest)
-        take_stated_size(of_file, settings)
-        remarks += text_line_remarks(of_file, rest)
-        frames += of_file
+        *file_frames, unfinished = frames_in(path, lines, delimiter, settings)
+        if unfinished.rows:
+            file_frames.append(unfinished)
+        take_stated_size(file_frames, settings)
+        remarks += text_line_remarks(file_frames, unfinished)
+        frames += file_frames
         if not text.endswith(("\n", "\r")):
             remarks.append(f"{path.name} has no end of its last line: the last pixel may be cut")
     remarks = list(dict.fromkeys(remarks))
     if settings.time.line is None:
         refuse_text_order(paths)
     refuse_halves(frames, settings)
-    frames, width, left_out = frames_of_one_size(frames, settings)
+    frames, width, size_remarks = frames_of_one_size(frames, settings)
     check_first_cells(frames, settings)
-    remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
+    remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *size_remarks]
 
-    def where(row: int) -> str:
+    def frame_location(row: int) -> str:
         return f"{frames[row].path}: the frame from line {frames[row].line} on"
 
-    cells, in_sight = region_cells(frames, width, settings)
-    cells_by_region = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
-    sizes = {name: len(of[0]) for name, of in cells.items()}
+    cells, row_cells = region_cells(frames, width, settings)
+    cells_by_region = {
+        name: [cell for frame in frames_of_region for cell in frame] for name, frames_of_region in cells.items()
+    }
+    sizes = {name: len(frames_of_region[0]) for name, frames_of_region in cells.items()}
 
-    def place(name: str, at: int) -> str:
-        return f"{where(at // sizes[name])}, region {name}"
+    def location_of(name: str, cell: int) -> str:
+        return f"{frame_location(cell // sizes[name])}, region {name}"
 
     numbers, convention = read_numbers(
-        cells_by_region, settings, place, dict.fromkeys(cells_by_region, (COLDEST, HOTTEST))
+        cells_by_region, settings, location_of, dict.fromkeys(cells_by_region, (COLDEST, HOTTEST))
     )
     asides = [aside for frame in frames for aside in frame.above]
     headings = {name: name for name in cells}
     unit = unit_in(paths[0], settings, headings, numbers, asides)
-    pixels = {name: checked_celsius(name, numbers[name].values, unit, place) for name in settings.regions}
+    pixels = {name: checked_celsius(name, numbers[name].values, unit, location_of) for name in settings.regions}
     values = np.stack(
         [
             STATISTICS[region.statistic](pixels[name].reshape(len(frames), -1), axis=1)
@@ -128,11 +130,13 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
     stamps = [stamp_of(frame, line) for frame in frames] if line else []
     plain = None
     if stamps and looks_plain(stamps[0]):
-        plain = read_numbers({line: stamps}, settings, lambda _, row: where(row), {})[0][line]
-    clock = row_times(len(frames), stamps, plain, line, settings, where)
+        plain = read_numbers({line: stamps}, settings, lambda _, row: frame_location(row), {})[0][line]
+    clock = row_times(len(frames), stamps, plain, line, settings, frame_location)
     remarks += [str(convention), f"temperatures in {unit}", clock.description, *missing_remarks(headings, numbers)]
-    remarks += odd_number_remarks(cells_by_region, in_sight, convention, place) + heat_remarks(pixels, unit, place)
-    return CameraFile(clock, values, where, remarks + emissivity_remarks(asides))
+    remarks += odd_number_remarks(cells_by_region, row_cells, convention, location_of) + heat_remarks(
+        pixels, unit, location_of
+    )
+    return CameraFile(clock, values, frame_location, remarks + emissivity_remarks(asides))
 
 
 def split_line(line: str, delimiter: str) -> list[str]:
@@ -141,7 +145,12 @@ def split_line(line: str, delimiter: str) -> list[str]:
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
-    """The delimiter: as stated, or the only one that splits the first lines into equally many numbers."""
+    """Delimiter that the file or the settings state, else the only one that gives rows of equally many numbers.
+
+    Raises
+    ------
+    InputError : no delimiter or several fit.
+    """
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
@@ -162,20 +171,20 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
 
 
 def is_text_line(line: str, settings: ThermalCsvSettings) -> bool:
-    """Whether a line begins with a word and is no row of pixels; marks of missing pixels may be letters too."""
+    """Whether a line begins with a word and is not a row of pixels; marks of missing pixels may be letters too."""
     first = next((plain for cell in CELL_ENDS.split(line) if (plain := cell.strip("\"' ["))), "")
     return LETTER.match(first) is not None and first not in settings.missing
 
 
 def is_labelled_row(cells: Sequence[str], settings: ThermalCsvSettings) -> bool:
-    """Whether a word stands before pixels: `Frame 1;25.0;25.1`."""
+    """Whether a word precedes pixels in a row: `Frame 1;25.0;25.1`."""
     missing = frozenset(settings.missing)
-    read = [split_cell(cell, missing) for cell in cells[1:]]
-    return None not in read and sum(bool(cell and cell.number) for cell in read) > 1
+    pixels = [split_cell(cell, missing) for cell in cells[1:]]
+    return None not in pixels and sum(bool(cell and cell.number) for cell in pixels) > 1
 
 
 def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[PixelFrame]:
-    """Split the lines of a file into frames; the last one has no row if the lines end with text or a blank line."""
+    """Split the lines of a file into frames; the last frame has no row if the file ends with text or a blank line."""
     frames = [PixelFrame(path, 1, delimiter)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
@@ -200,12 +209,13 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
     return frames
 
 
-def text_line_remarks(frames: Sequence[PixelFrame], rest: PixelFrame) -> list[str]:
-    """Remarks on lines of text in a file that stand where those of the other frames do not."""
+def text_line_remarks(frames: Sequence[PixelFrame], unfinished: PixelFrame) -> list[str]:
+    """Remarks on lines of text that one frame has above it and the other frames have not."""
     remarks = []
-    if frames and not rest.rows and rest.above:
+    if frames and not unfinished.rows and unfinished.above:
         remarks.append(
-            f"{rest.path.name}: line {rest.above[0].line}: text below the last frame: {rest.above[0].name!r}"
+            f"{unfinished.path.name}: line {unfinished.above[0].line}: text below the last frame:"
+            f" {unfinished.above[0].name!r}"
         )
     usual = [aside.name for aside in frames[1].above] if len(frames) > 1 else []
     for number, frame in enumerate(frames):
@@ -217,7 +227,7 @@ def text_line_remarks(frames: Sequence[PixelFrame], rest: PixelFrame) -> list[st
 
 
 def take_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
-    """Store the size of the frames as a file states it: by name, in a line above, or by numbering rows and columns."""
+    """Store the size of the frames that a file states by names, in a line above, or by numbers of rows and columns."""
     if not frames:
         return
     first = frames[0]
@@ -227,11 +237,11 @@ def take_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings)
     )
     if len(first.rows) > 1:
         size = strip_cells(first.cells(0))
-        below = len(first.rows) - 1, len(strip_cells(first.cells(1)))
-        if size == [str(below[1]), str(below[0])]:
+        counted = len(first.rows) - 1, len(strip_cells(first.cells(1)))
+        if size == [str(counted[1]), str(counted[0])]:
             first.rows.pop(0)
             first.line += 1
-            rows, columns = below
+            rows, columns = counted
     if settings.index_column is True:
         columns = columns or first.label[1] - 1 if first.label[1] else columns  # the numbers of the columns
         rows = rows or len(first.rows) if first.cells(0)[0].strip("\"' ") == "0" else rows  # a lost row leaves a gap
@@ -251,11 +261,11 @@ def note_named_value(frame: PixelFrame, line: int, cells: Sequence[str], delimit
 def frames_of_one_size(
     frames: list[PixelFrame], settings: ThermalCsvSettings
 ) -> tuple[list[PixelFrame], int, list[str]]:
-    """Check that frames have one size; an incomplete last frame is left out. Returns frames, width and remarks.
+    """Check that frames have one size; drop an incomplete last frame. Returns frames, width and remarks.
 
     Raises
     ------
-    InputError : no frame, or a frame of another size before the last or than is stated.
+    InputError : no frame, or a frame whose size differs from the stated one or from that of the others.
     """
     if not frames:
         raise InputError("no frame of numbers was found")
@@ -281,31 +291,34 @@ def frames_of_one_size(
 
 
 def parts_of(frame: PixelFrame, height: int) -> list[PixelFrame]:
-    """The frames of a height that lines without a blank one between them hold; the lines as they are if they do not."""
+    """Split a frame into frames of a height; return it unsplit if its rows are not a multiple of the height."""
     if len(frame.rows) % height:
         return [frame]
     starts = range(0, len(frame.rows), height)
-    return [replace(frame, line=frame.line + at, rows=frame.rows[at : at + height]) for at in starts]
+    return [
+        replace(frame, line=frame.line + first_row, rows=frame.rows[first_row : first_row + height])
+        for first_row in starts
+    ]
 
 
 def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
-    """Check that what stands before and above the pixels is told by the settings.
+    """Check that the settings say whether the cells before and above the pixels are pixels.
 
     Raises
     ------
-    InputError : an axis or numbers of rows or columns, or a label of a row, of which no setting says that they are none
-        or pixels; or row numbers that have a gap.
+    InputError : an axis, numbers of rows or columns, or a label of a row, which no setting declares; or row numbers
+        that have a gap.
     """
     first = frames[0]
     index = int(settings.index_column is True)
     above = strip_cells(first.cells(0))[index:]
-    left = [cell for row in range(len(first.rows)) for cell in first.cells(row)[index : index + 1]]
+    left_column = [cell for row in range(len(first.rows)) for cell in first.cells(row)[index : index + 1]]
     is_stated = settings.frame_size is not None and None not in settings.frame_size
     if len(above) >= FEWEST_COUNTED and counts_by_one(above):
         raise InputError(f"{first.path}: line {first.line}: counts its columns, which are no pixels; {HINT}")
-    if is_axis(above, left) and not is_stated:
-        what = "rises or falls evenly, as the places of columns do, and the rows below it do not go on so"
-        raise InputError(f"{first.path}: line {first.line}: {what}; {HINT}")
+    if is_axis(above, left_column) and not is_stated:
+        reason = "rises or falls evenly, as the places of columns do, and the rows below it do not go on so"
+        raise InputError(f"{first.path}: line {first.line}: {reason}; {HINT}")
     for frame in frames:
         cells = [frame.cells(row)[0].strip("\"' ") for row in range(len(frame.rows))]
         filled = [cell for cell in cells if cell and not FRAME_LABEL.fullmatch(cell)]
@@ -314,28 +327,28 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
         if settings.index_column is not None:
             continue
         if frame.label[1] == len(strip_cells(frame.cells(0))):
-            what = f"line {frame.label[0]}: a word and as many cells as a row has"
+            reason = f"line {frame.label[0]}: a word and as many cells as a row has"
         elif not any(cells):
-            what = f"line {frame.line}: the first cell of every row is empty"
+            reason = f"line {frame.line}: the first cell of every row is empty"
         elif len(cells) >= FEWEST_COUNTED and counts_by_one(cells):
-            what = f"line {frame.line}: the first cells count the rows"
+            reason = f"line {frame.line}: the first cells count the rows"
         elif is_axis(cells, strip_cells(frame.cells(0))):
-            what = f"line {frame.line}: the first cells rise or fall evenly, as the places of rows do"
+            reason = f"line {frame.line}: the first cells rise or fall evenly, as the places of rows do"
         else:
             continue
-        raise InputError(f"{frame.path}: {what}; index_column says whether first cells are pixels")
+        raise InputError(f"{frame.path}: {reason}; index_column says whether first cells are pixels")
 
 
 def row_out_of_order(cells: Sequence[str]) -> int | None:
-    """The first row whose number or place does not go on from those above it; None where all do."""
+    """Index of the first row whose number or coordinate does not continue those above; None if all do."""
     if counts_by_one(cells) or (len(cells) >= FEWEST_COUNTED and is_even(cells)):
         return None
-    goes_on = counts_by_one if all(cell.isdecimal() for cell in cells) else is_even
-    return next(row for row in range(len(cells)) if not goes_on(cells[: row + 1]))
+    continues = counts_by_one if all(cell.isdecimal() for cell in cells) else is_even
+    return next(row for row in range(len(cells)) if not continues(cells[: row + 1]))
 
 
 def counts_by_one(cells: Sequence[str]) -> bool:
-    """Whether cells are whole numbers of which each is the one before plus one."""
+    """Whether cells are whole numbers, each larger by one than the one before."""
     if not all(cell.strip("\"' ").isdecimal() for cell in cells):
         return False
     numbers = [int(cell.strip("\"' ")) for cell in cells]
@@ -343,16 +356,16 @@ def counts_by_one(cells: Sequence[str]) -> bool:
 
 
 def is_axis(cells: Sequence[str], across: Sequence[str]) -> bool:
-    """Whether cells rise or fall evenly, behind a corner that may be empty, and those across from the corner do not.
+    """Whether cells, after a corner that may be empty, rise or fall evenly, while the cells across from them do not.
 
-    Pixels that rise evenly both ways are a slope.
+    Pixels that rise evenly in both directions are a slope.
     """
-    of_axis = cells[1:] if cells and not cells[0].strip("\"' ") else cells
-    return min(len(of_axis), len(across)) >= FEWEST_COUNTED and is_even(of_axis) and not is_even(across)
+    axis_cells = cells[1:] if cells and not cells[0].strip("\"' ") else cells
+    return min(len(axis_cells), len(across)) >= FEWEST_COUNTED and is_even(axis_cells) and not is_even(across)
 
 
 def is_even(cells: Sequence[str]) -> bool:
-    """Whether cells are numbers each of which differs from the one before by the same step, up to its rounding."""
+    """Whether cells are numbers with one constant step between them, up to rounding."""
     texts = [cell.strip("\"' ") for cell in cells]
     if not all(NUMBER.fullmatch(text) for text in texts):
         return False
@@ -360,9 +373,11 @@ def is_even(cells: Sequence[str]) -> bool:
     if len(numbers) < 2:
         return True
     step = (numbers[-1] - numbers[0]) / (len(numbers) - 1)
-    off = max(abs(number - numbers[0] - step * place) for place, number in enumerate(numbers))
+    deviation = max(abs(number - numbers[0] - step * index) for index, number in enumerate(numbers))
     digit = max(Decimal(1).scaleb(int(number.as_tuple().exponent)) for number in numbers)
-    return step != 0 and (off < digit / 1000 or (off <= digit < 1 and digit <= Decimal(ROUGHEST) * abs(step)))
+    return step != 0 and (
+        deviation < digit / 1000 or (deviation <= digit < 1 and digit <= Decimal(ROUGHEST) * abs(step))
+    )
 
 
 def refuse_halves(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
@@ -372,9 +387,9 @@ def refuse_halves(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) ->
     first = frames[0]
     index = int(settings.index_column is True)
     rows = [strip_cells(first.cells(row))[index:] for row in range(len(first.rows))]
-    ends = {len(cell) for row in rows for cell in row[1::2]}
-    whole = all(cell.lstrip("+-").isdecimal() for row in rows for cell in row)
-    if whole and len(ends) == 1 and all(len(row) % 2 == 0 for row in rows):
+    lengths_of_second_cells = {len(cell) for row in rows for cell in row[1::2]}
+    are_integers = all(cell.lstrip("+-").isdecimal() for row in rows for cell in row)
+    if are_integers and len(lengths_of_second_cells) == 1 and all(len(row) % 2 == 0 for row in rows):
         both = ",".join(rows[0][:2])
         raise InputError(f"{first.path}: line {first.line}: {both!r} is one number or two; decimal decides")
 
@@ -382,7 +397,7 @@ def refuse_halves(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) ->
 def region_cells(
     frames: Sequence[PixelFrame], width: int, settings: ThermalCsvSettings
 ) -> tuple[dict[str, list[list[str]]], set[str]]:
-    """The cells of each region, by frame, and all cells of their rows.
+    """Cells of each region, by frame, and all cells of the regions' rows.
 
     Raises
     ------
@@ -397,15 +412,15 @@ def region_cells(
             raise InputError(f"{frames[0].path}: region {name} goes past the frames of {height} rows, {width} columns")
     needed = sorted({row for rows, _ in spans.values() for row in range(rows[0], rows[1] + 1)})
     cells: dict[str, list[list[str]]] = {name: [] for name in spans}
-    in_sight: set[str] = set()
+    cells_of_rows: set[str] = set()
     for frame in frames:
         split = {row: frame.cells(row)[index:] for row in needed}
         for row_cells in split.values():
-            in_sight.update(row_cells)
+            cells_of_rows.update(row_cells)
         for name, (rows, columns) in spans.items():
             rows_of_region = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
             cells[name].append([cell for row_cells in rows_of_region for cell in row_cells])
-    return cells, in_sight
+    return cells, cells_of_rows
 
 
 def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -416,7 +431,7 @@ def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def stamp_of(frame: PixelFrame, name: str) -> str:
-    """The named value above a frame that holds its time.
+    """Value above a frame that has this name and holds the frame's time.
 
     Raises
     ------
@@ -424,6 +439,6 @@ def stamp_of(frame: PixelFrame, name: str) -> str:
     """
     values = [aside.value for aside in frame.above if aside.name == name]
     if len(values) != 1:
-        has = ", ".join(repr(aside.name) for aside in frame.above) or "nothing"
-        raise InputError(f"{frame.path}: the frame from line {frame.line} on has {has} above it, not one {name!r}")
+        names = ", ".join(repr(aside.name) for aside in frame.above) or "nothing"
+        raise InputError(f"{frame.path}: the frame from line {frame.line} on has {names} above it, not one {name!r}")
     return values[0]

@@ -73,8 +73,8 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     }
     values = np.stack([by_heading[headings[name]] for name in by_name], axis=1)
     region_cells = {heading: cells[heading] for heading in headings.values()}
-    in_sight = {text for of_column in region_cells.values() for text in of_column}
-    remarks += odd_number_remarks(region_cells, in_sight, convention, table.place)
+    surrounding = {text for of_column in region_cells.values() for text in of_column}
+    remarks += odd_number_remarks(region_cells, surrounding, convention, table.place)
     remarks += heat_remarks(by_heading, unit, table.place)
     return CameraFile(clock, values, where, remarks)
 
@@ -87,7 +87,7 @@ def row_times(
     settings: ThermalCsvSettings,
     where: Callable[[int], str],
 ) -> RowTimes:
-    """Times of rows by plain numbers, else by stamps, else by counting frames."""
+    """Times of rows from plain numbers if given, else from stamps, else from the number of the frame."""
     if plain is not None:
         unit = common_unit(heading, plain.units, where(0))
         return read_plain(plain.values, unit, settings.time, heading, where)
@@ -115,10 +115,10 @@ def unit_in(
         if unit:
             sources_by_unit.setdefault(unit, f"heading {heading!r}")
         for text in filter(None, columns[name].units):
-            in_cell = unit_named(text)
-            if in_cell is None:
+            cell_unit = unit_named(text)
+            if cell_unit is None:
                 raise InputError(f"{path}: column {heading!r}: {text!r} behind a number is no temperature unit")
-            sources_by_unit.setdefault(in_cell, f"cells of {heading!r}")
+            sources_by_unit.setdefault(cell_unit, f"cells of {heading!r}")
     for aside in asides:
         unit = unit_named(aside.value) or unit_named(unit_of(aside.value))
         if UNIT_LINE.search(aside.name) and unit:
@@ -138,20 +138,20 @@ def unit_after_slash(heading: str) -> str | None:
     return unit_named(re.split(r"[/_ ]", heading)[-1]) if re.search(r"/|°|℃|℉|deg[CF]$", heading) else None
 
 
-def checked_celsius(name: str, values: Array, unit: str, place: Where) -> Array:
+def checked_celsius(name: str, values: Array, unit: str, location_of: Where) -> Array:
     """Convert the temperatures of a column or a region to degC.
 
     Raises
     ------
-    InputError : one is not above absolute zero, as a mark of a missing number or a wrong unit makes it.
+    InputError : a temperature is not above absolute zero, which a mark of a missing number or a wrong unit can cause.
     """
     conversion = converter(unit, "winding_temperature")
     assert conversion is not None
     converted: Array = conversion.factor * (values - conversion.zero)
     if (cold := np.flatnonzero(converted <= ABSOLUTE_ZERO_DEGC + ZERO_WITHIN)).size:
         raise InputError(
-            f"{place(name, int(cold[0]))}: {values[cold[0]]:.6g} {unit} is not above absolute zero; unit says what"
-            f" numbers are in, missing which of them mark a missed sample"
+            f"{location_of(name, int(cold[0]))}: {values[cold[0]]:.6g} {unit} is not above absolute zero; unit says"
+            f" what numbers are in, missing which of them mark a missed sample"
         )
     return converted
 
@@ -168,18 +168,18 @@ def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers])
 
 
 def odd_number_remarks(
-    columns: Mapping[str, Sequence[str]], in_sight: Iterable[str], convention: NumberFormat, place: Where
+    columns: Mapping[str, Sequence[str]], surrounding: Iterable[str], convention: NumberFormat, location_of: Where
 ) -> list[str]:
-    """Remarks on numbers that lie far from those around them and are written otherwise.
+    """Remarks on numbers that are far from those around them and written differently.
 
-    Such a number has an exponent, or lies among the others only if the decimal mark that they have is put in.
+    Such a number has an exponent, or is in the range of the others only with their decimal mark inserted.
 
     Parameters
     ----------
     columns : cells by heading.
-    in_sight : the cells around them, and they themselves.
+    surrounding : the cells around them, including themselves.
     """
-    usual = [text for text in map(number_in, in_sight) if convention.decimal in text and "e" not in text]
+    usual = [text for text in map(number_in, surrounding) if convention.decimal in text and "e" not in text]
     if len(usual) < FEWEST_USUAL:
         return []
     decimals = {len(text.rpartition(convention.decimal)[2]) for text in usual}
@@ -195,7 +195,7 @@ def odd_number_remarks(
             lost = convention.decimal not in number and any(low <= value / 10.0**count <= high for count in decimals)
             if lost or "e" in number:
                 why = "has an exponent" if "e" in number else "may have lost its decimal mark"
-                remarks.append(f"{place(heading, cells.index(text))}: {text!r} {why}")
+                remarks.append(f"{location_of(heading, cells.index(text))}: {text!r} {why}")
     return remarks[:MOST_FAULTS]
 
 
@@ -205,13 +205,13 @@ def number_in(text: str) -> str:
     return cell.number.lower() if cell else ""
 
 
-def heat_remarks(columns: Mapping[str, Array], unit: str, place: Where) -> list[str]:
-    """A remark on temperatures [degC] above those of any part of an actuator: all of them, or some with the first.
+def heat_remarks(columns: Mapping[str, Array], unit: str, location_of: Where) -> list[str]:
+    """Remark on temperatures [degC] above those of any part of an actuator: all, or some and the first of them.
 
     Parameters
     ----------
     columns : by heading or region.
-    unit : in which they stand in the file.
+    unit : unit of the temperatures in the file.
     """
     coldest = min(float(np.nanmin(values, initial=np.inf)) for values in columns.values())
     if HOT_DEGC < coldest < np.inf:
@@ -223,8 +223,9 @@ def heat_remarks(columns: Mapping[str, Array], unit: str, place: Where) -> list[
         return []
     row = int(hot[first][0])
     return [
-        f"{place(first, row)}: {columns[first][row]:.4g} degC, and {sum(rows.size for rows in hot.values()) - 1} more"
-        f" above {HOT_DEGC:g} degC: do they mark a missed sample? missing decides"
+        f"{location_of(first, row)}: {columns[first][row]:.4g} degC, and"
+        f" {sum(rows.size for rows in hot.values()) - 1} more above {HOT_DEGC:g} degC: do they mark a missed sample?"
+        " missing decides"
     ]
 
 

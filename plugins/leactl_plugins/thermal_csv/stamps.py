@@ -35,7 +35,7 @@ class RowTimes(NamedTuple):
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
-    day: date | None  # of that midnight, where it is known
+    day: date | None  # of that midnight, if it is known
     resolution: float  # s
     description: str
 
@@ -43,7 +43,7 @@ class RowTimes(NamedTuple):
 class StampParts(NamedTuple):
     """Parts of a stamp, without its fraction of a second."""
 
-    day: tuple[int, int, int] | None  # as it stands
+    day: tuple[int, int, int] | None  # in the order of the stamp
     fields: tuple[int, ...]  # of the time, between colons
     half: str  # "", "am" or "pm"
     zone: str
@@ -84,18 +84,18 @@ def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> 
         passed = np.cumsum(over)
         time_s = time_s + DAY_S * passed
         description += f", {int(passed[-1])} midnights passed"
-    whole = 60.0 if hours_first and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
-    resolution = 10.0**-digits if digits else whole
+    field_resolution = 60.0 if hours_first and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
+    resolution = 10.0**-digits if digits else field_resolution
     midnight, zone_text = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
-    said = [description, order_text, zone_text if kind == "wall" else "", f"resolved to {resolution:g} s"]
+    descriptions = [description, order_text, zone_text if kind == "wall" else "", f"resolved to {resolution:g} s"]
     wall = kind == "wall"
     return RowTimes(
-        time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said))
+        time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, descriptions))
     )
 
 
 def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
-    """Texts before and after each fraction of a second, the fractions (n,) [s], and their largest number of digits.
+    """Split each stamp at its fraction; returns texts before and after, fractions (n,) [s], and the most digits.
 
     Few stamps of a long record differ in more than their fraction; only those are parsed.
     """
@@ -139,13 +139,14 @@ def read_days(
             readings[order] = dates
     if not readings:
         first = next(day for day in days if day is not None)
-        asked = f" in the order {settings.date_order}" if settings.date_order else ""
-        raise InputError(f"{where(days[first])}: {'/'.join(map(str, first))} is no date{asked}")
-    (order, dates), *others = readings.items()
-    for other, different in others:
+        stated_order = f" in the order {settings.date_order}" if settings.date_order else ""
+        raise InputError(f"{where(days[first])}: {'/'.join(map(str, first))} is no date{stated_order}")
+    (order, dates), *other_readings = readings.items()
+    for other_order, other_dates in other_readings:
         for day in days:
-            if dates[day] != different[day]:
-                message = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
+            if dates[day] != other_dates[day]:
+                day_text = "/".join(map(str, day or ()))
+                message = f"{day_text} reads {dates[day]} ({order}) or {other_dates[day]} ({other_order})"
                 raise InputError(f"{where(days[day])}: {message}; time.date_order decides")
     return dates, f"dates as {order}" if any(day is not None for day in days) else ""
 

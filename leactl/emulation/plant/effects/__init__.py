@@ -1,7 +1,7 @@
-"""Effects the nominal plant does not have: each a module of this package, found by listing it.
+"""Effects that the nominal plant does not have: each is a module of this package, found by listing it.
 
-A module defines one subclass of `PlantEffect`, a frozen dataclass whose numbers carry their range. Adding an effect
-adds a file here and edits nothing else.
+A module defines one subclass of `PlantEffect`, a frozen dataclass whose fields carry their range. To add an effect,
+add a file here; nothing else is edited.
 """
 
 import importlib
@@ -16,14 +16,14 @@ __all__ = ["PlantEffect", "known_effects", "make_effect"]
 
 
 def known_effects() -> dict[str, type[PlantEffect]]:
-    """Every effect by the name of its module."""
+    """Map the name of each module to its effect class."""
     effects: dict[str, type[PlantEffect]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
-        for thing in vars(module).values():
-            own = isinstance(thing, type) and thing.__module__ == module.__name__
-            if own and issubclass(thing, PlantEffect) and thing is not PlantEffect:
-                effects[entry.name] = thing
+        for member in vars(module).values():
+            is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
+            if is_defined_here and issubclass(member, PlantEffect) and member is not PlantEffect:
+                effects[entry.name] = member
     return effects
 
 
@@ -32,12 +32,12 @@ def make_effect(name: str, parameters: Mapping[str, Any] | None = None) -> Plant
 
     Raises
     ------
-    InputError : no such effect (the known ones are named), or parameters it cannot take.
+    InputError : no such effect (the message names the known ones), or parameters that it cannot take.
     """
-    known = known_effects()
-    if name not in known:
-        raise InputError(f"effect {name!r} is unknown; known are {', '.join(sorted(known))}")
+    effects = known_effects()
+    if name not in effects:
+        raise InputError(f"effect {name!r} is unknown; known are {', '.join(sorted(effects))}")
     try:
-        return known[name].from_mapping(parameters or {})
+        return effects[name].from_mapping(parameters or {})
     except InputError as error:
         raise InputError([f"effect {name}: {fault}" for fault in error.faults]) from error

@@ -1,4 +1,4 @@
-"""An ambient that moves away from where it is logged."""
+"""Ambient temperature that departs from the logged one."""
 
 import math
 from dataclasses import dataclass
@@ -14,5 +14,5 @@ class PlantAmbientDrift(PlantEffect):
     change: float = bounded(0.0, -50.0, 50.0)  # K
 
     def ambient_error(self, time: float) -> Value:
-        """A door stays open, slowly felt."""
+        """Follow half a cosine: slow at first, as when a door stays open."""
         return self.change * 0.5 * (1.0 - math.cos(math.pi * min(time / 7200.0, 1.0)))

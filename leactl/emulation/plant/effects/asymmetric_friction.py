@@ -15,5 +15,5 @@ class PlantAsymmetricFriction(PlantEffect):
     asymmetry: float = bounded(0.0, -0.95, 0.95)
 
     def coulomb(self, level: Value, now: Now) -> Value:
-        """Take the direction in which the rotor goes, or would go if it did not stick."""
+        """Take the direction in which the rotor turns, or would turn if it did not stick."""
         return level * (1.0 + self.asymmetry * np.sign(now.velocity))

@@ -10,11 +10,11 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantBacklash(PlantEffect):
-    """The shaft strains by the twist beyond half the play on either side."""
+    """The shaft is strained by the part of the twist beyond half the play on either side."""
 
     width: float = bounded(0.0, 0.0, 1.0)  # rad
 
     def transmitted_twist(self, twist: Value) -> Value:
-        """Nothing within the play."""
+        """Subtract the play from the twist; zero within the play."""
         half = 0.5 * self.width
         return twist - np.minimum(np.maximum(twist, -half), half)

@@ -19,7 +19,7 @@ class PlantCogging(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Fundamental and second harmonic; flat-topped teeth give both."""
+        """Sum the fundamental and the second harmonic; flat-topped teeth give both."""
         turn = self.order * angle + self.phase
         sine = np.sin(turn)
         return self.amplitude * sine * (1.0 + np.cos(turn) / 3.0)

@@ -1,4 +1,4 @@
-"""A drive that follows its reference no faster than a fixed rate."""
+"""A drive whose current reference changes no faster than a fixed rate."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantCommandSlewLimit(PlantEffect):
-    """The followed reference moves by at most rate x step."""
+    """The current reference changes by at most rate x step."""
 
     rate: float = bounded(1e6, 1e-3, 1e9)  # A/s
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Go towards the reference, never faster."""
+        """Move towards the reference by at most rate x step."""
         followed = np.zeros(lanes)
         most = self.rate * step_s
 

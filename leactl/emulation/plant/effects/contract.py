@@ -1,8 +1,8 @@
-"""What an effect may do to the plant; each method left alone means: nothing.
+"""What an effect may change in the plant; a method that an effect does not override changes nothing.
 
-The rig (exact steps, one bench) knows `torque`, `sense_current` and `sense_torque`. The stepped plant knows all of
-them and calls each over many lanes at once: an effect made by `stacked` holds arrays where one made alone holds
-numbers, and its methods are written for both.
+The rig (exact steps, one bench) calls `torque`, `sense_current` and `sense_torque`. The stepped plant calls all
+methods, each over many lanes at once: an effect made by `stacked` holds arrays where a single effect holds numbers,
+and its methods accept both.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,16 +15,16 @@ from leactl.emulation.plant.parameters import Checked
 from leactl.errors import InputError
 
 Value: TypeAlias = Any  # a number in the rig, an array over lanes in the stepped plant
-Path: TypeAlias = Callable[[Value], Value]  # takes a signal once per step and gives what becomes of it
+Path: TypeAlias = Callable[[Value], Value]  # takes a signal once per step and returns the changed one
 
 
 class Now:
-    """What holds in the lanes of one effect at one moment: views that the plant keeps up to date."""
+    """State of the plant in the lanes of one effect at one moment: views that the plant keeps up to date."""
 
     time: float = 0.0  # s since the run's start
     angle: Value  # rad, of the rotor
-    velocity: Value  # rad/s, friction of this step not yet taken off
-    current: Value  # A, that flows
+    velocity: Value  # rad/s, before the friction of this step
+    current: Value  # A, true current
     shaft_torque: Value  # N*m
     winding: Value  # degC
     housing: Value  # degC
@@ -32,7 +32,7 @@ class Now:
 
 @dataclass(frozen=True)
 class PlantEffect(Checked):
-    """One thing that the nominal plant lacks, on one actuator."""
+    """One effect that the nominal plant lacks, on one actuator."""
 
     adds_torque: ClassVar[bool] = False
     needs_whole_record: ClassVar[bool] = False  # `torque_record` looks ahead: nothing for a live bench
@@ -45,25 +45,27 @@ class PlantEffect(Checked):
 
     @classmethod
     def stacked(cls, effects: "Sequence[PlantEffect]") -> Self:
-        """One effect over lanes, its parameters arrays, from as many single ones as there are lanes."""
-        over = object.__new__(cls)
-        for item in fields(cls):
-            values = [getattr(effect, item.name) for effect in effects]
-            object.__setattr__(over, item.name, values[0] if item.name == "role" else np.array(values, np.float64))
-        return over
+        """Combine effects of one kind, one per lane, into one effect whose parameters are arrays over lanes."""
+        combined = object.__new__(cls)
+        for parameter in fields(cls):
+            values = [getattr(effect, parameter.name) for effect in effects]
+            object.__setattr__(
+                combined, parameter.name, values[0] if parameter.name == "role" else np.array(values, np.float64)
+            )
+        return combined
 
     # ------------------------------------------------------------ rig and stepped plant
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Torque on the rotor [N*m], asked for at most every 0.25 ms where `adds_torque` is set."""
+        """Torque on the rotor [N*m], called at most every 0.25 ms, for effects with `adds_torque`."""
         return 0.0
 
     def sense_current(self, current: Value) -> Value:
-        """What the drive's current sensor makes of a current [A]; affine, since the current loop closes over it."""
+        """Reading of the drive's current sensor at a current [A]; affine, because the current loop closes over it."""
         return current
 
     def sense_torque(self, torque: Value) -> Value:
-        """What the shaft's torque sensor makes of a torque [N*m]; the role does not matter."""
+        """Reading of the shaft's torque sensor at a torque [N*m]; the role does not matter."""
         return torque
 
     # ------------------------------------------------------------ stepped plant: mechanics
@@ -73,7 +75,7 @@ class PlantEffect(Checked):
         return nominal
 
     def transmitted_twist(self, twist: Value) -> Value:
-        """The part of the twist between the actuators that strains the shaft [rad]."""
+        """Part of the twist between the actuators that strains the shaft [rad]."""
         return twist
 
     def torque_share(self, now: Now) -> Value:
@@ -81,25 +83,25 @@ class PlantEffect(Checked):
         return 1.0
 
     def coulomb(self, level: Value, now: Now) -> Value:
-        """Coulomb friction [N*m] in place of this level."""
+        """Coulomb friction [N*m] that replaces the nominal `level`."""
         return level
 
     def friction_share(self, now: Now) -> Value:
-        """Factor on viscous damping and Coulomb friction, asked for every millisecond."""
+        """Factor on viscous damping and Coulomb friction, called every millisecond."""
         return 1.0
 
     def friction_path(self, lanes: int, step_s: float) -> Callable[[Value, Value], Value] | None:
-        """Coulomb friction of a form with a memory: takes its level and the velocity, gives the torque on the rotor."""
+        """Coulomb friction with a memory: a function of level and velocity that returns a torque on the rotor."""
         return None
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value] | None:
-        """A torque on the rotor with a memory, or of more than angle and velocity [N*m]."""
+        """A torque on the rotor [N*m] with a memory, or that depends on more than angle and velocity."""
         return None
 
     # ------------------------------------------------------------ stepped plant: electrics
 
     def magnet_share(self, now: Now) -> Value:
-        """Factor on torque and back-EMF constant, asked for every millisecond."""
+        """Factor on torque constant and back-EMF constant, called every millisecond."""
         return 1.0
 
     def resistance_share(self, winding: Value, time: float) -> Value:
@@ -107,19 +109,19 @@ class PlantEffect(Checked):
         return 1.0
 
     def reference_path(self, lanes: int, step_s: float) -> Path | None:
-        """What the current loop follows [A] in place of the reference it is given."""
+        """Function that changes the reference of the current loop [A]."""
         return None
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """What the drive allows of a current reference [A], asked for every millisecond."""
+        """Current reference [A] within the limits of the drive, called every millisecond."""
         return reference
 
     def lost_voltage(self, current: Value) -> Value:
-        """Voltage that the drive applies and the winding does not see [V]."""
+        """Voltage that the drive applies but that does not reach the winding [V]."""
         return 0.0
 
     def bus_voltage(self, source: Value, power: Value) -> Value:
-        """Bus voltage [V] under a power drawn from it [W]."""
+        """DC link voltage [V] while a power [W] is drawn."""
         return source
 
     # ------------------------------------------------------------ stepped plant: sensors
@@ -129,19 +131,19 @@ class PlantEffect(Checked):
         return 0.0
 
     def velocity_path(self, lanes: int, step_s: float) -> Path | None:
-        """What becomes of the velocity behind the drive's filter."""
+        """Function that changes the velocity after the drive's filter."""
         return None
 
     def torque_path(self, lanes: int, step_s: float) -> Path | None:
-        """What becomes of the torque behind the sensor's filter."""
+        """Function that changes the torque after the sensor's filter."""
         return None
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """A whole record of torque, a column a lane, as the sensor gives it."""
+        """Torque that the sensor records over a whole run; arrays have one column per lane."""
         return torque
 
     def angle_record(self, angle: Value, time: Value) -> Value:
-        """A whole record of the angle, a column a lane, as the encoder gives it."""
+        """Angle that the encoder records over a whole run; arrays have one column per lane."""
         return angle
 
     # ------------------------------------------------------------ stepped plant: heat
@@ -155,24 +157,24 @@ class PlantEffect(Checked):
         return 1.0
 
     def housing_heat(self, friction_power: Value) -> Value:
-        """Heat into the housing [W] from a power that friction takes."""
+        """Heat into the housing [W] at a friction power [W]."""
         return 0.0
 
     def fixture(self) -> tuple[Value, Value] | None:
-        """Heat capacity that hangs on the housing [J/K] and the resistance between them [K/W]."""
+        """Heat capacity of a fixture on the housing [J/K] and the thermal resistance between them [K/W]."""
         return None
 
     def camera(self, temperature: Value, ambient: Value) -> Value:
-        """What the camera reads [degC]."""
+        """Temperature that the camera reads [degC]."""
         return temperature
 
 
-HOOKS = tuple(name for name, thing in vars(PlantEffect).items() if callable(thing) and not name.startswith("_"))
-"""Names of everything an effect may do."""
+HOOKS = tuple(name for name, member in vars(PlantEffect).items() if callable(member) and not name.startswith("_"))
+"""Names of the methods that an effect may override."""
 RIG_HOOKS = ("torque", "sense_current", "sense_torque")
-"""Those of them that the rig can express."""
+"""Names of those hooks that the rig calls."""
 
 
 def own_hooks(effect: PlantEffect) -> list[str]:
-    """Those for which an effect has a form of its own."""
+    """Names of the hooks that an effect overrides."""
     return [hook for hook in HOOKS if getattr(type(effect), hook) is not getattr(PlantEffect, hook)]

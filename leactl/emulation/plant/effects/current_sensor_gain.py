@@ -1,4 +1,4 @@
-"""A current sensor that reads too much or too little: the drive then regulates the wrong current."""
+"""A current sensor whose gain is wrong: the drive then regulates the wrong current."""
 
 from dataclasses import dataclass
 
@@ -13,5 +13,5 @@ class PlantCurrentSensorGain(PlantEffect):
     gain: float = bounded(1.0, 0.1, 10.0)
 
     def sense_current(self, current: float) -> float:
-        """Scale."""
+        """Multiply the current by the gain."""
         return self.gain * current

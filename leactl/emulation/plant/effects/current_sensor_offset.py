@@ -1,4 +1,4 @@
-"""A current sensor whose zero is off: the drive regulates a current away from the command."""
+"""A current sensor whose zero is wrong: the drive regulates a current that differs from the command."""
 
 from dataclasses import dataclass
 
@@ -13,5 +13,5 @@ class PlantCurrentSensorOffset(PlantEffect):
     offset: float = bounded(0.0, -10.0, 10.0)  # A, q axis
 
     def sense_current(self, current: float) -> float:
-        """Shift."""
+        """Add the offset to the current."""
         return current + self.offset

@@ -1,4 +1,4 @@
-"""An inverter that loses voltage against the current's sign."""
+"""An inverter that loses voltage, with the sign of the current."""
 
 from dataclasses import dataclass
 
@@ -16,5 +16,5 @@ class PlantDeadTime(PlantEffect):
     current: float = bounded(0.3, 1e-3, 100.0)  # A
 
     def lost_voltage(self, current: Value) -> Value:
-        """Builds up with the current and stays."""
+        """Rise with the current and saturate."""
         return self.voltage * current / np.hypot(current, self.current)

@@ -13,5 +13,5 @@ class PlantEmissivityBias(PlantEffect):
     fraction: float = bounded(1.0, 0.01, 10.0)
 
     def camera(self, temperature: Value, ambient: Value) -> Value:
-        """A fixed fraction of the rise."""
+        """Scale the rise above ambient by the fraction."""
         return ambient + self.fraction * (temperature - ambient)

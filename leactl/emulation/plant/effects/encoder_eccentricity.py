@@ -16,7 +16,7 @@ class PlantEncoderEccentricity(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def encoder_error(self, angle: Value) -> Value:
-        """Once a turn, hardly twice."""
+        """Error with one period a turn, and a small part with two."""
         turn = angle + self.phase
         sine = np.sin(turn)
         return self.amplitude * sine * (1.0 + 0.1 * np.cos(turn))

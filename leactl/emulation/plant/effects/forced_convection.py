@@ -1,4 +1,4 @@
-"""Air that a turning rotor moves."""
+"""Convection that grows with the rotor's speed."""
 
 from dataclasses import dataclass
 
@@ -15,5 +15,5 @@ class PlantForcedConvection(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 10.0)  # s/rad
 
     def housing_conductance(self, rise: Value, speed: Value) -> Value:
-        """Grow with speed."""
+        """Increase the conductance with speed."""
         return (1.0 + 1.25 * self.coefficient * np.abs(speed)) ** 0.8

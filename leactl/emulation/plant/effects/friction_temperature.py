@@ -1,4 +1,4 @@
-"""Grease that thins, or seals that tighten, as the machine warms."""
+"""Friction that changes as the machine warms: grease thins, or seals tighten."""
 
 from dataclasses import dataclass
 
@@ -15,5 +15,5 @@ class PlantFrictionTemperature(PlantEffect):
     coefficient: float = bounded(0.0, -0.1, 0.1)  # 1/K
 
     def friction_share(self, now: Now) -> Value:
-        """Both frictions by one factor."""
+        """Scale viscous damping and Coulomb friction by one factor."""
         return np.exp(np.clip(self.coefficient * (now.housing - 25.0), -2.0, 2.0))

@@ -15,5 +15,5 @@ class PlantLoadDependentFriction(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 2.0)
 
     def coulomb(self, level: Value, now: Now) -> Value:
-        """Add the load's share; 0.15 N*m of it is lost in the preload that is there anyway."""
+        """Add the load's share, less the 0.15 N*m of the bearings' preload."""
         return level + self.coefficient * (np.hypot(now.shaft_torque, 0.15) - 0.15)

@@ -1,4 +1,4 @@
-"""Magnets that weaken as they warm; they sit at the housing's temperature."""
+"""Magnets that weaken as they warm; they have the housing's temperature."""
 
 from dataclasses import dataclass
 
@@ -15,5 +15,5 @@ class PlantMagnetTemperature(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 0.05)  # 1/K
 
     def magnet_share(self, now: Now) -> Value:
-        """Both constants by one factor."""
+        """Scale torque constant and back-EMF constant by one factor."""
         return np.exp(-self.coefficient * (now.housing - 25.0))

@@ -1,4 +1,4 @@
-"""Air that carries more heat the hotter the housing."""
+"""Convection that grows with the housing's temperature."""
 
 from dataclasses import dataclass
 
@@ -15,5 +15,5 @@ class PlantNonlinearConvection(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 1.0)  # 1/K
 
     def housing_conductance(self, rise: Value, speed: Value) -> Value:
-        """Grow with the size of the rise."""
+        """Increase the conductance with the magnitude of the rise."""
         return np.sqrt(1.0 + 2.0 * self.coefficient * np.abs(rise))

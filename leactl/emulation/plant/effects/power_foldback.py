@@ -1,4 +1,4 @@
-"""A drive that takes its current back at speed."""
+"""A drive that reduces its current at speed."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ STANDSTILL = 1e-6  # rad/s, below which no power flows
 
 @dataclass(frozen=True)
 class PlantPowerFoldback(PlantEffect):
-    """The current loop follows its reference as far as power allows."""
+    """The current loop follows its reference as far as the power limit allows."""
 
     power: float = bounded(1e6, 1e-3, 1e9)  # W
 

@@ -1,4 +1,4 @@
-"""Friction that gives like a lossy spring before it slides."""
+"""Friction that yields like a lossy spring before it slides."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ SLIDERS = 8
 
 @dataclass(frozen=True)
 class PlantPresliding(PlantEffect):
-    """Spring-sliders that let go one after the other (Iwan, Prandtl): together a parabola up to `displacement`."""
+    """Spring-sliders that slip one after the other (Iwan, Prandtl): together a parabola up to `displacement`."""
 
     displacement: float = bounded(0.001, 1e-6, 1.0)  # rad
 
     def friction_path(self, lanes: int, step_s: float) -> Callable[[Value, Value], Value]:
-        """Stretch each spring with the motion, up to where its slider lets go."""
+        """Stretch each spring with the motion, up to where its slider slips."""
         shares = (np.arange(SLIDERS) + 1.0)[:, None] / SLIDERS
         reach = shares * np.broadcast_to(self.displacement, (lanes,))
         stretch = np.zeros((SLIDERS, lanes))

@@ -17,5 +17,5 @@ class PlantQuadraticDrag(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 1.0)  # N*m*s^2/rad^2
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Against the motion."""
+        """Drag torque that opposes the motion."""
         return -self.coefficient * velocity * np.abs(velocity)

@@ -1,4 +1,4 @@
-"""Copper that resists more when warm, where the nominal model has no coefficient."""
+"""Copper whose resistance rises with temperature, where the nominal model has no coefficient."""
 
 from dataclasses import dataclass
 
@@ -13,5 +13,5 @@ class PlantResistanceTemperature(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 0.02)  # 1/K
 
     def resistance_share(self, winding: Value, time: float) -> Value:
-        """Linear, as copper is within 1 % up to 150 degC."""
+        """Increase linearly, as copper does within 1 % up to 150 degC."""
         return 1.0 + self.coefficient * (winding - 25.0)

@@ -13,5 +13,5 @@ class PlantRotationalHeat(PlantEffect):
     fraction: float = bounded(0.0, 0.0, 10.0)
 
     def housing_heat(self, friction_power: Value) -> Value:
-        """A share of what friction takes."""
+        """Return a fraction of the friction power."""
         return self.fraction * friction_power

@@ -8,10 +8,10 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantShaftCompliance(PlantEffect):
-    """Stiffness in place of the bench's."""
+    """Shaft stiffness that replaces the bench's."""
 
     stiffness: float = bounded(6000.0, 1.0, 1e7)
 
     def shaft_stiffness(self, nominal: Value) -> Value:
-        """Replace it."""
+        """Return this stiffness in place of the nominal one."""
         return self.stiffness + 0.0 * nominal

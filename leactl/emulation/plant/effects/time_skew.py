@@ -1,4 +1,4 @@
-"""A torque stream that is late against the drive's."""
+"""A torque stream that is late relative to the drive's streams."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantTimeSkew(PlantEffect):
-    """The torque as it was `delay` ago."""
+    """The torque reading shows the torque of `delay` earlier."""
 
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def torque_path(self, lanes: int, step_s: float) -> Path:
-        """Keep the torque of the last steps."""
+        """Delay the torque reading."""
         return Delay(self.delay, lanes, step_s)

@@ -17,7 +17,7 @@ class PlantTorqueRipple(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque_share(self, now: Now) -> Value:
-        """Fundamental and second harmonic of the back-EMF's departure from a sine."""
+        """Sum the fundamental and the second harmonic of the back-EMF's departure from a sine."""
         turn = self.order * now.angle + self.phase
         sine = np.sin(turn)
         return 1.0 + self.amplitude * sine * (1.0 + 0.4 * np.cos(turn))

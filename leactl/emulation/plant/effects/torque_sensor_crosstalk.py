@@ -1,4 +1,4 @@
-"""Misalignment that bends the sensor once a turn."""
+"""Misalignment that loads the torque sensor in bending once a turn."""
 
 from dataclasses import dataclass
 
@@ -16,5 +16,5 @@ class PlantTorqueSensorCrosstalk(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add a reading with no torque behind it."""
+        """Add the reading that bending causes."""
         return torque + self.amplitude * np.sin(angle + self.phase)

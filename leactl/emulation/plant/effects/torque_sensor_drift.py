@@ -1,4 +1,4 @@
-"""A torque channel whose zero moves with time."""
+"""A torque channel whose zero drifts with time."""
 
 from dataclasses import dataclass
 
@@ -15,5 +15,5 @@ class PlantTorqueSensorDrift(PlantEffect):
     rate: float = bounded(0.0, -1.0, 1.0)  # N*m/s
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add what the zero has moved."""
+        """Add the drift of the zero."""
         return torque + self.rate * 600.0 * -np.expm1(-time / 600.0)

@@ -1,4 +1,4 @@
-"""A torque sensor whose calibration is off by a factor."""
+"""A torque sensor whose calibration is wrong by a factor."""
 
 from dataclasses import dataclass
 
@@ -13,5 +13,5 @@ class PlantTorqueSensorGain(PlantEffect):
     gain: float = bounded(1.0, 0.1, 10.0)
 
     def sense_torque(self, torque: float) -> float:
-        """Scale."""
+        """Multiply the torque by the gain."""
         return self.gain * torque

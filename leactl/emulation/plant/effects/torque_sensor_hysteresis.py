@@ -1,4 +1,4 @@
-"""A torque reading that depends on where it comes from."""
+"""A torque sensor whose reading depends on the direction from which the torque comes."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,13 +13,13 @@ REACHES = np.array([0.1, 0.25, 0.5])  # of the swing
 
 @dataclass(frozen=True)
 class PlantTorqueSensorHysteresis(PlantEffect):
-    """Sliders in the spring let go one after the other; the reading stays behind by what they hold."""
+    """Sliders in the sensor's spring slip one after the other; the reading lags by the torque that they hold."""
 
     needs_whole_record: ClassVar[bool] = True
     width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Hold back a share of every reversal, up to each slider's reach."""
+        """Subtract the mean torque that the sliders hold back, which is limited by the reach of each."""
         swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
         reach = REACHES[:, None] * swing
         share = self.width / REACHES.mean()

@@ -1,4 +1,4 @@
-"""A torque channel that follows late beyond its filter."""
+"""A torque channel that lags more than its filter does."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantTorqueSensorLag(PlantEffect):
-    """A further first-order lag."""
+    """A first-order lag in addition to the filter."""
 
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
 
     def torque_path(self, lanes: int, step_s: float) -> Path:
-        """Start without torque."""
+        """Apply the lag, from zero torque at the start."""
         return Lag(self.time_constant, lanes, step_s)

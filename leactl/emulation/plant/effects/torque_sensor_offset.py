@@ -1,4 +1,4 @@
-"""A torque sensor whose zero is off."""
+"""A torque sensor whose zero is wrong."""
 
 from dataclasses import dataclass
 
@@ -13,5 +13,5 @@ class PlantTorqueSensorOffset(PlantEffect):
     offset: float = bounded(0.0, -100.0, 100.0)  # N*m
 
     def sense_torque(self, torque: float) -> float:
-        """Shift."""
+        """Add the offset to the torque."""
         return torque + self.offset

@@ -1,4 +1,4 @@
-"""A drive whose current follows its reference late: a fieldbus, a slow cycle."""
+"""A drive whose current follows its reference after a delay, as from a fieldbus or a slow cycle."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantTransportDelay(PlantEffect):
-    """The reference as it was `delay` ago."""
+    """The current loop gets the reference of `delay` earlier."""
 
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Keep the reference of the last steps."""
+        """Delay the reference."""
         return Delay(self.delay, lanes, step_s)

@@ -18,5 +18,5 @@ class PlantUnbalance(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """A weight on a lever."""
+        """Gravity torque of an eccentric mass at an angle."""
         return self.amplitude * np.sin(angle + self.phase)

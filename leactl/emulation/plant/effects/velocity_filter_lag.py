@@ -1,4 +1,4 @@
-"""A reported velocity that lags beyond the drive's filter."""
+"""A reported velocity that lags more than the drive's filter does."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class PlantVelocityFilterLag(PlantEffect):
-    """A further first-order lag."""
+    """A first-order lag in addition to the filter."""
 
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
 
     def velocity_path(self, lanes: int, step_s: float) -> Path:
-        """Start at rest."""
+        """Apply the lag, from rest at the start."""
         return Lag(self.time_constant, lanes, step_s)

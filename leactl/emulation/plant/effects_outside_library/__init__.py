@@ -1,7 +1,7 @@
-"""Effects outside the vocabulary, for cases whose honest answer is `unknown`; no diagnosis may name them.
+"""Effects that are not in the vocabulary, for cases whose correct answer is `unknown`; no diagnosis may name them.
 
-Each file defines one subclass of `PlantEffect` with `drawn`, which makes one of a size between hardly seen (0) and
-plain to see (1).
+Each file defines one subclass of `PlantEffect` with `drawn`, which makes one with a size between barely visible (0)
+and obvious (1).
 """
 
 import importlib
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def unlisted_effects() -> "dict[str, type[Unlisted]]":
-    """Every effect of this room by the name of its file."""
+    """Map the name of each file of this package to its effect class."""
     from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 
     effects: dict[str, type[Unlisted]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
-        for thing in vars(module).values():
-            if isinstance(thing, type) and issubclass(thing, Unlisted) and thing.__module__ == module.__name__:
-                effects[entry.name] = thing
+        for member in vars(module).values():
+            if isinstance(member, type) and issubclass(member, Unlisted) and member.__module__ == module.__name__:
+                effects[entry.name] = member
     effects.pop("drawn")
     return effects

@@ -1,4 +1,4 @@
-"""Eddy currents that the armature's field drives in the housing: a drag that grows with current squared and speed."""
+"""Eddy currents that the armature's field induces in the housing: a drag that grows with current squared and speed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ class CurrentEddyDrag(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """At 15 A and 10 rad/s 0.03 to 0.6 N*m."""
+        """Draw a drag of 0.03 to 0.6 N*m at 15 A and 10 rad/s."""
         return cls(coefficient=between(2e-5, 4e-4, size))
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value]:
-        """Against the motion."""
+        """Drag torque that opposes the motion."""
 
         def torque(now: Now) -> Value:
             speed = now.velocity / (1.0 + np.abs(now.velocity) / 20.0)

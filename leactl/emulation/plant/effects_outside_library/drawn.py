@@ -1,4 +1,4 @@
-"""What the effects of this room have in common: they are drawn by one number."""
+"""Base class of the effects of this package, each drawn at a size given by one number."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -14,14 +14,14 @@ class Unlisted(PlantEffect):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """Make one of a size from 0, hardly seen, to 1, plain to see."""
+        """Draw an effect with a size from 0, barely visible, to 1, obvious."""
         raise NotImplementedError
 
     def afresh(self, draw: np.random.Generator) -> Self:
-        """The same effect in another run, where chance plays a part in it."""
+        """The same effect in another run, with its random times drawn again if it has any."""
         return self
 
 
 def between(low: float, high: float, size: float) -> float:
-    """A number from `low` to `high` on a logarithmic scale."""
+    """Interpolate between `low` (size 0) and `high` (size 1) on a logarithmic scale."""
     return float(low * (high / low) ** size)

@@ -1,4 +1,4 @@
-"""An encoder that now and then gives wrong counts for some milliseconds."""
+"""An encoder that occasionally gives wrong counts for some milliseconds."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -12,7 +12,7 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class EncoderGlitches(Unlisted):
-    """Jumps of both signs, `rate` a second, each for 2 to 30 ms."""
+    """Errors of both signs, `rate` a second, each lasting 2 to 30 ms."""
 
     size: float = bounded(0.01, 0.0, 10.0)  # rad
     rate: float = bounded(1.0, 0.0, 100.0)  # 1/s
@@ -20,7 +20,7 @@ class EncoderGlitches(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """6 to 100 counts, 0.5 to 3 times a second."""
+        """Draw errors of 6 to 100 counts, 0.5 to 3 times a second."""
         return cls(
             size=between(0.001, 0.015, size),
             rate=float(draw.uniform(0.5, 3.0)),
@@ -28,11 +28,11 @@ class EncoderGlitches(Unlisted):
         )
 
     def afresh(self, draw: np.random.Generator) -> Self:
-        """Other moments."""
+        """Draw other times for the errors."""
         return replace(self, key=float(draw.integers(0, 1000000)))
 
     def angle_record(self, angle: Value, time: Value) -> Value:
-        """Add the jumps."""
+        """Add the errors to the recorded angle."""
         count = len(angle)
         draw = np.random.default_rng(int(self.key))
         error = np.zeros(count)

@@ -1,4 +1,4 @@
-"""Dirt that passes through a bearing: friction rises for a fraction of a second, at times that nobody foresees."""
+"""Dirt that passes through a bearing: friction rises for a fraction of a second, at irregular times."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -20,7 +20,7 @@ class FrictionBursts(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """0.3 to 4 times the friction."""
+        """Draw a rise of 0.3 to 4 times the friction."""
         return cls(
             share=between(0.3, 4.0, size),
             interval=float(draw.uniform(0.15, 0.6)),
@@ -28,10 +28,10 @@ class FrictionBursts(Unlisted):
         )
 
     def afresh(self, draw: np.random.Generator) -> Self:
-        """Other moments."""
+        """Draw other times for the bursts."""
         return replace(self, key=float(draw.integers(0, 1000000)))
 
     def friction_share(self, now: Now) -> Value:
-        """High or normal."""
+        """Factor of 1 + share within a burst, else 1."""
         scattered = np.sin((np.floor(now.time / self.interval) + self.key) * 12.9898) * 43758.5453
         return 1.0 + self.share * (scattered - np.floor(scattered) < 1.0 / 12.0)

@@ -1,4 +1,4 @@
-"""A part that hangs on the rotor by a soft spring, a belt or a cable drum: it swings at a frequency of its own."""
+"""A part attached to the rotor by a soft spring, such as a belt or a cable drum, with its own natural frequency."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class HangingResonator(Unlisted):
-    """Torque of a spring and a damper between rotor and a further inertia."""
+    """Torque of a spring and a damper between the rotor and a second inertia."""
 
     inertia: float = bounded(4e-4, 1e-9, 10.0)  # kg*m^2
     frequency: float = bounded(15.0, 0.01, 500.0)  # Hz, with the rotor held
@@ -21,7 +21,7 @@ class HangingResonator(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """4 to 50 % of the rotor's inertia at 5 to 40 Hz."""
+        """Draw 4 to 50 % of the rotor's inertia at 5 to 40 Hz."""
         return cls(
             inertia=between(1e-4, 1.2e-3, size),
             frequency=float(draw.uniform(5.0, 40.0)),
@@ -29,7 +29,7 @@ class HangingResonator(Unlisted):
         )
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value]:
-        """Semi-implicit Euler; 0.025 rad a step at most."""
+        """Step by semi-implicit Euler; the phase advances by at most 0.025 rad a step."""
         rate = 2.0 * np.pi * self.frequency
         stiffness, damping = self.inertia * rate**2, 2.0 * self.damping_ratio * self.inertia * rate
         twist, speed = np.zeros(lanes), np.zeros(lanes)

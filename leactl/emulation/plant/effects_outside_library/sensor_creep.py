@@ -1,4 +1,4 @@
-"""A torque sensor whose glue creeps: after a change of torque the reading goes on moving for half a minute."""
+"""A torque sensor whose glue creeps: after a change of torque the reading keeps changing for half a minute."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -20,11 +20,11 @@ class SensorCreep(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """0.6 to 8 % of the torque within 4 to 15 s."""
+        """Draw a creep of 0.6 to 8 % of the torque within 4 to 15 s."""
         return cls(share=between(0.006, 0.08, size), time_constant=float(draw.uniform(4.0, 15.0)))
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add what has crept."""
+        """Add the creep to the recorded torque."""
         step = float(time[1, 0] - time[0, 0])
         gain = -np.expm1(-step / self.time_constant)
         return torque + self.share * lfilter([gain], [1.0, gain - 1.0], torque, axis=0)

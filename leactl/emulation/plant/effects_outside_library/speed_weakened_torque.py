@@ -1,4 +1,4 @@
-"""A commutation that lags with speed, so that torque falls behind the current as the rotor turns faster."""
+"""A commutation that lags with speed, so that the torque per ampere falls as the rotor turns faster."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,15 +12,15 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class SpeedWeakenedTorque(Unlisted):
-    """Torque constant x cos(lag), the lag growing with speed."""
+    """Torque constant x cos(lag), where the lag grows with speed."""
 
     lag_per_speed: float = bounded(0.01, 0.0, 1.0)  # s, electrical angle over mechanical speed
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """0.15 to 0.7 rad at 25 rad/s: 1 to 23 % of the torque."""
+        """Draw a lag of 0.15 to 0.7 rad at 25 rad/s: 1 to 23 % of the torque."""
         return cls(lag_per_speed=between(0.006, 0.028, size))
 
     def torque_share(self, now: Now) -> Value:
-        """Even in speed."""
+        """Reduce the torque alike in both directions of rotation."""
         return np.cos(np.minimum(np.abs(self.lag_per_speed * now.velocity), 1.5))

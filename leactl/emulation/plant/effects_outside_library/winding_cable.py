@@ -1,4 +1,4 @@
-"""A cable that the turning rotor winds up: torque over the unwrapped angle, never twice the same over a turn."""
+"""A cable that the rotor winds up: a torque that depends on the unwrapped angle and does not repeat every turn."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,7 +12,7 @@ from leactl.emulation.plant.parameters import bounded
 
 @dataclass(frozen=True)
 class WindingCable(Unlisted):
-    """Torque = -amplitude x a landscape of three waves whose lengths have no common turn."""
+    """Torque = -amplitude x a sum of three sines of the angle with incommensurate periods."""
 
     adds_torque: ClassVar[bool] = True
     amplitude: float = bounded(0.05, 0.0, 10.0)  # N*m
@@ -21,7 +21,7 @@ class WindingCable(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """0.012 to 0.25 N*m over two to five turns."""
+        """Draw an amplitude of 0.012 to 0.25 N*m over two to five turns."""
         return cls(
             amplitude=between(0.012, 0.25, size),
             wave=float(draw.uniform(13.0, 31.0)),
@@ -29,7 +29,7 @@ class WindingCable(Unlisted):
         )
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Landscape over the unwrapped angle."""
+        """Torque at the unwrapped angle."""
         turn = 2.0 * np.pi * angle / self.wave + self.phase
         waves = np.sin(turn) + 0.7 * np.sin(2.236 * turn + 1.3) + 0.5 * np.sin(3.873 * turn + 0.4)
         return -0.7 * self.amplitude * waves

@@ -1,4 +1,4 @@
-"""Exact steps of 31.25 us x 2^level within one regime, with its margins looked at every 0.25 ms on the way."""
+"""Exact steps of 31.25 us x 2^level within one regime, with its margins computed every 0.25 ms within a step."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,7 +19,7 @@ TOP_LEVEL = 10  # 32 ms
 
 
 class Propagator:
-    """The matrices of one regime, made when first asked for."""
+    """Transition matrices of one regime, computed when first needed."""
 
     def __init__(self, plant: RigParameters, regime: Regime) -> None:
         self._generator, self.margins, self.switches = equations(plant, regime)
@@ -27,29 +27,31 @@ class Propagator:
         self._plant, self._regime = plant, regime
         self.count = len(self.switches)
         self._transitions: list[Array] = [np.asarray(expm(self._generator * TICK))]
-        self._looks: list[Array] = [self.margins @ self._transitions[0]]
+        self._margin_rows: list[Array] = [self.margins @ self._transitions[0]]
         self.steps: list[Array] = [self._stack(0)]
         self.voltage_rows = tuple(row.voltage for row in self._electric)
 
     def step(self, level: int) -> Array:
-        """Matrix that gives the state after 2^level ticks and, below it, the margins at the points on the way."""
+        """Matrix that gives the state after 2^level ticks, and below it the margins at points within the step."""
         while level >= len(self.steps):
             above = len(self.steps)
             before = self._transitions[-1]
             self._transitions.append(before @ before)
             if above <= FINE_LEVEL:
-                self._looks.append(np.vstack([self._looks[-1], self._looks[-1] @ before]))
+                self._margin_rows.append(np.vstack([self._margin_rows[-1], self._margin_rows[-1] @ before]))
             else:
-                coarse = self.margins @ self._transitions[FINE_LEVEL] if above == FINE_LEVEL + 1 else self._looks[-1]
-                self._looks.append(np.vstack([coarse, coarse @ before]))
+                coarse = (
+                    self.margins @ self._transitions[FINE_LEVEL] if above == FINE_LEVEL + 1 else self._margin_rows[-1]
+                )
+                self._margin_rows.append(np.vstack([coarse, coarse @ before]))
             self.steps.append(self._stack(above))
         return self.steps[level]
 
     def _stack(self, level: int) -> Array:
-        return np.ascontiguousarray(np.vstack([self._transitions[level][:STATES], self._looks[level]]))
+        return np.ascontiguousarray(np.vstack([self._transitions[level][:STATES], self._margin_rows[level]]))
 
     def net_torque(self, k: int, point: Array) -> float:
-        """Torque on a rotor at standstill, friction apart [N*m]."""
+        """Torque on a rotor at standstill, without friction [N*m]."""
         return float(net_torque_row(self._plant, self._regime, k) @ point)
 
     def ahead(self, point: Array, duration: float) -> Array:

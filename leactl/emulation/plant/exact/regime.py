@@ -1,7 +1,7 @@
-"""Where the plant is linear: which limits bind, which rotor sticks, and the equations that then hold.
+"""Regimes, within which the plant is linear: which limits are reached, which rotor sticks, and the equations that hold.
 
-Within one regime the state obeys dx/dt = A x + B u exactly. `equations` writes those rows, and beside each regime the
-margins that stay positive as long as it lasts, each with the change of regime its loss stands for.
+Within one regime the state obeys dx/dt = A x + B u exactly. `equations` returns these rows, and the margins: linear
+functions that are positive within the regime. When a margin becomes negative, its `Switch` gives the next regime.
 """
 
 import math
@@ -22,11 +22,11 @@ SETPOINT, TORQUE, CORRECTION = range(3)
 PER_ACTUATOR = 5
 TWIST, SHAFT_TORQUE, STATES = 10, 11, 12
 INPUTS = 3
-ONE, SIZE = 18, 19
+CONSTANT, SIZE = 18, 19
 
 
 class ActuatorRegime(NamedTuple):
-    """What holds in one actuator; limits are -1, 0 or 1, where 0 is not at the limit; slip 0 is stuck."""
+    """Regime of one actuator; limits are -1, 0 or 1, where 0 is not at the limit; slip 0 is stuck."""
 
     mode: str = "off"
     speed: int = 0
@@ -36,7 +36,7 @@ class ActuatorRegime(NamedTuple):
 
 
 class Regime(NamedTuple):
-    """What holds in the plant; resistances are rounded, the rest of their value enters as a voltage correction."""
+    """Regime of the plant; the part that rounding takes off a resistance acts as a voltage correction."""
 
     setup: str
     actuators: tuple[ActuatorRegime, ActuatorRegime]
@@ -44,7 +44,7 @@ class Regime(NamedTuple):
 
 
 class Switch(NamedTuple):
-    """The change of regime at the loss of a margin: this field of this actuator takes this value."""
+    """Change of regime when a margin becomes negative: this field of this actuator takes this value."""
 
     actuator: int
     field: str
@@ -52,7 +52,7 @@ class Switch(NamedTuple):
 
 
 class Electric(NamedTuple):
-    """Rows over state and inputs of what a drive computes, before each limit."""
+    """Rows over state and inputs that give a drive's speed setpoint, current setpoint and voltage before limits."""
 
     speed_setpoint: Array
     current_setpoint: Array
@@ -60,7 +60,7 @@ class Electric(NamedTuple):
 
 
 class RigParameters(NamedTuple):
-    """The parameters of both actuators and the bench, with what the current sensors make of their currents."""
+    """Parameters of both actuators and the bench, with gains and offsets of the current sensors."""
 
     actuators: tuple[ActuatorParameters, ActuatorParameters]
     bench: BenchParameters
@@ -68,7 +68,7 @@ class RigParameters(NamedTuple):
     current_offsets: tuple[float, float] = (0.0, 0.0)
 
     def voltage_ceiling(self, k: int) -> float:
-        """Highest q-axis voltage [V] of one actuator: between two leads its amplitude is that of the bus."""
+        """Highest q-axis voltage [V] of one actuator; the amplitude between two leads is then the bus voltage."""
         return self.bench.bus_voltage / self.actuators[k].lead_amplitude
 
 
@@ -79,14 +79,14 @@ def _unit(index: int, value: float = 1.0) -> Array:
 
 
 def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[Switch]]:
-    """Generator of the augmented state, margin rows, and the switch that each margin guards."""
+    """Return the generator matrix of the augmented state, the rows of the margins, and the switch of each margin."""
     generator = np.zeros((SIZE, SIZE))
     margins: list[tuple[Array, Switch]] = []
     bench = plant.bench
     coupled = regime.setup in ("coupled", "locked")
     for k in (0, 1):
         held = k == 1 and regime.setup == "locked"  # the lock is at the far end of the shaft
-        x, parameters, own = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k]
+        x, parameters, actuator_regime = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k]
         margins += _drive(plant, regime, k, generator)
         net = _unit(x + CURRENT, parameters.torque_constant) + _unit(STATES + k * INPUTS + TORQUE)
         if coupled:
@@ -95,13 +95,13 @@ def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[
             net[TWIST] -= side * bench.shaft_stiffness
             net[VELOCITY] -= side * damping
             net[PER_ACTUATOR + VELOCITY] += side * damping
-        friction = _unit(ONE, parameters.coulomb_friction)
+        friction = _unit(CONSTANT, parameters.coulomb_friction)
         if not held:
-            if own.slip:
-                moving = net - own.slip * friction
+            if actuator_regime.slip:
+                moving = net - actuator_regime.slip * friction
                 moving[x + VELOCITY] -= parameters.viscous_damping
                 generator[x + VELOCITY] = moving / parameters.rotor_inertia
-                margins.append((_unit(x + VELOCITY, own.slip), Switch(k, "slip", 0)))
+                margins.append((_unit(x + VELOCITY, actuator_regime.slip), Switch(k, "slip", 0)))
             else:
                 margins.append((friction - net, Switch(k, "slip", 1)))
                 margins.append((friction + net, Switch(k, "slip", -1)))
@@ -117,67 +117,81 @@ def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[
 
 
 def shaft_damping(plant: RigParameters) -> float:
-    """Damping of the shaft [N*m*s/rad] from its share of critical."""
+    """Damping of the shaft [N*m*s/rad] from its ratio to critical damping."""
     first, second = (actuator.rotor_inertia for actuator in plant.actuators)
     reduced = first * second / (first + second)
     return 2.0 * plant.bench.shaft_damping_ratio * math.sqrt(plant.bench.shaft_stiffness * reduced)
 
 
 def net_torque_row(plant: RigParameters, regime: Regime, k: int) -> Array:
-    """Row of the torque on a rotor at standstill, friction apart."""
-    own = list(regime.actuators)
-    own[k] = own[k]._replace(slip=0)
-    _, rows, switches = equations(plant, regime._replace(actuators=(own[0], own[1])))
+    """Row that gives the torque on a rotor at standstill, without friction."""
+    actuators = list(regime.actuators)
+    actuators[k] = actuators[k]._replace(slip=0)
+    _, rows, switches = equations(plant, regime._replace(actuators=(actuators[0], actuators[1])))
     upper = rows[switches.index(Switch(k, "slip", 1))]
-    return np.asarray(_unit(ONE, plant.actuators[k].coulomb_friction) - upper)
+    return np.asarray(_unit(CONSTANT, plant.actuators[k].coulomb_friction) - upper)
 
 
 def electric(plant: RigParameters, regime: Regime, k: int) -> Electric:
-    """What the drive of one actuator computes in this regime: each row takes the limits above it as they bind."""
-    x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
+    """Rows that the drive of one actuator computes in this regime; each row applies the limits reached before it."""
+    x, parameters, actuator_regime, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
     setpoint = _unit(STATES + k * INPUTS + SETPOINT)
     emf = _unit(x + VELOCITY, parameters.back_emf_constant)
-    if own.mode == "off":
+    if actuator_regime.mode == "off":
         return Electric(setpoint, setpoint, emf)
     speed = setpoint
-    if own.mode == "angle":
+    if actuator_regime.mode == "angle":
         speed = bench.position_gain * (setpoint - _unit(x + ANGLE))
-    limited_speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else speed
+    limited_speed = _unit(CONSTANT, actuator_regime.speed * bench.speed_limit) if actuator_regime.speed else speed
     current = setpoint + bench.setpoint_lead * (setpoint - _unit(x + INTEGRAL))
-    if own.mode != "current":
+    if actuator_regime.mode != "current":
         gain = parameters.rotor_inertia * bench.velocity_gain / parameters.torque_constant
         current = gain * (limited_speed - _unit(x + VELOCITY)) + _unit(x + INTEGRAL)
-    limited_current = _unit(ONE, own.current * bench.peak_current) if own.current else current
-    sensed = _unit(x + CURRENT, plant.current_gains[k]) + _unit(ONE, plant.current_offsets[k])
+    limited_current = (
+        _unit(CONSTANT, actuator_regime.current * bench.peak_current) if actuator_regime.current else current
+    )
+    sensed = _unit(x + CURRENT, plant.current_gains[k]) + _unit(CONSTANT, plant.current_offsets[k])
     inductance_rate = parameters.phase_inductance * 2.0 * math.pi * bench.current_loop_bandwidth
     drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
     return Electric(speed, current, drop + emf + inductance_rate * (limited_current - sensed))
 
 
 def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> list[tuple[Array, Switch]]:
-    """Write the rows of current and servo integral, and give the margins of the drive's limits."""
-    x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
-    if own.mode == "off":
+    """Write the rows of current and servo integral into the generator; return the margins of the drive's limits."""
+    x, parameters, actuator_regime, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
+    if actuator_regime.mode == "off":
         return []
     computed = electric(plant, regime, k)
     margins: list[tuple[Array, Switch]] = []
-    if own.mode == "angle":
-        margins += _limit(computed.speed_setpoint, bench.speed_limit, own.speed, k, "speed")
-    if own.mode != "current" or bench.setpoint_lead:
-        margins += _limit(computed.current_setpoint, bench.peak_current, own.current, k, "current")
-    margins += _limit(computed.voltage, plant.voltage_ceiling(k), own.voltage, k, "voltage")
+    if actuator_regime.mode == "angle":
+        margins += _limit(computed.speed_setpoint, bench.speed_limit, actuator_regime.speed, k, "speed")
+    if actuator_regime.mode != "current" or bench.setpoint_lead:
+        margins += _limit(computed.current_setpoint, bench.peak_current, actuator_regime.current, k, "current")
+    margins += _limit(computed.voltage, plant.voltage_ceiling(k), actuator_regime.voltage, k, "voltage")
 
-    voltage = _unit(ONE, own.voltage * plant.voltage_ceiling(k)) if own.voltage else computed.voltage
+    voltage = (
+        _unit(CONSTANT, actuator_regime.voltage * plant.voltage_ceiling(k))
+        if actuator_regime.voltage
+        else computed.voltage
+    )
     drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
     emf = _unit(x + VELOCITY, parameters.back_emf_constant)
     generator[x + CURRENT] = (voltage - drop - emf) / parameters.phase_inductance
-    if own.mode == "current":
+    if actuator_regime.mode == "current":
         if bench.setpoint_lead:
             caught_up = _unit(STATES + k * INPUTS + SETPOINT) - _unit(x + INTEGRAL)
             generator[x + INTEGRAL] = caught_up / bench.setpoint_lead_time
     else:
-        speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else computed.speed_setpoint
-        current = _unit(ONE, own.current * bench.peak_current) if own.current else computed.current_setpoint
+        speed = (
+            _unit(CONSTANT, actuator_regime.speed * bench.speed_limit)
+            if actuator_regime.speed
+            else computed.speed_setpoint
+        )
+        current = (
+            _unit(CONSTANT, actuator_regime.current * bench.peak_current)
+            if actuator_regime.current
+            else computed.current_setpoint
+        )
         # Back-calculation keeps the right-hand side continuous across a limit, so a limit cannot chatter.
         inductance_rate = parameters.phase_inductance * 2.0 * math.pi * bench.current_loop_bandwidth
         excess = (computed.current_setpoint - current) + (computed.voltage - voltage) / inductance_rate
@@ -188,7 +202,7 @@ def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> li
 
 
 def _limit(row: Array, limit: float, side: int, k: int, field: str) -> list[tuple[Array, Switch]]:
-    ceiling = _unit(ONE, limit)
+    ceiling = _unit(CONSTANT, limit)
     if side:
         return [(side * row - ceiling, Switch(k, field, 0))]
     return [(ceiling - row, Switch(k, field, 1)), (ceiling + row, Switch(k, field, -1))]

@@ -1,7 +1,7 @@
-"""The emulated bench's plant: two actuators on a torque-sensor shaft, stepped exactly between events.
+"""The plant of the emulated bench: two actuators on a torque-sensor shaft, stepped exactly between events.
 
-The host asks for a time; the rig goes there in steps that are exact within a regime (see regime.py), finds where a
-margin of the regime is lost, changes the regime there and goes on. The same calls give the same result.
+To advance to a time, the rig steps exactly within a regime (see regime.py), finds the time at which a margin of the
+regime becomes negative, changes the regime there and continues. The same calls give the same result.
 """
 
 import math
@@ -15,12 +15,12 @@ from leactl.emulation.plant.effects.contract import RIG_HOOKS, PlantEffect, own_
 from leactl.emulation.plant.exact.propagator import TICK, TOP_LEVEL, Propagator
 from leactl.emulation.plant.exact.regime import (
     ANGLE,
+    CONSTANT,
     CORRECTION,
     CURRENT,
     FILTERED,
     INPUTS,
     INTEGRAL,
-    ONE,
     PER_ACTUATOR,
     SETPOINT,
     SHAFT_TORQUE,
@@ -45,23 +45,23 @@ MODES = ("off", "current", "velocity", "angle")
 SETUPS = ("free", "locked", "coupled", "heated")
 ROLES = ("test", "load")
 TOLERANCE = 1e-9  # of a margin, in its own unit
-LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
+LEAST_S = 1e-9  # rounding of the requested times; a shorter time changes nothing
 RESTART_LEVEL = 3  # 0.25 ms after every change
 MOST_IDLE = 8  # changes of regime at one moment
-UNPOWERED = 10.0  # V, below which a drive drives nothing
+UNPOWERED = 10.0  # V, below which the drives are off
 LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
 FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
 
 
 class Actuator:
-    """A role of the rig; the state itself is the rig's."""
+    """One actuator of the rig; the rig holds its state."""
 
-    def __init__(self, rig: "Rig", place: int, parameters: ActuatorParameters, ambient: float) -> None:
+    def __init__(self, rig: "Rig", index: int, parameters: ActuatorParameters, ambient: float) -> None:
         self.parameters = parameters
         self.thermal = ExactThermalNetwork(parameters.thermal, ambient)
         self.mode = "off"
         self.setpoint = 0.0
-        self._rig, self._place, self._first = rig, place, place * PER_ACTUATOR
+        self._rig, self._index, self._first = rig, index, index * PER_ACTUATOR
 
     def command(self, mode: str, value: float = 0.0) -> None:
         """Hold a q-axis current [A], a velocity [rad/s] or an angle [rad], or let no current flow ("off")."""
@@ -70,31 +70,31 @@ class Actuator:
         if not abs(value) < 1e9:
             raise InputError(f"setpoint {value} of mode {mode} is not a number a drive can hold")
         if mode != self.mode or value != self.setpoint:
-            self._rig.take_command(self._place, mode, float(value))
+            self._rig.take_command(self._index, mode, float(value))
 
     @property
     def current(self) -> float:
-        """Q-axis current as the drive's sensor has it [A]."""
-        return self._rig.sensed_current(self._place)
+        """Q-axis current as the drive's sensor reads it [A]."""
+        return self._rig.sensed_current(self._index)
 
     @property
     def current_true(self) -> float:
-        """Q-axis current that flows [A]."""
+        """True q-axis current [A]."""
         return self._rig.state(self._first + CURRENT)
 
     @property
     def voltage(self) -> float:
         """Q-axis voltage at the terminals [V]; the back-EMF while off."""
-        return self._rig.voltage(self._place)
+        return self._rig.voltage(self._index)
 
     @property
     def velocity_true(self) -> float:
-        """Velocity of the rotor [rad/s]."""
+        """True velocity of the rotor [rad/s]."""
         return self._rig.state(self._first + VELOCITY)
 
     @property
     def velocity(self) -> float:
-        """Velocity behind the drive's filter [rad/s]."""
+        """Filtered velocity that the drive reports [rad/s]."""
         return self._rig.state(self._first + FILTERED)
 
     @property
@@ -156,7 +156,7 @@ class Rig:
         self._held = any(self._torques)
         self._top_level = RESTART_LEVEL if self._held else TOP_LEVEL
         self._point = np.zeros(SIZE)
-        self._point[ONE] = 1.0
+        self._point[CONSTANT] = 1.0
         self._idle = 0
         self._heat = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
@@ -170,7 +170,7 @@ class Rig:
 
     @property
     def shaft_torque(self) -> float:
-        """Torque of the test actuator onto the shaft as the sensor has it [N*m]; positive when it drives."""
+        """Torque of the test actuator onto the shaft as the sensor reads it [N*m]; positive when it drives."""
         torque = float(self._point[SHAFT_TORQUE]) + self.hung_torque
         for effect in self.effects:
             torque = effect.sense_torque(torque)
@@ -178,35 +178,35 @@ class Rig:
 
     @property
     def bus_voltage(self) -> float:
-        """Supply of both drives [V]."""
+        """DC link voltage of both drives [V]."""
         return self._bus_voltage
 
     @property
     def bus_power(self) -> float:
-        """What both drives take from their supply [W]; their own losses apart."""
+        """Power that both drives take from their supply [W], without the drives' own losses."""
         return sum(self.voltage(k) * self.state(k * PER_ACTUATOR + CURRENT) for k in (0, 1))
 
     @property
     def lead_resistance(self) -> float:
-        """Between two leads of the test actuator [ohm]: two phases in series."""
+        """Resistance between two leads of the test actuator [ohm]: two phases in series."""
         return 2.0 * self._pair[0].resistance if self._phases is None else self._phases.lead_resistance
 
     @property
     def line_current(self) -> float:
-        """DC through two leads of the test actuator [A]; zero unless heated."""
+        """Direct current through two leads of the test actuator [A]; zero unless heated."""
         return self.heater_current if self.setup == "heated" else 0.0
 
     @property
     def line_voltage(self) -> float:
-        """Voltage between those two leads [V]: two phases in series."""
+        """Voltage between the two heated leads [V]."""
         return self.lead_resistance * self.line_current
 
     def hottest_phase(self, role: str) -> HottestPhase:
-        """Hottest phase of an actuator [degC], now and at its highest.
+        """Present and highest temperature of an actuator's hottest phase [degC].
 
         Raises
         ------
-        InputError : the bench has no phases of its own.
+        InputError : the bench does not resolve the phases.
         """
         if self._phases is None:
             raise InputError("the bench's phases are not resolved; set emulated.bench.phase_resolved: true")
@@ -214,9 +214,9 @@ class Rig:
         return self._phases.hottest(ROLES.index(role))
 
     def part_of_winding(self, role: str, part: str) -> float:
-        """Temperature of the `active` phases, which two leads feed, or the `inactive` one [degC].
+        """Temperature of the `active` phases, which two leads feed, or of the `inactive` one [degC].
 
-        That of the whole winding where phases are not resolved.
+        If phases are not resolved, the temperature of the whole winding.
         """
         if self._phases is None:
             return self.actuators[role].winding_temperature
@@ -224,11 +224,11 @@ class Rig:
         return self._phases.part(ROLES.index(role), part)
 
     def state(self, index: int) -> float:
-        """One number of the state, by its place in regime.py."""
+        """One number of the state, by its index in regime.py."""
         return float(self._point[index])
 
     def sensed_current(self, k: int) -> float:
-        """Q-axis current as the sensor of one drive has it [A]."""
+        """Q-axis current as the sensor of one drive reads it [A]."""
         current = float(self._point[k * PER_ACTUATOR + CURRENT])
         return self._plant.current_gains[k] * current + self._plant.current_offsets[k]
 
@@ -236,11 +236,11 @@ class Rig:
         """Q-axis voltage at the terminals of one actuator [V]."""
         self._correct()
         ceiling = self._plant.voltage_ceiling(k)
-        own = self._regime.actuators[k]
-        if own.voltage:
-            return own.voltage * ceiling
+        actuator_regime = self._regime.actuators[k]
+        if actuator_regime.voltage:
+            return actuator_regime.voltage * ceiling
         voltage = float(self._propagator.voltage_rows[k].dot(self._point))
-        return voltage if own.mode == "off" else min(max(voltage, -ceiling), ceiling)
+        return voltage if actuator_regime.mode == "off" else min(max(voltage, -ceiling), ceiling)
 
     def _sense_current(self, k: int, current: float) -> float:
         for effect in self.effects:
@@ -251,7 +251,7 @@ class Rig:
     # ---------------------------------------------------------------- commands
 
     def supply(self, voltage: float) -> None:
-        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        """Set the DC link voltage [V] from now on; below `UNPOWERED` the drives are off."""
         self._bus_voltage = voltage
         if voltage < UNPOWERED:
             for actuator in self._pair:
@@ -261,12 +261,12 @@ class Rig:
             return
         self.bench = replace(self.bench, bus_voltage=voltage)
         self._plant = self._plant._replace(bench=self.bench)
-        self._propagators.clear()  # they hold the voltage ceiling
+        self._propagators.clear()  # their matrices depend on the voltage ceiling
         for k in (0, 1):
             self._classify(k)
 
     def take_command(self, k: int, mode: str, value: float) -> None:
-        """Give one drive a mode and a setpoint, from now on."""
+        """Set mode and setpoint of one drive, from now on."""
         if self.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
         if self._bus_voltage < UNPOWERED:
@@ -282,30 +282,30 @@ class Rig:
         self._classify(k)
 
     def _classify(self, k: int) -> None:
-        """Find which limits of one drive bind after a jump of its command."""
+        """Find which limits of one drive are reached after a jump of its command."""
         slip = self._regime.actuators[k].slip
-        own = ActuatorRegime(self._pair[k].mode, slip=slip)
-        regime = self._with(k, own)
-        if own.mode == "angle":
+        actuator_regime = ActuatorRegime(self._pair[k].mode, slip=slip)
+        regime = self._with(k, actuator_regime)
+        if actuator_regime.mode == "angle":
             row = electric(self._plant, regime, k).speed_setpoint
-            own = own._replace(speed=self._side(row, self.bench.speed_limit))
-            regime = self._with(k, own)
-        if own.mode != "off":
+            actuator_regime = actuator_regime._replace(speed=self._side(row, self.bench.speed_limit))
+            regime = self._with(k, actuator_regime)
+        if actuator_regime.mode != "off":
             row = electric(self._plant, regime, k).current_setpoint
-            own = own._replace(current=self._side(row, self.bench.peak_current))
-            regime = self._with(k, own)
+            actuator_regime = actuator_regime._replace(current=self._side(row, self.bench.peak_current))
+            regime = self._with(k, actuator_regime)
             row = electric(self._plant, regime, k).voltage
-            own = own._replace(voltage=self._side(row, self._plant.voltage_ceiling(k)))
-            regime = self._with(k, own)
+            actuator_regime = actuator_regime._replace(voltage=self._side(row, self._plant.voltage_ceiling(k)))
+            regime = self._with(k, actuator_regime)
         self._enter(regime)
 
     def _side(self, row: Array, limit: float) -> int:
         value = float(row @ self._point)
         return int(math.copysign(1, value)) if abs(value) > limit else 0
 
-    def _with(self, k: int, own: ActuatorRegime) -> Regime:
+    def _with(self, k: int, actuator_regime: ActuatorRegime) -> Regime:
         first, second = self._regime.actuators
-        return self._regime._replace(actuators=(own, second) if k == 0 else (first, own))
+        return self._regime._replace(actuators=(actuator_regime, second) if k == 0 else (first, actuator_regime))
 
     def _enter(self, regime: Regime) -> None:
         propagator = self._propagators.get(regime)
@@ -318,7 +318,7 @@ class Rig:
     # ---------------------------------------------------------------- time
 
     def advance(self, to_time: float) -> None:
-        """Go on to a time [s]; a time already past changes nothing."""
+        """Advance to a time [s]; a time in the past changes nothing."""
         duration = to_time - self.time
         if duration <= 0.0:
             return
@@ -353,11 +353,11 @@ class Rig:
             self._level = level
 
     def _correct(self) -> None:
-        """Give the rest of each rounded resistance its voltage, and the effects their torque at half a step ahead."""
+        """Set the voltage correction for the part that rounding takes off each resistance."""
         point, rounded = self._point, self._regime.resistances
         for k in (0, 1):
-            rest = self._pair[k].resistance - rounded[k]
-            point[STATES + k * INPUTS + CORRECTION] = rest * point[k * PER_ACTUATOR + CURRENT]
+            excess = self._pair[k].resistance - rounded[k]
+            point[STATES + k * INPUTS + CORRECTION] = excess * point[k * PER_ACTUATOR + CURRENT]
 
     def _force(self) -> None:
         for k, effects in enumerate(self._torques):
@@ -367,28 +367,28 @@ class Rig:
                 self._point[STATES + k * INPUTS + TORQUE] = sum(effect.torque(angle, velocity) for effect in effects)
 
     def _march(self, duration: float) -> None:
-        left = duration
-        while left > LEAST_S:
-            rest = self._resistances
+        remaining = duration
+        while remaining > LEAST_S:
+            exact = self._resistances
             point, rounded = self._point, self._regime.resistances
-            point[14] = (rest[0] - rounded[0]) * point[0]
-            point[17] = (rest[1] - rounded[1]) * point[5]
+            point[14] = (exact[0] - rounded[0]) * point[0]
+            point[17] = (exact[1] - rounded[1]) * point[5]
             if self._held:
                 self._force()
-            ticks = int(left / TICK + 1e-6)
+            ticks = int(remaining / TICK + 1e-6)
             if ticks == 0:
-                left -= self._step_to_event(left)
+                remaining -= self._step_to_event(remaining)
                 continue
             level = min(self._level, ticks.bit_length() - 1)
             propagator = self._propagator
             ahead = propagator.step(level).dot(point)
-            looks = ahead[STATES:]
-            if propagator.count and looks.min() < -TOLERANCE:
-                left -= self._retreat(level, looks, min(left, TICK))
+            margins = ahead[STATES:]
+            if propagator.count and margins.min() < -TOLERANCE:
+                remaining -= self._retreat(level, margins, min(remaining, TICK))
                 continue
             step = TICK * (1 << level)
             self._accept(ahead[:STATES], step)
-            left -= step
+            remaining -= step
             if level == self._level and level < self._top_level:
                 self._level = level + 1
 
@@ -405,27 +405,27 @@ class Rig:
             self._phases.take(step, point, state, self._friction_heat)
         point[:STATES] = state
 
-    def _retreat(self, level: int, looks: Array, left: float) -> float:
-        """Go to the last point before a margin is lost, and look closer from there; give the time gone by."""
+    def _retreat(self, level: int, margins: Array, remaining: float) -> float:
+        """Go to the last point before a margin becomes negative, and shorten the steps; return the elapsed time [s]."""
         propagator = self._propagator
-        lost = int(np.argmax((looks < -TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
+        units_before = int(np.argmax((margins < -TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
         if level == 0:
-            return self._step_to_event(left)
+            return self._step_to_event(remaining)
         spacing = 0 if level <= RESTART_LEVEL else RESTART_LEVEL
-        gone, units = 0.0, lost
+        elapsed, units = 0.0, units_before
         size = spacing
         while units:
             if units & 1:
                 step = TICK * (1 << size)
                 self._accept(propagator.step(size).dot(self._point)[:STATES], step)
-                gone += step
+                elapsed += step
             units >>= 1
             size += 1
         self._level = spacing if spacing else 0
-        return gone
+        return elapsed
 
     def _step_to_event(self, duration: float) -> float:
-        """Go on by at most a tick, to the first loss of a margin in it, and change the regime there."""
+        """Advance by at most a tick, to the first loss of a margin; change the regime there; return the time [s]."""
         propagator, point = self._propagator, self._point
         ahead = propagator.ahead(point, duration)
         if not propagator.count:
@@ -438,16 +438,16 @@ class Rig:
         share, which = 2.0, 0
         for index in np.flatnonzero(after < -TOLERANCE):
             start = max(float(before[index]), 0.0)
-            own = start / (start - float(after[index]))
-            if own < share:
-                share, which = own, int(index)
+            crossing = start / (start - float(after[index]))
+            if crossing < share:
+                share, which = crossing, int(index)
         share = self._refine(which, duration, share)
         if share > 0.0:
             self._idle = 0
             self._accept(propagator.ahead(point, share * duration)[:STATES], share * duration)
         else:
             self._idle += 1
-            if self._idle > MOST_IDLE:  # regimes that hand over to each other at one point: let one tick pass
+            if self._idle > MOST_IDLE:  # regimes that alternate at one point: let one tick pass
                 self._idle = 0
                 self._accept(ahead[:STATES], duration)
                 self._settle_signs()
@@ -456,13 +456,13 @@ class Rig:
         return share * duration
 
     def _settle_signs(self) -> None:
-        """Take back a velocity that a forced tick turned against its own slip."""
-        for k, own in enumerate(self._regime.actuators):
-            if own.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
+        """Zero a velocity whose sign a forced tick has made opposite to its slip."""
+        for k, actuator_regime in enumerate(self._regime.actuators):
+            if actuator_regime.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
                 self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
 
     def _refine(self, which: int, duration: float, share: float) -> float:
-        """Root of one margin within a step of less than a tick, by two secant steps."""
+        """Find the root of one margin within a step of less than a tick, as a share of the step, by secant steps."""
         row, low = self._propagator.margins[which], 0.0
         margin: Callable[[float], float] = lambda at: float(row @ self._propagator.ahead(self._point, at * duration))  # noqa: E731
         low_value, high, high_value = margin(0.0), 1.0, margin(1.0)
@@ -481,7 +481,7 @@ class Rig:
 
     def _switch(self, switch: Switch) -> None:
         k = switch.actuator
-        own = self._regime.actuators[k]
+        actuator_regime = self._regime.actuators[k]
         value = switch.value
         if switch.field == "slip" and value == 0:
             self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
@@ -489,7 +489,7 @@ class Rig:
             if abs(net) > self._plant.actuators[k].coulomb_friction + TOLERANCE:
                 value = 1 if net > 0.0 else -1
         changes: dict[str, Any] = {switch.field: value}
-        self._enter(self._with(k, own._replace(**changes)))
+        self._enter(self._with(k, actuator_regime._replace(**changes)))
 
 
 __all__ = ["FILTERED", "ROLES", "SETUPS", "UNPOWERED", "Rig"]

@@ -1,7 +1,7 @@
-"""The phases of the rig's two actuators: collects what the rig's steps leave in them, and steps their network.
+"""The phases of the rig's two actuators: gather the heat of the rig's steps, and step the network of the phases.
 
-Voltages see the mean of the three resistances, as the actuators show it, at most 10 ms late; the ripple at twice the
-electrical frequency that unequal phases make is left out.
+The drive voltages use the mean of the three phase resistances, at most 10 ms late; the ripple that unequal phases
+cause at twice the electrical frequency is left out.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,14 @@ class HottestPhase(NamedTuple):
 
 
 class HeatedActuator(Protocol):
-    """An actuator, by what its phases act on."""
+    """The parameters and thermal nodes of an actuator that its phases use."""
 
     parameters: ActuatorParameters
     thermal: ExactThermalNetwork
 
 
 class RigPhases:
-    """Test and load actuator as two lanes of one network, which their two nodes show the means of."""
+    """Test and load actuator as two lanes of one network, whose means the actuators' thermal nodes show."""
 
     def __init__(self, pair: Sequence[HeatedActuator], ambient: float) -> None:
         actuators = [actuator.parameters for actuator in pair]
@@ -61,17 +61,17 @@ class RigPhases:
         """Two phases of the test actuator in series [ohm]."""
         return float(self.network.resistances[:2, 0].sum())
 
-    def hottest(self, place: int) -> HottestPhase:
-        """Hottest phase of one actuator, now and at its highest."""
-        return HottestPhase(float(self.network.hottest[place]), float(self._highest[place]))
+    def hottest(self, index: int) -> HottestPhase:
+        """Present and highest temperature of the hottest phase of one actuator."""
+        return HottestPhase(float(self.network.hottest[index]), float(self._highest[index]))
 
-    def part(self, place: int, part: str) -> float:
-        """Mean of the phases that two leads feed, or of the one that they do not, of one actuator [degC]."""
-        phases = self._phases[place][PARTS[part]]
+    def part(self, index: int, part: str) -> float:
+        """Mean temperature of one actuator's `active` phases, which two leads feed, or of its `inactive` one [degC]."""
+        phases = self._phases[index][PARTS[part]]
         return sum(phases) / len(phases)
 
     def take(self, step: float, before: Array, after: Array, friction: list[float]) -> None:
-        """Take one step of the rig [s] between two states, and the friction heat [J] of all steps since it was zero."""
+        """Record a step of the rig [s] between two states, and the friction heat [J] since the last `hold`."""
         self._steps.append(step)
         self._ends.append([_ends(before), _ends(after)])
         self._gathered += step
@@ -79,22 +79,22 @@ class RigPhases:
             self.hold(friction)
 
     def hold(self, friction: list[float]) -> None:
-        """Let what was gathered act, and set the friction heat back to zero."""
+        """Apply the gathered heat to the network, and reset the friction heat to zero."""
         if self._gathered < LEAST_S:
             return
         lengths, ends = np.array(self._steps), np.array(self._ends)  # step, end, current and angle of each
         total = float(lengths.sum())
         squares = (ends[:, :, :2] ** 2).mean(axis=1)
         angles = ends[:, :, 2:] * self._turns + self._offsets
-        each = turning_squares(squares, angles[:, 0], angles[:, 1])
-        means = np.einsum("s,psl->pl", lengths, each) / total
+        phase_squares = turning_squares(squares, angles[:, 0], angles[:, 1])
+        means = np.einsum("s,psl->pl", lengths, phase_squares) / total
         self._step(round(total, 9), means, np.array(friction) / total)
         self._show()
         friction[:] = [0.0] * len(friction)
         self._steps, self._ends, self._gathered = [], [], 0.0
 
     def heat_leads(self, duration: float, current: float) -> None:
-        """Go on by a duration [s] with direct current through two leads of the test actuator [A]."""
+        """Advance by a duration [s] with direct current through two leads of the test actuator [A]."""
         if duration < LEAST_S:
             return
         squares = lead_squares(np.array([current**2, 0.0]))

@@ -1,4 +1,4 @@
-"""Heated runs of many lanes at once: direct current through two leads, no motion, a sample a second."""
+"""Heated runs of many lanes at once: direct current through two leads, no motion, one sample a second."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,11 +13,11 @@ SUBSTEPS = 5  # of 0.2 s: Heun's error is then below 2e-4 of the winding's 6 s
 
 
 class HeatedRun(NamedTuple):
-    """One heated run, a row a second."""
+    """Signals of one heated run, one row a second."""
 
     current: Array  # A, through two leads
     voltage: Array  # V, between them
-    winding: Array  # degC, as the camera has it
+    winding: Array  # degC, as the camera reads it
     housing: Array
 
 
@@ -34,29 +34,34 @@ def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[HeatedRun]:
     cold = column(lanes, lambda lane: lane.test.phase_resistance)
     coefficient = column(lanes, lambda lane: lane.test.resistance_coefficient)
     reference = column(lanes, lambda lane: lane.test.reference_temperature)
-    longest, count = max(len(own) for own in currents), len(lanes)
+    longest, count = max(len(line_current) for line_current in currents), len(lanes)
     program = np.zeros((longest, count))
-    for k, own in enumerate(currents):
-        program[: len(own), k] = own
+    for k, line_current in enumerate(currents):
+        program[: len(line_current), k] = line_current
     still = np.zeros(count)
-    voltage, seen = np.zeros((longest, count)), np.zeros((longest, 2, count))
+    voltage, camera = np.zeros((longest, count)), np.zeros((longest, 2, count))
 
     def resistance(time: float) -> Array:
         value: Array = cold * (1.0 + coefficient * (thermal.winding - reference))
-        for own in bound["resistance_share"]:
-            value[own.lanes] *= own.effect.resistance_share(thermal.winding[own.lanes], time)
+        for group in bound["resistance_share"]:
+            value[group.lanes] *= group.effect.resistance_share(thermal.winding[group.lanes], time)
         return value
 
     step = SAMPLE / SUBSTEPS
     for row in range(longest):
         current = program[row]
         time = row * SAMPLE
-        voltage[row], seen[row] = 2.0 * resistance(time) * current, thermal.camera()
+        voltage[row], camera[row] = 2.0 * resistance(time) * current, thermal.camera()
         for part in range(SUBSTEPS):
             now = time + part * step
             # two phases in series take the current
             thermal.step(now, step, 2.0 * resistance(now) * current**2, still, still)
     return [
-        HeatedRun(own, voltage[: len(own), k], seen[: len(own), 0, k], seen[: len(own), 1, k])
-        for k, own in enumerate(currents)
+        HeatedRun(
+            line_current,
+            voltage[: len(line_current), k],
+            camera[: len(line_current), 0, k],
+            camera[: len(line_current), 1, k],
+        )
+        for k, line_current in enumerate(currents)
     ]

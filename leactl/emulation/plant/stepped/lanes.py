@@ -1,7 +1,7 @@
-"""Lanes of the stepped plant: one bench in one run each, their parameters as arrays, their effects by group.
+"""Lanes of the stepped plant: each lane is one bench in one run; parameters are arrays over lanes.
 
-Lanes that stand side by side with the same kinds of effects form a group; a group's effects act on views of the
-plant's arrays, so that nothing is gathered or scattered while it steps.
+Adjacent lanes with the same kinds of effects form a group. The effects of a group act on views of the plant's arrays,
+so that nothing is gathered or scattered while the plant steps.
 """
 
 import itertools
@@ -34,49 +34,49 @@ class Lane:
     fixture: float | None = None
 
 
-class Bound(NamedTuple):
-    """One effect over the lanes of its group."""
+class EffectGroup(NamedTuple):
+    """One effect, with arrays as its parameters, over the lanes of a group."""
 
     effect: PlantEffect
     row: int
     lanes: slice
     now: Now
 
-    def of(self, array: Array) -> Array:
-        """View of an array over actuators and lanes."""
+    def view(self, array: Array) -> Array:
+        """Return the view of an array over actuators and lanes that holds the effect's actuator and lanes."""
         view: Array = array[self.row, self.lanes]
         return view
 
     @property
     def width(self) -> int:
-        """How many lanes."""
+        """Number of lanes."""
         return int(self.lanes.stop - self.lanes.start)
 
 
-def column(lanes: Sequence[Lane], number: Callable[[Lane], float]) -> Array:
-    """One number of every lane."""
-    return np.array([number(lane) for lane in lanes], np.float64)
+def column(lanes: Sequence[Lane], value_of: Callable[[Lane], float]) -> Array:
+    """Collect one value of every lane in an array, shape (lanes,)."""
+    return np.array([value_of(lane) for lane in lanes], np.float64)
 
 
-def rows(lanes: Sequence[Lane], number: Callable[[ActuatorParameters], float]) -> Array:
-    """One number of both actuators of every lane, test above load."""
-    return np.array([[number(lane.test) for lane in lanes], [number(lane.load) for lane in lanes]], np.float64)
+def rows(lanes: Sequence[Lane], value_of: Callable[[ActuatorParameters], float]) -> Array:
+    """Collect one value of both actuators of every lane, shape (2, lanes), the test actuator first."""
+    return np.array([[value_of(lane.test) for lane in lanes], [value_of(lane.load) for lane in lanes]], np.float64)
 
 
-def bind(lanes: Sequence[Lane]) -> dict[str, list[Bound]]:
-    """Every effect over its lanes, by what it does."""
-    bound: dict[str, list[Bound]] = {hook: [] for hook in HOOKS}
+def bind(lanes: Sequence[Lane]) -> dict[str, list[EffectGroup]]:
+    """Group the lanes' effects; returns for each hook name the effect groups whose effects define that hook."""
+    bound: dict[str, list[EffectGroup]] = {hook: [] for hook in HOOKS}
     first = 0
     for _, members in itertools.groupby(lanes, key=_kinds):
-        group = list(members)
-        place = slice(first, first + len(group))
-        first = place.stop
-        for k in range(len(group[0].effects)):
-            singles = [lane.effects[k] for lane in group]
+        adjacent = list(members)
+        span = slice(first, first + len(adjacent))
+        first = span.stop
+        for k in range(len(adjacent[0].effects)):
+            singles = [lane.effects[k] for lane in adjacent]
             effect = type(singles[0]).stacked(singles)
-            own = Bound(effect, ROLES.index(effect.role), place, Now())
+            group = EffectGroup(effect, ROLES.index(effect.role), span, Now())
             for hook in own_hooks(effect):
-                bound[hook].append(own)
+                bound[hook].append(group)
     return bound
 
 
@@ -85,6 +85,6 @@ def _kinds(lane: Lane) -> tuple[tuple[type[PlantEffect], str], ...]:
 
 
 def in_groups(lanes: Sequence[Lane]) -> list[int]:
-    """An order of the lanes that puts those with the same kinds of effects side by side."""
+    """Order the lane indices so that lanes with the same kinds of effects are adjacent."""
     names = [[f"{kind.__module__}.{role}" for kind, role in _kinds(lane)] for lane in lanes]
     return sorted(range(len(lanes)), key=lambda index: (names[index], index))

@@ -1,9 +1,10 @@
 """The stepped plant: many benches at once, in fixed sub-steps of 0.1 ms, with every effect of the vocabulary.
 
-Currents follow the first-order loop exactly within a sub-step. Where nothing else acts on them, current loops and
-sensors' filters are worked out for all sub-steps of a millisecond at once. The mechanics leap-frog: angles live half a
-sub-step ahead of velocities, which keeps the shaft's resonance (360 Hz, 0.22 rad a sub-step) at its frequency to 0.2 %
-and its energy for ever. Friction is taken off the free velocity and never turns it around: that is sticking.
+Currents follow the first-order loop exactly within a sub-step. Where no effect or ceiling acts within a millisecond,
+the current loops and the sensors' filters are computed for all its sub-steps at once. The mechanics use the leap-frog
+scheme: angles are half a sub-step ahead of velocities, which keeps the shaft's resonance (360 Hz, 0.22 rad a sub-step)
+at its frequency to 0.2 % and conserves its energy. Friction reduces the velocity that results without friction, and
+never reverses it; a velocity reduced to zero is sticking.
 """
 
 import math
@@ -23,8 +24,8 @@ STEP = TICK / SUBSTEPS
 class SteppedPlant:
     """Benches side by side; arrays over actuators have the test actuator in row 0, the load in row 1.
 
-    `advance` goes on by one millisecond. After it `angle`, `velocity`, `current` hold for its end, `current_mean` and
-    `voltage_mean` for the millisecond, `velocity_read` and `torque_read` are behind the sensors' filters.
+    `advance` steps one millisecond. After it `angle`, `velocity`, `current` hold for the end of the millisecond;
+    `current_mean` and `voltage_mean` are means over it; `velocity_read` and `torque_read` are the filtered readings.
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
@@ -46,7 +47,7 @@ class SteppedPlant:
         self._means, self._shafts = np.zeros((SUBSTEPS, *both)), np.zeros((SUBSTEPS, count))  # of a millisecond
         self._constants = np.ones(both)  # magnets' share
         self._scratch, self._line = np.zeros(both), np.zeros(count)
-        self._slow: list[Now] = []
+        self._lane_states: list[Now] = []
         self._make_views()
 
     def _take_parameters(self) -> None:
@@ -63,8 +64,8 @@ class SteppedPlant:
         self._mobility = STEP / inertia  # rad/s per N*m
         self._mobility[1, [lane.setup == "locked" for lane in lanes]] = 0.0
         stiffness = column(lanes, lambda lane: lane.bench.shaft_stiffness)
-        for own in bound["shaft_stiffness"]:
-            stiffness[own.lanes] = own.effect.shaft_stiffness(stiffness[own.lanes])
+        for group in bound["shaft_stiffness"]:
+            stiffness[group.lanes] = group.effect.shaft_stiffness(stiffness[group.lanes])
         stiffness *= [lane.setup in ("coupled", "locked") for lane in lanes]
         reduced = inertia[0] * inertia[1] / inertia.sum(axis=0)
         ratio = column(lanes, lambda lane: lane.bench.shaft_damping_ratio)
@@ -72,53 +73,57 @@ class SteppedPlant:
         self._source = column(lanes, lambda lane: lane.bench.bus_voltage)
         self._lead_amplitude = rows(lanes, lambda p: p.lead_amplitude)
         self.current_offset, self.current_gain = np.zeros(inertia.shape), np.ones(inertia.shape)
-        for own in bound["sense_current"]:
-            zero = own.effect.sense_current(0.0)
-            own.of(self.current_offset)[:] = zero + own.of(self.current_gain) * 0.0
-            own.of(self.current_gain)[:] *= own.effect.sense_current(1.0) - zero
+        for group in bound["sense_current"]:
+            zero = group.effect.sense_current(0.0)
+            group.view(self.current_offset)[:] = zero + group.view(self.current_gain) * 0.0
+            group.view(self.current_gain)[:] *= group.effect.sense_current(1.0) - zero
         self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self.current_gain
         self._approach = -np.expm1(-self._loop * STEP)
         # of a current's deviation from its target, at the start of a millisecond and after each sub-step
-        self._share_left = np.exp(-self._loop * STEP * np.arange(SUBSTEPS + 1).reshape(-1, 1, 1))
+        self._deviation_share = np.exp(-self._loop * STEP * np.arange(SUBSTEPS + 1).reshape(-1, 1, 1))
         self._velocity_filter = _Filter(column(lanes, lambda lane: lane.bench.velocity_filter_bandwidth))
         self._torque_filter = _Filter(column(lanes, lambda lane: lane.bench.torque_filter_bandwidth))
 
     def _make_views(self) -> None:
-        """Views of the state for each effect, and the memories of those that have one."""
+        """Create the views of the state that each effect reads, and the filters of effects with a memory."""
         bound = self._bound
-        for own in {id(own.now): own for group in bound.values() for own in group}.values():
-            now, at = own.now, own.lanes
-            now.angle, now.velocity, now.current = own.of(self._ahead), own.of(self._free), own.of(self._middle)
-            now.shaft_torque, now.winding, now.housing = (
-                self._shaft[at],
-                self.thermal.winding[at],
-                self.thermal.housing[at],
+        for group in {id(group.now): group for members in bound.values() for group in members}.values():
+            now, span = group.now, group.lanes
+            now.angle, now.velocity, now.current = (
+                group.view(self._ahead),
+                group.view(self._free),
+                group.view(self._middle),
             )
-            self._slow.append(now)
+            now.shaft_torque, now.winding, now.housing = (
+                self._shaft[span],
+                self.thermal.winding[span],
+                self.thermal.housing[span],
+            )
+            self._lane_states.append(now)
         self._net_of_test, self._net_of_load = self._net
-        made = [(own, own.effect.reference_path(own.width, STEP)) for own in bound["reference_path"]]
-        self._reference_paths = [(own, path) for own, path in made if path]
-        made = [(own, own.effect.velocity_path(own.width, STEP)) for own in bound["velocity_path"]]
-        self._velocity_paths = [(own, path) for own, path in made if path]
-        made = [(own, own.effect.torque_path(own.width, STEP)) for own in bound["torque_path"]]
-        self._torque_paths = [(own, path) for own, path in made if path]
-        forms = [(own, own.effect.friction_path(own.width, STEP)) for own in bound["friction_path"]]
-        self._friction_paths = [(own, form) for own, form in forms if form]
-        torques = [(own, own.effect.rotor_path(own.width, STEP)) for own in bound["rotor_path"]]
-        self._rotor_paths = [(own, torque) for own, torque in torques if torque]
+        made = [(group, group.effect.reference_path(group.width, STEP)) for group in bound["reference_path"]]
+        self._reference_paths = [(group, path) for group, path in made if path]
+        made = [(group, group.effect.velocity_path(group.width, STEP)) for group in bound["velocity_path"]]
+        self._velocity_paths = [(group, path) for group, path in made if path]
+        made = [(group, group.effect.torque_path(group.width, STEP)) for group in bound["torque_path"]]
+        self._torque_paths = [(group, path) for group, path in made if path]
+        forms = [(group, group.effect.friction_path(group.width, STEP)) for group in bound["friction_path"]]
+        self._friction_paths = [(group, form) for group, form in forms if form]
+        torques = [(group, group.effect.rotor_path(group.width, STEP)) for group in bound["rotor_path"]]
+        self._rotor_paths = [(group, torque) for group, torque in torques if torque]
         self._encoder_errors = [
-            (own, np.asarray(own.effect.encoder_error(own.of(self._ahead)))) for own in bound["encoder_error"]
+            (group, np.asarray(group.effect.encoder_error(group.view(self._ahead)))) for group in bound["encoder_error"]
         ]
 
     # ---------------------------------------------------------------- time
 
     def advance(self, reference: Value) -> None:
-        """Go on by a millisecond with these q-axis current references [A] for both actuators."""
+        """Advance by one millisecond with these q-axis current references [A] for both actuators."""
         self._reference[:] = reference
-        for own in self._bound["bounded_reference"]:
-            allowed = own.effect.bounded_reference
-            own.of(self._reference)[:] = allowed(
-                own.of(self._reference), own.of(self._torque_constant), own.of(self.velocity)
+        for group in self._bound["bounded_reference"]:
+            allowed = group.effect.bounded_reference
+            group.view(self._reference)[:] = allowed(
+                group.view(self._reference), group.view(self._torque_constant), group.view(self.velocity)
             )
         np.divide(self._reference - self.current_offset, self.current_gain, out=self._target)
         self._refresh()
@@ -143,31 +148,31 @@ class SteppedPlant:
         self.time += TICK
 
     def supply(self, voltage: float) -> None:
-        """Have every lane's source give this voltage [V] from now on."""
+        """Set the source voltage [V] of every lane from now on."""
         self._source[:] = self.bus_voltage[:] = voltage
 
     def _refresh(self) -> None:
-        """What changes with temperature and time: once a millisecond."""
-        for now in self._slow:
+        """Update the parameters that change with temperature and time, once a millisecond."""
+        for now in self._lane_states:
             now.time = self.time
         temperature = np.stack([self.thermal.winding, self.thermal.logged_ambient])
         share = 1.0 + self._coefficient * (temperature - self._reference_temperature)
         self._resistance = self._resistance_cold * share
-        for own in self._bound["resistance_share"]:
-            own.of(self._resistance)[:] *= own.effect.resistance_share(own.now.winding, self.time)
+        for group in self._bound["resistance_share"]:
+            group.view(self._resistance)[:] *= group.effect.resistance_share(group.now.winding, self.time)
         self._level, damping = self._coulomb.copy(), self._damping.copy()
-        for own in self._bound["friction_share"]:
-            friction = own.effect.friction_share(own.now)
-            own.of(self._level)[:] *= friction
-            own.of(damping)[:] *= friction
-        for own in self._bound["magnet_share"]:
-            own.of(self._constants)[:] = own.effect.magnet_share(own.now)
+        for group in self._bound["friction_share"]:
+            friction = group.effect.friction_share(group.now)
+            group.view(self._level)[:] *= friction
+            group.view(damping)[:] *= friction
+        for group in self._bound["magnet_share"]:
+            group.view(self._constants)[:] = group.effect.magnet_share(group.now)
         self._drive = self._torque_constant * self._constants
         self._emf = self._back_emf * self._constants
         self._damped = 1.0 / (1.0 + self._mobility * damping)
-        self._brake = self._mobility * self._damped  # rad/s that one N*m of friction takes off in a sub-step
-        for own, _ in self._friction_paths:  # theirs comes as a torque instead
-            own.of(self._brake)[:] = 0.0
+        self._brake = self._mobility * self._damped  # rad/s per N*m of friction and sub-step
+        for group, _ in self._friction_paths:  # their friction acts as a torque instead
+            group.view(self._brake)[:] = 0.0
         np.multiply(self._level, self._brake, out=self._loss)
         self._level_now = self._level.copy()
         self._viscous = damping
@@ -182,19 +187,19 @@ class SteppedPlant:
         return bool((needed + 2.0 + delayed > self.bus_voltage / self._lead_amplitude).any())
 
     def _followed(self) -> Array:
-        """Currents in the middle of each sub-step of this millisecond, of loops that no ceiling holds."""
-        currents = self._target + (self.current - self._target) * self._share_left
+        """Currents in the middle of each sub-step of this millisecond, for loops that reach no voltage ceiling."""
+        currents = self._target + (self.current - self._target) * self._deviation_share
         np.copyto(self.current, currents[-1])
         middles: Array = 0.5 * (currents[:-1] + currents[1:])
         np.mean(middles, axis=0, out=self.current_mean)
         return middles
 
     def _follow(self) -> None:
-        """Take the currents on by a sub-step, under the ceiling of the voltage."""
+        """Advance the currents by a sub-step, within the voltage ceiling."""
         current, change, middle = self.current, self._change, self._middle
-        for own, path in self._reference_paths:
-            followed = path(own.of(self._reference))
-            own.of(self._target)[:] = (followed - own.of(self.current_offset)) / own.of(self.current_gain)
+        for group, path in self._reference_paths:
+            followed = path(group.view(self._reference))
+            group.view(self._target)[:] = (followed - group.view(self.current_offset)) / group.view(self.current_gain)
         np.subtract(self._target, current, out=change)
         change *= self._approach
         self._limit_voltage()
@@ -204,20 +209,20 @@ class SteppedPlant:
         self.current_mean += middle
 
     def _step(self, index: int) -> None:
-        """Take the mechanics on by a sub-step, of this index in its millisecond."""
+        """Advance the mechanics by a sub-step; `index` is its number within the millisecond."""
         net, free, velocity, ahead, scratch = self._net, self._free, self.velocity, self._ahead, self._scratch
         np.multiply(self._drive, self._middle, out=net)
-        for own in self._bound["torque_share"]:
-            own.of(net)[:] *= own.effect.torque_share(own.now)
+        for group in self._bound["torque_share"]:
+            group.view(net)[:] *= group.effect.torque_share(group.now)
         self._strain(index)
         self._net_of_test -= self._shaft
         self._net_of_load += self._shaft
-        for own in self._bound["torque"]:
-            own.of(net)[:] += own.effect.torque(own.now.angle, own.of(velocity))
-        for own, torque in self._rotor_paths:
-            own.of(net)[:] += torque(own.now)
-        for own, form in self._friction_paths:
-            own.of(net)[:] += form(own.of(self._level_now), own.of(velocity))
+        for group in self._bound["torque"]:
+            group.view(net)[:] += group.effect.torque(group.now.angle, group.view(velocity))
+        for group, torque in self._rotor_paths:
+            group.view(net)[:] += torque(group.now)
+        for group, form in self._friction_paths:
+            group.view(net)[:] += form(group.view(self._level_now), group.view(velocity))
 
         np.multiply(net, self._mobility, out=free)
         free += velocity
@@ -236,7 +241,7 @@ class SteppedPlant:
         ahead += scratch
 
     def _limit_voltage(self) -> None:
-        """Take from the change of current what the ceiling does not allow."""
+        """Reduce the change of current to what the voltage ceiling allows."""
         ceiling = self.bus_voltage / self._lead_amplitude
         per_step = self._inductance / STEP + 0.5 * self._resistance
         velocity = self.velocity + 0.5 * self._mobility * self._net  # half way, by the last step's torque
@@ -244,65 +249,67 @@ class SteppedPlant:
         self._change -= (needed - np.clip(needed, -ceiling, ceiling)) / per_step
 
     def _strain(self, index: int) -> None:
-        """Torque of the shaft, and of the sensor behind its filter where something else follows it."""
+        """Compute the shaft's torque; filter the sensor's torque too if an effect acts on the filtered torque."""
         twist, shaft, line = self._twist, self._shaft, self._line
         np.subtract(self._ahead[0], self._ahead[1], out=twist)
         np.subtract(self.velocity[0], self.velocity[1], out=line)
-        for own in self._bound["transmitted_twist"]:
-            twist[own.lanes] = own.effect.transmitted_twist(twist[own.lanes])
-            line[own.lanes] *= twist[own.lanes] != 0.0
+        for group in self._bound["transmitted_twist"]:
+            twist[group.lanes] = group.effect.transmitted_twist(twist[group.lanes])
+            line[group.lanes] *= twist[group.lanes] != 0.0
         np.multiply(self._stiffness, twist, out=shaft)
         line *= self._shaft_damping
         shaft += line
         np.copyto(self._shafts[index], shaft)
         if self._torque_paths:
             self._torque_filter.pass_one(shaft, self._sensed)
-        for own, path in self._torque_paths:
-            self.torque_read[own.lanes] = path(self._sensed[own.lanes])
+        for group, path in self._torque_paths:
+            self.torque_read[group.lanes] = path(self._sensed[group.lanes])
 
     def _raise_friction(self) -> None:
         level: Value = None
-        group: slice | None = None
-        for own in self._bound["coulomb"]:
-            if own.lanes != group:  # a second effect of one group goes on from the first one's level
-                group, level = own.lanes, own.of(self._level)
-            level = own.effect.coulomb(level, own.now)
-            own.of(self._level_now)[:] = level
-            own.of(self._loss)[:] = level * own.of(self._brake)
+        span: slice | None = None
+        for group in self._bound["coulomb"]:
+            if group.lanes != span:  # a second effect of one group changes the first one's level
+                span, level = group.lanes, group.view(self._level)
+            level = group.effect.coulomb(level, group.now)
+            group.view(self._level_now)[:] = level
+            group.view(self._loss)[:] = level * group.view(self._brake)
 
     def _sense_velocity(self, mean: Array) -> None:
-        """The encoder's difference over a sub-step, behind the drive's first-order filter where something follows."""
-        for own, before in self._encoder_errors:
-            error = own.effect.encoder_error(own.of(self._ahead))
-            own.of(mean)[:] += (error - before) / STEP
+        """Add the encoder's error to the velocity; filter it too if an effect acts on the filtered velocity."""
+        for group, before in self._encoder_errors:
+            error = group.effect.encoder_error(group.view(self._ahead))
+            group.view(mean)[:] += (error - before) / STEP
             before[:] = error
         if self._velocity_paths:
             self._velocity_filter.pass_one(mean, self._filtered)
-        for own, path in self._velocity_paths:
-            own.of(self.velocity_read)[:] = path(own.of(self._filtered))
+        for group, path in self._velocity_paths:
+            group.view(self.velocity_read)[:] = path(group.view(self._filtered))
 
     # ---------------------------------------------------------------- readings
 
     def _measure(self, start: Array, before: Array) -> None:
-        late = [(own, own.of(self.velocity_read).copy()) for own, _ in self._velocity_paths]
+        filtered_velocities = [(group, group.view(self.velocity_read).copy()) for group, _ in self._velocity_paths]
         np.copyto(self.velocity_read, self._filtered)
-        for own, reading in late:
-            own.of(self.velocity_read)[:] = reading
-        kept = [(own, self.torque_read[own.lanes].copy()) for own, _ in self._torque_paths]
+        for group, reading in filtered_velocities:
+            group.view(self.velocity_read)[:] = reading
+        filtered_torques = [(group, self.torque_read[group.lanes].copy()) for group, _ in self._torque_paths]
         np.copyto(self.torque_read, self._sensed)
-        for own, reading in kept:
-            self.torque_read[own.lanes] = reading
-        for own in self._bound["sense_torque"]:
-            self.torque_read[own.lanes] = own.effect.sense_torque(self.torque_read[own.lanes])
+        for group, reading in filtered_torques:
+            self.torque_read[group.lanes] = reading
+        for group in self._bound["sense_torque"]:
+            self.torque_read[group.lanes] = group.effect.sense_torque(self.torque_read[group.lanes])
         voltage = self._resistance * self.current_mean + self._emf * (self.angle - before) / TICK
         voltage += self._inductance * (self.current - start) / TICK
-        for own in self._bound["lost_voltage"]:
-            lost, at = own.effect.lost_voltage, own.of
-            own.of(voltage)[:] += (lost(at(start)) + 4.0 * lost(at(self.current_mean)) + lost(at(self.current))) / 6.0
+        for group in self._bound["lost_voltage"]:
+            lost, view = group.effect.lost_voltage, group.view
+            group.view(voltage)[:] += (
+                lost(view(start)) + 4.0 * lost(view(self.current_mean)) + lost(view(self.current))
+            ) / 6.0
         self.voltage_mean[:] = voltage
-        for own in self._bound["bus_voltage"]:
-            power = own.of(voltage) * own.of(self.current_mean)
-            self.bus_voltage[own.lanes] = own.effect.bus_voltage(self._source[own.lanes], power)
+        for group in self._bound["bus_voltage"]:
+            power = group.view(voltage) * group.view(self.current_mean)
+            self.bus_voltage[group.lanes] = group.effect.bus_voltage(self._source[group.lanes], power)
 
     def _warm(self, speed: Array) -> None:
         heat = self._resistance[0] * self.current_mean[0] ** 2
@@ -313,48 +320,48 @@ class SteppedPlant:
 
     @property
     def angle_read(self) -> Array:
-        """Angles of the test actuators as their encoders have them, counts apart [rad]."""
+        """Angles of the test actuators as their encoders read them, not rounded to counts [rad]."""
         angle: Array = self.angle[0]
         if self._encoder_errors:
             angle = angle.copy()
-            for own, _ in self._encoder_errors:
-                angle[own.lanes] += own.effect.encoder_error(angle[own.lanes])
+            for group, _ in self._encoder_errors:
+                angle[group.lanes] += group.effect.encoder_error(angle[group.lanes])
         return angle
 
     @property
     def current_sensed(self) -> Array:
-        """Currents at the end of the millisecond as the drives' sensors have them [A]."""
+        """Currents at the end of the millisecond as the drives' sensors read them [A]."""
         return self.current_gain * self.current + self.current_offset
 
     @property
     def current_mean_sensed(self) -> Array:
-        """Currents over the millisecond as the drives' sensors have them [A]."""
+        """Mean currents over the millisecond as the drives' sensors read them [A]."""
         return self.current_gain * self.current_mean + self.current_offset
 
     @property
     def kinetic_and_strain_energy(self) -> Array:
-        """Energy in rotors and shaft [J]."""
+        """Kinetic energy of the rotors plus strain energy of the shaft [J], shape (lanes,)."""
         kinetic = 0.5 * self._inertia * self.velocity**2
         total: Array = kinetic.sum(axis=0) + 0.5 * self._stiffness * (self.angle[0] - self.angle[1]) ** 2
         return total
 
 
 class _Filter:
-    """A first-order filter of a sensor in each lane, whose input is constant over a sub-step."""
+    """A first-order sensor filter in each lane, whose input is constant over a sub-step."""
 
     def __init__(self, bandwidth: Array) -> None:
         rate = 2.0 * math.pi * bandwidth * STEP
-        self._gain, self._left = -np.expm1(-rate), np.exp(-rate * SUBSTEPS)
+        self._gain, self._decay = -np.expm1(-rate), np.exp(-rate * SUBSTEPS)
         self._weights = self._gain * np.exp(-rate * np.arange(SUBSTEPS - 1, -1, -1).reshape(-1, 1))
 
     def pass_one(self, value: Array, output: Array) -> None:
-        """Take the output on by a sub-step."""
+        """Advance the output by a sub-step."""
         output += self._gain * (value - output)
 
     def pass_all(self, values: Array, output: Array) -> None:
-        """Take the output on by a millisecond.
+        """Advance the output by a millisecond.
 
         values : (sub-steps, ..., lanes).
         """
-        output *= self._left
+        output *= self._decay
         output += np.einsum("kl,k...l->...l", self._weights, values)

@@ -1,6 +1,6 @@
-"""The stepped plant with one lane in the rig's place, for benches whose effects the rig has no form for.
+"""The stepped plant with one lane, with the interface of the rig, for benches with effects that the rig cannot express.
 
-Time goes in whole milliseconds, commands are taken at the next one, and the servos close over what the drives read.
+Time advances in whole milliseconds; a command takes effect at the next one; the servos use the drives' readings.
 """
 
 import math
@@ -21,7 +21,7 @@ HEATED_STEP = 0.2  # s
 
 
 class SteppedRig:
-    """Two actuators, `actuators["test"]` and `actuators["load"]`, in one setup; the same face as `Rig`."""
+    """Two actuators, `actuators["test"]` and `actuators["load"]`, in one setup; the same interface as `Rig`."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class SteppedRig:
 
     @property
     def shaft_torque(self) -> float:
-        """Torque of the test actuator onto the shaft as the sensor has it [N*m]."""
+        """Torque of the test actuator onto the shaft as the sensor reads it [N*m]."""
         torque, angle = self.plant.torque_read.reshape(1, 1) + self.hung_torque, self.plant.angle[:1, :1]
         for effect in self._effects:
             torque = effect.torque_record(torque, angle, np.array([[self.time]]))
@@ -60,21 +60,21 @@ class SteppedRig:
 
     @property
     def bus_voltage(self) -> float:
-        """Supply of both drives [V]."""
+        """DC link voltage of both drives [V]."""
         return float(self.plant.bus_voltage[0]) if self._dead_bus is None else self._dead_bus
 
     @property
     def powered(self) -> bool:
-        """Whether the bus carries what a drive needs to drive anything."""
+        """Whether the DC link voltage is enough for a drive to work."""
         return self._dead_bus is None
 
     @property
     def bus_power(self) -> float:
-        """What both drives take from their supply [W]; their own losses apart."""
+        """Power that both drives take from their supply [W], without the drives' own losses."""
         return sum(actuator.voltage * actuator.current_true for actuator in self.actuators.values())
 
     def supply(self, voltage: float) -> None:
-        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        """Set the DC link voltage [V] from now on; below `UNPOWERED` the drives are off."""
         self._dead_bus = voltage if voltage < UNPOWERED else None
         if self._dead_bus is not None:
             for actuator in self.actuators.values():
@@ -85,17 +85,17 @@ class SteppedRig:
 
     @property
     def lead_resistance(self) -> float:
-        """Between two leads of the test actuator [ohm]: two phases in series."""
+        """Resistance between two leads of the test actuator [ohm]: two phases in series."""
         return 2.0 * self.resistance
 
     @property
     def line_current(self) -> float:
-        """DC through two leads of the test actuator [A]; zero unless heated."""
+        """Direct current through two leads of the test actuator [A]; zero unless heated."""
         return self.heater_current if self.setup == "heated" else 0.0
 
     @property
     def line_voltage(self) -> float:
-        """Voltage between those two leads [V]: two phases in series."""
+        """Voltage between the two heated leads [V]."""
         return self.lead_resistance * self.line_current
 
     @property
@@ -113,7 +113,7 @@ class SteppedRig:
     # ---------------------------------------------------------------- time
 
     def advance(self, to_time: float) -> None:
-        """Go on to the last whole step before a time [s]; a time already past changes nothing."""
+        """Advance to the last whole step before a time [s]; a time in the past changes nothing."""
         if self.setup == "heated":
             still = np.zeros(1)
             while (step := min(HEATED_STEP, to_time - self.time)) > 1e-9:
@@ -128,11 +128,11 @@ class SteppedRig:
 
 
 class SteppedActuator:
-    """A role of the stepped rig as its drive shows it; the same face as `Actuator`."""
+    """One actuator of the stepped rig as its drive's sensors read it; the same interface as `Actuator`."""
 
-    def __init__(self, rig: SteppedRig, place: int, parameters: ActuatorParameters) -> None:
+    def __init__(self, rig: SteppedRig, row: int, parameters: ActuatorParameters) -> None:
         self.parameters, self.mode, self.setpoint = parameters, "off", 0.0
-        self._rig, self._place, self._integral = rig, place, 0.0
+        self._rig, self._row, self._integral = rig, row, 0.0
 
     def command(self, mode: str, value: float = 0.0) -> None:
         """Hold a q-axis current [A], a velocity [rad/s] or an angle [rad], or let no current flow ("off")."""
@@ -150,69 +150,69 @@ class SteppedActuator:
         self.mode, self.setpoint = mode, float(value)
 
     def reference(self) -> float:
-        """Current that the drive asks of its current loop for the next millisecond [A]."""
-        bench, wanted = self._rig.bench, self.setpoint
+        """Current reference of the drive's current loop for the next millisecond [A]."""
+        bench, reference = self._rig.bench, self.setpoint
         if self.mode == "off":  # what the sensor reads where no current flows
-            return float(self._rig.plant.current_offset[self._place, 0])
+            return float(self._rig.plant.current_offset[self._row, 0])
         if self.mode == "current":
-            wanted = min(max(wanted, -bench.peak_current), bench.peak_current)
-            ahead = (wanted - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
+            reference = min(max(reference, -bench.peak_current), bench.peak_current)
+            ahead = (reference - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
             self._integral += ahead
-            wanted += bench.setpoint_lead * ahead * bench.setpoint_lead_time / TICK  # mean over the millisecond
-            return min(max(wanted, -bench.peak_current), bench.peak_current)
+            reference += bench.setpoint_lead * ahead * bench.setpoint_lead_time / TICK  # mean over the millisecond
+            return min(max(reference, -bench.peak_current), bench.peak_current)
         if self.mode == "angle":
-            wanted = bench.position_gain * (wanted - self.angle)
-            wanted = min(max(wanted, -bench.speed_limit), bench.speed_limit)
-        error = wanted - self.velocity
+            reference = bench.position_gain * (reference - self.angle)
+            reference = min(max(reference, -bench.speed_limit), bench.speed_limit)
+        error = reference - self.velocity
         per_acceleration = self.parameters.rotor_inertia / self.parameters.torque_constant
         self._integral += per_acceleration * bench.velocity_integral * TICK * error
-        asked = per_acceleration * bench.velocity_gain * error + self._integral
-        given = min(max(asked, -bench.peak_current), bench.peak_current)
-        self._integral += (given - asked) * bench.velocity_integral / bench.velocity_gain * TICK
-        return given
+        unlimited = per_acceleration * bench.velocity_gain * error + self._integral
+        limited = min(max(unlimited, -bench.peak_current), bench.peak_current)
+        self._integral += (limited - unlimited) * bench.velocity_integral / bench.velocity_gain * TICK
+        return limited
 
     @property
     def current(self) -> float:
-        """Q-axis current as the drive's sensor has it [A]."""
-        return float(self._rig.plant.current_sensed[self._place, 0])
+        """Q-axis current as the drive's sensor reads it [A]."""
+        return float(self._rig.plant.current_sensed[self._row, 0])
 
     @property
     def current_true(self) -> float:
-        """Q-axis current that flows [A]."""
-        return float(self._rig.plant.current[self._place, 0])
+        """True q-axis current [A]."""
+        return float(self._rig.plant.current[self._row, 0])
 
     @property
     def voltage(self) -> float:
-        """Q-axis voltage over the last millisecond [V]."""
-        return float(self._rig.plant.voltage_mean[self._place, 0])
+        """Mean q-axis voltage over the last millisecond [V]."""
+        return float(self._rig.plant.voltage_mean[self._row, 0])
 
     @property
     def velocity_true(self) -> float:
-        """Velocity of the rotor [rad/s]."""
-        return float(self._rig.plant.velocity[self._place, 0])
+        """True velocity of the rotor [rad/s]."""
+        return float(self._rig.plant.velocity[self._row, 0])
 
     @property
     def velocity(self) -> float:
-        """Velocity behind the drive's filter [rad/s]."""
-        return float(self._rig.plant.velocity_read[self._place, 0])
+        """Filtered velocity that the drive reports [rad/s]."""
+        return float(self._rig.plant.velocity_read[self._row, 0])
 
     @property
     def angle(self) -> float:
-        """Angle as the encoder has it, counts apart [rad]."""
+        """Angle as the encoder reads it, not rounded to counts [rad]."""
         plant = self._rig.plant
-        return float(plant.angle_read[0] if self._place == 0 else plant.angle[1, 0])
+        return float(plant.angle_read[0] if self._row == 0 else plant.angle[1, 0])
 
     @property
     def winding_temperature(self) -> float:
-        """Winding as the camera has it [degC]; the load's is not followed and stays at ambient."""
+        """Winding temperature as the camera reads it [degC]; the load's is not simulated and stays at ambient."""
         return self._camera(0)
 
     @property
     def housing_temperature(self) -> float:
-        """Housing as the camera has it [degC]."""
+        """Housing temperature as the camera reads it [degC]."""
         return self._camera(1)
 
     def _camera(self, row: int) -> float:
-        if self._place == 1:
+        if self._row == 1:
             return self._rig.bench.ambient_temperature
         return float(self._rig.plant.thermal.camera()[row, 0])

@@ -1,4 +1,4 @@
-"""Runs of many lanes at once: references in, velocity servo, what the drives' sensors have at every millisecond out."""
+"""Runs of many lanes at once: references go in, velocity servos act, sensor readings of every millisecond come out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ COMMAND_STEP = 0.002  # A, resolution of the drives' current command
 
 @dataclass(frozen=True)
 class DriveReferences:
-    """What the drives of one run are asked for, a row a millisecond."""
+    """References of the drives of one run, one row a millisecond."""
 
     current: Array  # A, of the test drive where it does not hold a velocity
     velocity: Array | None = None  # rad/s
@@ -32,10 +32,10 @@ class DriveReferences:
 
 @dataclass(frozen=True)
 class DriveSignals:
-    """What the drives had in one run, noise of the velocity apart free of noise; a row a millisecond."""
+    """Sensor readings of one run before noise, except for the velocities, which carry theirs; one row a millisecond."""
 
     reference: Single
-    current: Single  # mean over the millisecond, as the drive's sensor has it
+    current: Single  # mean over the millisecond, as the drive's sensor reads it
     voltage: Single  # the same
     velocity: Single
     angle: Array
@@ -43,12 +43,12 @@ class DriveSignals:
     bus_voltage: Single
     load_current: Single  # at the end of the millisecond
     load_velocity: Single
-    winding: Single  # 10 Hz, as the camera has it
+    winding: Single  # 10 Hz, as the camera reads it
     housing: Single
 
 
 class _Block(NamedTuple):
-    """A block of ticks of all lanes, a row a tick."""
+    """One second of all lanes, a row a tick."""
 
     reference: Array
     current: Array
@@ -62,7 +62,7 @@ class _Block(NamedTuple):
 
 
 def simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
-    """Run every lane to the end of its program."""
+    """Run every lane to the end of its references; results are in the order of `lanes`."""
     order = in_groups(lanes)
     signals = _simulate([lanes[k] for k in order], [programs[k] for k in order])
     by_lane = dict(zip(order, signals, strict=True))
@@ -73,7 +73,7 @@ def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> lis
     plant = SteppedPlant(lanes)
     servo = _Servo(lanes, programs)
     lengths = [len(program.current) for program in programs]
-    kept = [_empty(length) for length in lengths]
+    records = [_empty(length) for length in lengths]
     longest, count = max(lengths), len(lanes)
     block = _Block(*(np.zeros((BLOCK, count)) for _ in _Block._fields))
     camera = np.zeros((-(-longest // CAMERA_TICKS), 2, count), np.float32)
@@ -81,24 +81,24 @@ def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> lis
     spread = np.array([program.velocity_noise for program in programs])
     reading = np.zeros((2, count))
     for start in range(0, longest, BLOCK):
-        jitter = np.stack([own.standard_normal((BLOCK, 2)) for own in noise], axis=2) * spread
-        wanted = _part(programs, start)
+        jitter = np.stack([generator.standard_normal((BLOCK, 2)) for generator in noise], axis=2) * spread
+        references = _part(programs, start)
         for row in range(min(BLOCK, longest - start)):
-            reference = servo.current(wanted[0, row], wanted[1, row], reading)
+            reference = servo.current(references[0, row], references[1, row], reading)
             plant.advance(reference)
             np.add(plant.velocity_read, jitter[row], out=reading)
             _take(block, row, plant, reference, reading)
             if row % CAMERA_TICKS == 0:
                 camera[(start + row) // CAMERA_TICKS] = plant.thermal.camera()
-        _keep(block, kept, lengths, start)
+        _keep(block, records, lengths, start)
     for k, length in enumerate(lengths):
         ticks = -(-length // CAMERA_TICKS)
-        kept[k]["winding"], kept[k]["housing"] = camera[:ticks, 0, k].copy(), camera[:ticks, 1, k].copy()
-    return [DriveSignals(**own) for own in kept]
+        records[k]["winding"], records[k]["housing"] = camera[:ticks, 0, k].copy(), camera[:ticks, 1, k].copy()
+    return [DriveSignals(**record) for record in records]
 
 
 class _Servo:
-    """Velocity servos of the lanes that have one; the others pass their current reference on."""
+    """Velocity servos of the lanes that have one; the current references of the other lanes pass unchanged."""
 
     def __init__(self, lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> None:
         self._held = np.array([[program.servo == role for program in programs] for role in ("test", "load")])
@@ -119,27 +119,27 @@ class _Servo:
         self._integral = np.zeros(self._held.shape)
 
     def current(self, current: Array, velocity: Array, reading: Array) -> Array:
-        """Current references of both drives [A], in the steps of their command."""
+        """Current references of both drives [A], clipped to the peak current, rounded to the command's resolution."""
         error = velocity - reading
         self._integral += self._per_tick * error
-        asked = self._gain * error + self._integral
-        asked[0] += current * self._passes
-        asked[1] -= current * self._opposed
-        given = np.minimum(np.maximum(asked, -self._peak), self._peak)
-        self._integral += self._unwind * (given - asked) * self._held
-        command: Array = np.rint(given / COMMAND_STEP) * COMMAND_STEP
+        unlimited = self._gain * error + self._integral
+        unlimited[0] += current * self._passes
+        unlimited[1] -= current * self._opposed
+        limited = np.minimum(np.maximum(unlimited, -self._peak), self._peak)
+        self._integral += self._unwind * (limited - unlimited) * self._held
+        command: Array = np.rint(limited / COMMAND_STEP) * COMMAND_STEP
         return command
 
 
 def _part(programs: Sequence[DriveReferences], start: int) -> Array:
-    """Current and velocity references of one block; programs that have ended ask for nothing."""
-    wanted = np.zeros((2, BLOCK, len(programs)))
+    """Current and velocity references of one block, shape (2, ticks, lanes); zero after the end of a run."""
+    references = np.zeros((2, BLOCK, len(programs)))
     for k, program in enumerate(programs):
-        own = program.current[start : start + BLOCK]
-        wanted[0, : len(own), k] = own
+        part = program.current[start : start + BLOCK]
+        references[0, : len(part), k] = part
         if program.velocity is not None:
-            wanted[1, : len(own), k] = program.velocity[start : start + BLOCK]
-    return wanted
+            references[1, : len(part), k] = program.velocity[start : start + BLOCK]
+    return references
 
 
 def _take(block: _Block, row: int, plant: SteppedPlant, reference: Array, reading: Array) -> None:
@@ -157,10 +157,10 @@ def _empty(length: int) -> dict[str, Any]:
     return {name: np.zeros(length, np.float64 if name == "angle" else np.float32) for name in _Block._fields}
 
 
-def _keep(block: _Block, kept: Sequence[dict[str, Any]], lengths: Sequence[int], start: int) -> None:
+def _keep(block: _Block, records: Sequence[dict[str, Any]], lengths: Sequence[int], start: int) -> None:
     for name, values in block._asdict().items():
-        turned = np.ascontiguousarray(values.T)
+        by_lane = np.ascontiguousarray(values.T)
         for k, length in enumerate(lengths):
-            rest = length - start
-            if rest > 0:
-                kept[k][name][start : start + BLOCK] = turned[k, :rest]
+            remaining = length - start
+            if remaining > 0:
+                records[k][name][start : start + BLOCK] = by_lane[k, :remaining]

@@ -1,4 +1,4 @@
-"""From what drives and sensors have to what a record holds: noise, counts, resolution, and faults over a whole run."""
+"""Convert simulated signals to recorded channels: noise, encoder counts, resolution, and faults over a whole run."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ RESOLUTION = {
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the sensors' noise; the velocity's is in the run already, since the servo hears it."""
+    """Standard deviations of the sensors' noise; the velocity's is in the run already, since the servo reads it."""
 
     q_axis_current: float = 0.02  # A
     q_axis_voltage: float = 0.03  # V
@@ -71,12 +71,12 @@ class Sensors:
         return channels
 
     def camera(self, signals: DriveSignals) -> dict[str, Array]:
-        """Channels of the camera at 10 Hz beside the drives."""
+        """Channels of the camera at 10 Hz in a run of the drives."""
         time = np.arange(len(signals.winding), dtype=np.float64) * 1e-3 * CAMERA_TICKS + 1e-3
         return {"time": time, **self._temperatures(signals.winding, signals.housing)}
 
     def heated(self, run: HeatedRun) -> tuple[dict[str, Array], dict[str, Array]]:
-        """Channels of camera and supply in a heated run, a row a second."""
+        """Channels of camera and supply in a heated run, one row a second."""
         time = np.arange(len(run.current), dtype=np.float64)
         supply = {
             "time": time,
