@@ -1,6 +1,6 @@
-"""Layout of a run file, version 1: names of groups and attributes, text in both its forms, and checksums.
+"""Define the layout of a run file, version 1: names of groups and attributes, storage of text, and checksums.
 
-docs/reference/run-format.md describes the same contract in prose; whatever changes here changes `VERSION`.
+docs/reference/run-format.md describes the same contract in prose. A change of the layout requires a new `VERSION`.
 """
 
 import hashlib
@@ -69,7 +69,7 @@ def attributes(node: Any) -> dict[str, Any]:
 
 
 def storable(text: str) -> str:
-    """Replace characters that HDF5 cannot store: NUL, which ends a string, and lone surrogates, which are no UTF-8."""
+    """Replace characters that HDF5 cannot store: NUL, which ends a string, and lone surrogates, which UTF-8 forbids."""
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
 
 
@@ -141,7 +141,7 @@ def is_text(dataset: Any) -> bool:
 
 
 def texts(dataset: Any, rows: int | None = None) -> list[str]:
-    """A 1-D string dataset, of fixed or variable length, as str."""
+    """Return the first `rows` values, or all, of a 1-D string dataset of fixed or variable length."""
     return [str(to_python(value)) for value in dataset[:rows]]
 
 
@@ -192,7 +192,7 @@ def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def digest(dataset: Any) -> str:
-    """SHA-256 of a dataset's values.
+    """Return the SHA-256 of a dataset's values.
 
     Numbers count as their little-endian bytes, a scalar string as its UTF-8 bytes (so that `sha256sum` of the YAML
     file gives the same), an array of strings as the UTF-8 bytes of each with a NUL after it.
@@ -213,5 +213,5 @@ def digest(dataset: Any) -> str:
 
 
 def little_endian(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The same values in the byte order that checksums are defined in."""
+    """Return the same values in little-endian byte order, by which checksums are defined."""
     return values.astype(values.dtype.newbyteorder("<"), copy=False)

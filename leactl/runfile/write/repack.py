@@ -43,7 +43,7 @@ def repack(
     with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
         reserve(clean, 0)
         for name in source.attrs:
-            if name not in seal.OWN:
+            if name not in seal.DIGEST_ATTRIBUTES:
                 clean.attrs[name] = source.attrs[name]
         clean.attrs["status"] = status
         clean.attrs["status_reason"] = one_line(reason)
