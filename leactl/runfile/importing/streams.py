@@ -35,15 +35,15 @@ class Stream:
     labels: list[str] | None = None  # label of each row, by which steps are named
 
     def channel(self, name: str) -> Array:
-        """Values of one channel."""
+        """Return the values of one channel."""
         return self.values[self.specs.index(self.spec(name))]
 
     def spec(self, name: str) -> ChannelSpec:
-        """Specification of one channel."""
+        """Return the specification of one channel."""
         return next(spec for spec in self.specs if spec.name == name)
 
     def rows(self, first: int, last: int) -> "Stream":
-        """Rows `first` to `last` (excluded)."""
+        """Return the rows `first` to `last` (excluded)."""
         labels = self.labels[first:last] if self.labels is not None else None
         columns = [column[first:last] for column in self.values]
         return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
