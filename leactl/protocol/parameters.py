@@ -35,7 +35,7 @@ class Resolved:
         self.values[name], self.origins[name] = value, origin
 
     def changed(self, name: str) -> bool:
-        """Whether the value comes from a condition or the command line, not from the default."""
+        """Return whether the value comes from a condition or the command line, not from the default."""
         return not self.origins[name].startswith("line ")
 
 

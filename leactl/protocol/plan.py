@@ -50,7 +50,7 @@ class Constant:
     value: float
 
     def at(self, time: float) -> float:
-        """The setpoint."""
+        """Return the setpoint."""
         return self.value
 
     @property

@@ -57,7 +57,7 @@ Writer = Callable[[Path], None]
 
 
 def csv_writers(run: Run) -> dict[str, Writer]:
-    """One CSV per stream."""
+    """Return one CSV per stream."""
 
     def write(stream: str, target: Path) -> None:
         with target.open("x", encoding="utf-8", newline="") as file:
@@ -81,7 +81,7 @@ def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
 
 
 def parquet_writers(run: Run) -> dict[str, Writer]:
-    """One Parquet file per stream, with units and the run's attributes as metadata."""
+    """Return one Parquet file per stream, with units and the run's attributes as metadata."""
     arrow, parquet = modules()
 
     def write(stream: str, target: Path) -> None:
@@ -100,7 +100,7 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_writers(run: Run) -> dict[str, Writer]:
-    """One MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
+    """Return one MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
     from scipy.io import savemat
 
     def write(target: Path) -> None:
@@ -120,7 +120,7 @@ def mat_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_stream(run: Run, stream: str) -> dict[str, Any]:
-    """One stream as a struct of channels, each a struct of values, quantity, role, units and names."""
+    """Return one stream as a struct of channels, each a struct of values, quantity, role, units and names."""
     columns: dict[str, Any] = {"time": run.time(stream)}
     values = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
     for spec in run.streams[stream]:
@@ -130,7 +130,7 @@ def mat_stream(run: Run, stream: str) -> dict[str, Any]:
 
 
 def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
-    """Blocks of all rows of a stream, by channel name."""
+    """Return the blocks of all rows of a stream, by channel name."""
     columns: dict[str, list[np.ndarray[Any, Any]]] = {
         spec.name: [np.empty(0, spec.dtype)] for spec in run.streams[stream]
     }

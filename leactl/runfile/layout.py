@@ -64,7 +64,7 @@ def to_python(value: Any) -> Any:
 
 
 def attributes(node: Any) -> dict[str, Any]:
-    """Attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
+    """Return the attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
     return {name: to_python(node.attrs[name]) for name in node.attrs if name not in OF_SCALES}
 
 
@@ -96,21 +96,21 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
 
 
 def parameters(file: Any) -> dict[str, Any]:
-    """Parameters of the protocol with the values of the run; empty if the file has none."""
+    """Return the parameters of the protocol with the values of the run; empty if the file has none."""
     group = file.get("parameters")
     values = attributes(group) if isinstance(group, h5py.Group) else {}
     return {name: value for name, value in values.items() if is_parameter(value)}
 
 
 def is_parameter(value: Any) -> bool:
-    """Whether an attribute has a type that a parameter may have: text, a finite number, or a list of either."""
+    """Return whether an attribute has a type that a parameter may have: text, a finite number, or a list of either."""
     if isinstance(value, list):
         return all(not isinstance(item, list) and is_parameter(item) for item in value)
     return isinstance(value, str) or (isinstance(value, int | float) and math.isfinite(value))
 
 
 def instruments(file: Any) -> dict[str, dict[str, str]]:
-    """Known facts of each device, by its name in the bench file; empty if the file has none."""
+    """Return the known facts of each device, by its name in the bench file; empty if the file has none."""
     group = file.get("instruments")
     devices = group.items() if isinstance(group, h5py.Group) else ()
     known = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
@@ -136,7 +136,7 @@ def copy_description(source: Any, target: Any) -> None:
 
 
 def is_text(dataset: Any) -> bool:
-    """Whether a dataset holds strings, of fixed or variable length."""
+    """Return whether a dataset holds strings, of fixed or variable length."""
     return h5py.check_string_dtype(dataset.dtype) is not None
 
 
@@ -161,7 +161,7 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
 
 
 def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
-    """Attributes of a channel; empty optional ones are left out."""
+    """Return the attributes of a channel; empty optional ones are left out."""
     required: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,
@@ -179,7 +179,7 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
 
 
 def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every dataset below a group with its path; soft and external links are not followed."""
+    """Yield every dataset below a group with its path; soft and external links are not followed."""
     for name in node:
         if not isinstance(node.get(name, getlink=True), h5py.HardLink):
             continue

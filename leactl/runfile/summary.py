@@ -41,7 +41,7 @@ class Summary(NamedTuple):
         return self.folder / self.file
 
     def as_json(self) -> dict[str, Any]:
-        """All fields as a JSON object."""
+        """Return all fields as a JSON object."""
         values = self._asdict()
         del values["folder"]
         plain_values = {"parameters": dict(self.parameters), "tags": list(self.tags)}
@@ -49,5 +49,5 @@ class Summary(NamedTuple):
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a file name is that of a run file."""
+    """Return whether a file name is that of a run file."""
     return name.endswith((".h5", ".h5.partial")) and not name.startswith(".")

@@ -55,7 +55,7 @@ class Alignment:
         return np.asarray(self.offset + self.rate * device_time, np.float64)
 
     def uncertainty(self, device_time: float) -> float:
-        """Half-width of the 95 % interval [s] of a stamp converted to the run's clock."""
+        """Return the half-width of the 95 % interval [s] of a stamp converted to the run's clock."""
         offset_variance, covariance, rate_variance = self.covariance
         return math.hypot(
             self.quantile

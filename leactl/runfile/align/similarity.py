@@ -67,12 +67,12 @@ def peaks(
 
 
 def similarity_of(peak: SimilarityPeak) -> float:
-    """The correlation at a peak, as sort key."""
+    """Return the correlation at a peak, as sort key."""
     return peak.likeness
 
 
 def ends_search(peak: SimilarityPeak, within: float, near: float) -> bool:
-    """Whether a peak lies at the end of the searched range, so that the true maximum may lie beyond it."""
+    """Return whether a peak lies at the end of the searched range, so that the true maximum may lie beyond it."""
     return abs(abs(peak.shift - near) - within) < 1e-9 * within
 
 

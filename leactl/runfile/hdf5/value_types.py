@@ -84,7 +84,7 @@ def faults_of_attribute_types(item: Any, hdf5_path: str, is_read: Callable[[byte
 
 
 def attribute_names(item: Any) -> list[bytes]:
-    """Names of an object's attributes."""
+    """Return the names of an object's attributes."""
     names: list[bytes] = []
     h5py.h5a.iterate(item, names.append)
     return names
