@@ -93,7 +93,7 @@ def streams_of(surveyed: Survey, answers: Answers) -> list[ProposedStream]:
     streams: list[ProposedStream] = []
     names = frozenset(name_of(column, table.table) for table in surveyed.tables for column in table.table.columns)
     for table in surveyed.tables:
-        stream = stream_of(table, names, {each.name for each in streams})
+        stream = stream_of(table, names, {proposed.name for proposed in streams})
         if stream.channels:
             streams.append(stream)
     for stream in streams:
@@ -319,10 +319,10 @@ def decide_by_travel(
     if velocity.scale_of or angle.scale_of or velocity.is_settled:
         return
     by_joint = zip(angle_series, velocity_series, strict=False)
-    known = [gain for gain in (gain_of(of_angle, of_velocity) for of_angle, of_velocity in by_joint) if gain]
-    if not known:
+    gains = [gain for gain in (gain_of(*angle_and_velocity) for angle_and_velocity in by_joint) if gain]
+    if not gains:
         return
-    best = min(known, key=lambda gain: gain.std / abs(gain.value))
+    best = min(gains, key=lambda gain: gain.std / abs(gain.value))
     gain = abs(best.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
     factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
     is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
@@ -334,21 +334,21 @@ def decide_by_travel(
     ]
     decided = [len(channel.units) == 1 for channel in (angle, velocity)]
     if all(decided):
-        others = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
-        if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
-            velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
-            velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
-        of_angle = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
-        if not fitting and of_angle and not is_gear(gain) and not angle.is_settled:
-            angle.units, angle.is_settled = (of_angle[0][0], *angle.units), True
-            angle.why.append(f"yet {factor}, as it would be in {of_angle[0][0]}")
+        pairs_of_angle = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
+        if not fitting and pairs_of_angle and not is_gear(gain):  # the unit of one channel is wrong
+            velocity.units, velocity.is_settled = (pairs_of_angle[0][1], *velocity.units), True
+            velocity.why.append(f"yet {factor}, as {pairs_of_angle[0][1]} would be")
+        pairs_of_velocity = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
+        if not fitting and pairs_of_velocity and not is_gear(gain) and not angle.is_settled:
+            angle.units, angle.is_settled = (pairs_of_velocity[0][0], *angle.units), True
+            angle.why.append(f"yet {factor}, as it would be in {pairs_of_velocity[0][0]}")
         return
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
     if alone and is_one and any(decided):
         for channel, units in zip((angle, velocity), fitting[0], strict=True):
             if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
                 channel.decide(units, f"{units}: {factor}")
-    by_gain = [of_velocity for of_angle, of_velocity in pairs if is_same_unit(of_angle, angle.units, "angle")]
+    by_gain = [pair[1] for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
     if not fitting and decided[0]:
         velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
     for channel, at in ((angle, 0), (velocity, 1)):

@@ -58,7 +58,7 @@ class CsvSource(Columns):
             return cell if cell.lower() in self.words else as_label(self.number(cell))
         return cell
 
-    def _known(self, name: str | int, kept: Iterable[int]) -> int:
+    def _known(self, name: str | int, available: Iterable[int]) -> int:
         """Return the index of a column that the import asked for.
 
         Raises
@@ -68,7 +68,7 @@ class CsvSource(Columns):
         if isinstance(name, str) and self.names.count(name) > 1:
             raise MissingColumn(f"{self.path}: the header has {name!r} {self.names.count(name)} times; give its index")
         at = self.position(name)
-        if at not in kept:
+        if at not in available:
             has = ", ".join(self.names) if self.names else "no header"
             hint = "; is csv.delimiter right?" if len(self.names) == 1 else ""
             raise MissingColumn(f"{self.path} has no column {name!r}; it has {has}{hint}")
