@@ -147,7 +147,7 @@ def energy(
             "cycle": str(path),
             "stride_time_s": cycle.period,
             "angle_harmonics": cycle.harmonics,
-            "angle_left_out": cycle.left_out,
+            "angle_left_out": cycle.relative_residual,
             "notes": list(cycle.notes),
         }
         body.append(about | {"motors": [stride_json(*each) for each in zip(sheets, strides, notes, strict=True)]})

@@ -1,8 +1,8 @@
-"""What an actuator whose parameters are known can carry: the current that takes its hottest phase to the limit.
+"""Compute the constant current that heats the hottest phase of an actuator to a limit, from its thermal parameters.
 
-Three phases of a third of the winding each, and a housing, with copper heat R(T) i^2 of a constant power-invariant
-q-axis current: linear in the temperatures, and so solved exactly. Turning, a phase takes a third of the heat; standing,
-one takes two thirds, and each of the others a sixth.
+The model has three phases, each with a third of the winding, and a housing. A constant power-invariant q-axis current
+makes the copper heat R(T) i^2, which is linear in the temperatures, so that the solution is exact. In a turning motor
+each phase takes a third of the heat; at standstill one phase takes two thirds and the other two a sixth each.
 """
 
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ import numpy.typing as npt
 from leactl.model.thermal_network import Conductances
 
 Array = npt.NDArray[np.float64]
-TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the heat in the hottest phase
-STEADY_STATE = np.inf  # s
-RUNAWAY_RISE = 1e6  # K
+TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the copper heat in the hottest phase
+STEADY_STATE = np.inf  # s, duration of the continuous current
+RUNAWAY_RISE = 1e6  # K, returned for a winding whose temperature has no steady state
 
 
 @dataclass(frozen=True)
 class Winding:
-    """A winding's network and its resistance."""
+    """Thermal network of a winding, and its resistance as a function of temperature."""
 
     network: Conductances
     phase_resistance: float  # ohm, at the reference temperature
@@ -33,46 +33,60 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
 
     Parameters
     ----------
-    rise : of the hottest phase at the end [K].
-    ambient : degC, of the air and of the actuator at the beginning.
+    rise : temperature rise of the hottest phase above ambient at the end [K].
+    ambient : temperature of the air, and of the actuator at the beginning [degC].
     duration : s, `STEADY_STATE` for the continuous current.
-    share : of the copper heat in the hottest phase, `TURNING` to `STANDING`.
+    share : share of the copper heat in the hottest phase, `TURNING` to `STANDING`.
 
-    NaN if `rise` is not positive, or if a parameter of the winding is NaN.
+    Returns
+    -------
+    The current; NaN if `rise` is not positive, or if a parameter of the winding is NaN.
     """
     from scipy.optimize import brentq
 
-    def over(current: float) -> float:
+    def excess_rise(current: float) -> float:
         return hottest_rise(winding, current, ambient, duration, share) - rise
 
-    if not over(0.0) < 0.0:
+    if not excess_rise(0.0) < 0.0:
         return float("nan")
-    most = 1.0
-    while over(most) < 0.0:
-        most *= 2.0
-    return float(brentq(over, 0.0, most, xtol=1e-9 * most))
+    upper_current = 1.0
+    while excess_rise(upper_current) < 0.0:
+        upper_current *= 2.0
+    return float(brentq(excess_rise, 0.0, upper_current, xtol=1e-9 * upper_current))
 
 
 def hottest_rise(winding: Winding, current: float, ambient: float, duration: float, share: float) -> float:
-    """Rise [K] of the hottest phase after `duration` from ambient: `RUNAWAY_RISE` if it runs away, NaN if not known."""
+    """Return the rise [K] of the hottest phase above ambient, after `duration` [s] from ambient temperature.
+
+    At most `RUNAWAY_RISE`, which is also returned if the temperature has no steady state; NaN if a parameter is NaN.
+    """
     from scipy.linalg import expm
 
-    n = winding.network
-    heat = winding.phase_resistance * current**2 * np.array([share, 1.0 - share, 0.0])  # others, as one body
-    capacitances = np.array([n.winding_capacitance / 3, 2 * n.winding_capacitance / 3, n.housing_capacitance])
+    network = winding.network
+    heat = (
+        winding.phase_resistance * current**2 * np.array([share, 1.0 - share, 0.0])
+    )  # the other two phases as one node
+    capacitances = np.array(
+        [network.winding_capacitance / 3, 2 * network.winding_capacitance / 3, network.housing_capacitance]
+    )
     thirds = np.array([1.0, 2.0]) / 3.0
-    flows = np.diag([*(thirds * (n.winding_ambient + n.winding_housing)), n.winding_housing + n.housing_ambient])
-    flows[:2, 2] = flows[2, :2] = -thirds * n.winding_housing
-    warmer = 1.0 + winding.resistance_coefficient * (ambient - winding.reference_temperature)
+    flows = np.diag(
+        [
+            *(thirds * (network.winding_ambient + network.winding_housing)),
+            network.winding_housing + network.housing_ambient,
+        ]
+    )
+    flows[:2, 2] = flows[2, :2] = -thirds * network.winding_housing
+    resistance_factor = 1.0 + winding.resistance_coefficient * (ambient - winding.reference_temperature)
     rates = (np.diag(winding.resistance_coefficient * heat) - flows) / capacitances[:, None]
-    driven = heat * warmer / capacitances
-    if not (np.isfinite(rates).all() and np.isfinite(driven).all()):
+    cold_rates = heat * resistance_factor / capacitances
+    if not (np.isfinite(rates).all() and np.isfinite(cold_rates).all()):
         return float("nan")
     if np.isinf(duration):
         stable = np.max(np.linalg.eigvals(rates).real) < 0.0
-        return float(min(np.linalg.solve(-rates, driven)[0], RUNAWAY_RISE)) if stable else RUNAWAY_RISE
-    whole = np.zeros((4, 4))
-    whole[:3, :3], whole[:3, 3] = rates, driven
+        return float(min(np.linalg.solve(-rates, cold_rates)[0], RUNAWAY_RISE)) if stable else RUNAWAY_RISE
+    augmented = np.zeros((4, 4))
+    augmented[:3, :3], augmented[:3, 3] = rates, cold_rates
     with np.errstate(over="ignore", invalid="ignore"):
-        hottest = float(expm(whole * duration)[0, 3])
-    return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE  # beyond all numbers: it runs away
+        hottest = float(expm(augmented * duration)[0, 3])
+    return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE  # the exponential overflows

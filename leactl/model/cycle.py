@@ -1,12 +1,12 @@
-"""One cycle of an activity from a CSV: angle and torque of a joint, whose columns name their units.
+"""Read one cycle of a joint's angle and torque from a CSV file whose column names contain the units.
 
-    cycle_percent, angle_deg, torque_Nm_per_kg        (with the stride time and the mass of the body)
-    time_s, angle_rad, torque_Nm                      (with the stride time, or closed by its first row once more)
+    cycle_percent, angle_deg, torque_Nm_per_kg        (needs the stride time and the mass of the body)
+    time_s, angle_rad, torque_Nm                      (needs the stride time, or a last row that repeats the first)
 
 Torque acts onto the joint; positive torque turns it towards positive angles. Other columns are ignored. The angle
-becomes a Fourier series, whose derivatives are exact: the second derivative of samples would be noise. Of a series
-with harmonics up to K, rows everywhere less than 1 / 2K of the cycle apart leave nothing free (Groechenig, 1992);
-between rows further apart it would swing as it likes.
+is fitted by a Fourier series, whose derivatives are exact, because the second derivative of samples would be noise.
+A series with harmonics up to K is determined by its rows if no gap between rows exceeds 1 / 2K of the cycle
+(Groechenig, 1992); in wider gaps the fit would oscillate freely.
 """
 
 import math
@@ -20,24 +20,24 @@ from leactl.errors import InputError
 from leactl.tables.columns import Columns, CsvForm
 
 Array = npt.NDArray[np.float64]
-POINTS = 720  # of a cycle, evenly spaced
-HARMONICS = 10  # of the angle: 10 Hz at a stride a second
+POINTS = 720  # evenly spaced samples of a cycle
+HARMONICS = 10  # default number for the angle: up to 10 Hz at one stride per second
 FEWEST_ROWS, MOST_ROWS = 12, 100_000
-LARGEST = 1e6  # of any number of the file, in its own unit
-MOST_BYTES = 1 << 25  # of the file: 300 for each of so many rows
-FEWEST_HARMONICS = 4  # that a joint's angle is told with
-CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
-CLOSED_UNTOLD = 0.01  # the same where the last row alone tells how long the cycle takes
-NOTED = 0.02  # of its range, that the series may leave of the angle untold; a sensor's noise leaves under 0.01
-SLIPPED = 0.5  # of that is left without its worst sample: it was a slip; of an angle that turns sharply 0.7 is left
-STRIDE_S = (0.05, 60.0)
+LARGEST = 1e6  # magnitude of any number in the file, in the unit of its column
+MOST_BYTES = 1 << 25  # size of the file: about 300 bytes for each of `MOST_ROWS`
+LEAST_HARMONICS = 4  # fewer do not describe the angle of a joint
+CLOSED_WITHIN = 0.05  # largest difference between first and last value, as a share of the quantity's range
+CLOSED_WITHOUT_STRIDE_TIME = 0.01  # the same if the period is known from the last row alone
+NOTED_RESIDUAL = 0.02  # residual of the series that is noted, as a share of the angle's range; noise leaves under 0.01
+SLIP_RATIO = 0.5  # one sample is an outlier if the residual falls below this share without it; sharp turns leave 0.7
+STRIDE_TIME_RANGE = (0.05, 60.0)  # s
 NAMES = {
     "phase": ("cycle_percent", "time_s"),
     "angle": ("angle_rad", "angle_deg"),
     "torque": ("torque_Nm", "torque_Nm_per_kg"),
 }
-MOST = {"angle_rad": 2.0 * math.pi, "angle_deg": 360.0, "torque_Nm": 2000.0, "torque_Nm_per_kg": 10.0}
-"""Range of an angle and size of a torque beyond which a joint has none: the unit is another."""
+JOINT_LIMITS = {"angle_rad": 2.0 * math.pi, "angle_deg": 360.0, "torque_Nm": 2000.0, "torque_Nm_per_kg": 10.0}
+"""Largest range of an angle and largest magnitude of a torque of a joint; larger values have another unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,173 +50,208 @@ class Cycle:
     velocity: Array  # rad/s
     acceleration: Array  # rad/s^2
     torque: Array  # N*m, onto the joint
-    harmonics: int  # of the angle that are kept
-    left_out: float  # root mean square of what the series leaves of the angle, of its range
+    harmonics: int  # number of harmonics of the angle
+    relative_residual: float  # root mean square of angle minus series, as a share of the angle's range
     notes: tuple[str, ...] = ()
 
 
 def read_cycle(
     path: Path, stride_time: float | None = None, body_mass: float | None = None, harmonics: int = HARMONICS
 ) -> Cycle:
-    """Read one cycle.
+    """Read one cycle and fit the angle by a Fourier series.
 
     Parameters
     ----------
-    stride_time : how long it takes [s]; with `time_s` it may be left out where the last row is the first once more.
-    body_mass : [kg], for torque per mass.
-    harmonics : of the angle that are kept at the most.
+    stride_time : period of the cycle [s]; optional with `time_s` if the last row repeats the first.
+    body_mass : mass of the body [kg], required for torque per mass.
+    harmonics : largest number of harmonics of the angle; fewer are used where rows are too far apart.
 
     Raises
     ------
-    InputError : no such file, columns without the units above, rows that are no numbers, values that no joint has, rows
-        too far apart, or no whole cycle.
+    InputError : no such file, columns without the units above, rows that are not numbers, values that no joint has,
+        rows too far apart, or less or more than one whole cycle.
     """
     columns, lines, table = _table(path)
     phase, angle, torque = table.T
     for name, values, size in ((columns[1], angle, np.ptp(angle)), (columns[2], torque, np.abs(torque).max())):
-        if size > MOST[name]:
-            what = "ranges over" if name.startswith("angle") else "reaches"
-            other = next(one for one in (*NAMES["angle"], *NAMES["torque"]) if one[0] == name[0] and one != name)
+        if size > JOINT_LIMITS[name]:
+            verb = "ranges over" if name.startswith("angle") else "reaches"
+            names = *NAMES["angle"], *NAMES["torque"]
+            other_unit = next(column for column in names if column[0] == name[0] and column != name)
             raise InputError(
-                f"{path}: {name} {what} {size:g}, at most {MOST[name]:g} was expected of a joint; is it {other} or"
-                " another unit?"
+                f"{path}: {name} {verb} {size:g}, at most {JOINT_LIMITS[name]:g} was expected of a joint; is it"
+                f" {other_unit} or another unit?"
             )
         if len(np.unique(values)) == 1 and name.startswith("torque") and values[0] == 0.0:
             raise InputError(f"{path}: {name} is 0 throughout")
     if columns[2] == "torque_Nm_per_kg":
         if body_mass is None or not 1.0 <= body_mass <= 500.0:
-            mass = "none" if body_mass is None else f"{body_mass:g} kg"
-            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg; found {mass}")
+            mass_text = "none" if body_mass is None else f"{body_mass:g} kg"
+            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg; found {mass_text}")
         torque = torque * body_mass
     if columns[1] == "angle_deg":
         angle = np.radians(angle)
-    part, period = _parts(path, columns[0], phase, stride_time)
-    closing = part[-1] >= 1.0 - 1e-9
+    position, period = _cycle_positions(path, columns[0], phase, stride_time)
+    closing = position[-1] >= 1.0 - 1e-9
     for name, values in (("angle", angle), ("torque", torque)):
         _expect_closed(path, name, values, closing, stride_time is not None)
     if closing:
-        part, angle, torque = part[:-1], angle[:-1], torque[:-1]
-    kept = _harmonics(path, part, harmonics)
+        position, angle, torque = position[:-1], angle[:-1], torque[:-1]
+    harmonic_count = _allowed_harmonics(path, position, harmonics)
     notes = []
-    if kept < harmonics:
-        notes.append(f"{kept} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
-    even = np.arange(POINTS) / POINTS
-    series, slope, bend, fitted = _series(part, angle, kept, even)
-    left_out, missed = _left_out(part, angle, fitted, lines, kept)
+    if harmonic_count < harmonics:
+        notes.append(f"{harmonic_count} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
+    grid_positions = np.arange(POINTS) / POINTS
+    series, slope, curvature, fitted = _series(position, angle, harmonic_count, grid_positions)
+    relative_residual, residual_notes = _residual_and_notes(position, angle, fitted, lines, harmonic_count)
     return Cycle(
         name=path.stem,
         period=period,
         angle=series,
         velocity=slope / period,
-        acceleration=bend / period**2,
-        torque=np.interp(even, part, torque, period=1.0),
-        harmonics=kept,
-        left_out=left_out,
-        notes=(*notes, *missed),
+        acceleration=curvature / period**2,
+        torque=np.interp(grid_positions, position, torque, period=1.0),
+        harmonics=harmonic_count,
+        relative_residual=relative_residual,
+        notes=(*notes, *residual_notes),
     )
 
 
-def _harmonics(path: Path, part: Array, most: int) -> int:
-    """How many the widest gap between rows allows.
+def _allowed_harmonics(path: Path, position: Array, requested: int) -> int:
+    """Return the number of harmonics that the widest gap between rows allows, at most `requested`.
 
     Raises
     ------
-    InputError : fewer than a joint's angle needs.
+    InputError : the gap allows fewer than `LEAST_HARMONICS`, or than `requested` if that is smaller.
     """
-    gaps = np.diff(part, append=part[0] + 1.0)
-    widest = int(np.argmax(gaps))
-    allowed = math.ceil(0.5 / float(gaps[widest]) - 1e-6) - 1
-    if allowed < min(FEWEST_HARMONICS, most):
+    gaps = np.diff(position, append=position[0] + 1.0)
+    widest_row = int(np.argmax(gaps))
+    allowed = math.ceil(0.5 / float(gaps[widest_row]) - 1e-6) - 1
+    if allowed < min(LEAST_HARMONICS, requested):
         raise InputError(
-            f"{path}: nothing is told from {part[widest]:.1%} to {part[widest] + gaps[widest]:.1%} of the cycle; rows"
-            f" less than {0.5 / FEWEST_HARMONICS:.1%} apart were expected"
+            f"{path}: nothing is told from {position[widest_row]:.1%} to"
+            f" {position[widest_row] + gaps[widest_row]:.1%} of the cycle; rows less than {0.5 / LEAST_HARMONICS:.1%}"
+            " apart were expected"
         )
-    return min(allowed, most)
+    return min(allowed, requested)
 
 
-def _series(part: Array, values: Array, harmonics: int, at: Array) -> tuple[Array, Array, Array, Array]:
-    """A Fourier series by least squares: value and derivatives to the part of the cycle, and value at the samples."""
+def _series(position: Array, values: Array, harmonics: int, grid_positions: Array) -> tuple[Array, Array, Array, Array]:
+    """Fit a Fourier series by least squares to values at positions in the cycle, 0 to 1.
+
+    Returns
+    -------
+    Value, first and second derivative by the position at `grid_positions`, and value at `position`.
+    """
     orders = 2.0 * np.pi * np.arange(1, harmonics + 1)
 
-    def waves(x: Array, order: int) -> Array:
-        turned = np.outer(x, orders) + 0.5 * np.pi * order
-        constant = np.full((len(x), 1), float(order == 0))
-        return np.hstack([constant, orders**order * np.cos(turned), orders**order * np.sin(turned)])
+    def waves(positions: Array, order: int) -> Array:
+        phases = np.outer(positions, orders) + 0.5 * np.pi * order
+        constant = np.full((len(positions), 1), float(order == 0))
+        return np.hstack([constant, orders**order * np.cos(phases), orders**order * np.sin(phases)])
 
-    coefficients = np.linalg.lstsq(waves(part, 0), values, rcond=None)[0]
-    first, second, third = (waves(at, order) @ coefficients for order in (0, 1, 2))
-    return first, second, third, waves(part, 0) @ coefficients
+    coefficients = np.linalg.lstsq(waves(position, 0), values, rcond=None)[0]
+    value, slope, curvature = (waves(grid_positions, order) @ coefficients for order in (0, 1, 2))
+    return value, slope, curvature, waves(position, 0) @ coefficients
 
 
-def _left_out(part: Array, angle: Array, fitted: Array, lines: list[int], harmonics: int) -> tuple[float, list[str]]:
-    """What the series leaves of the angle, root mean square of its range, and what a reader must know of that."""
-    spread = float(np.ptp(angle))
-    if spread == 0.0:
+def _residual_and_notes(
+    position: Array, angle: Array, fitted: Array, lines: list[int], harmonics: int
+) -> tuple[float, list[str]]:
+    """Return the root mean square residual of the series as a share of the angle's range, and notes if it is large.
+
+    `lines` has the line of the file for each row; a note names the line of a single outlier.
+    """
+    angle_range = float(np.ptp(angle))
+    if angle_range == 0.0:
         return 0.0, []
-    left = float(np.sqrt(np.mean((fitted - angle) ** 2))) / spread
+    residual = float(np.sqrt(np.mean((fitted - angle) ** 2))) / angle_range
     worst = int(np.argmax(np.abs(fitted - angle)))
-    slip = ""
-    # with fewer rows a series through all but one fits whichever is left away
-    if abs(fitted[worst] - angle[worst]) > NOTED * spread and len(part) > 2 * (2 * harmonics + 1):
-        others = np.delete(np.arange(len(part)), worst)
-        there, _slope, _bend, again = _series(part[others], angle[others], harmonics, part[[worst]])
-        if np.sqrt(np.mean((again - angle[others]) ** 2)) < SLIPPED * left * spread:
-            apart = abs(float(there[0] - angle[worst])) / spread
-            slip = f"; line {lines[worst]} alone is {apart:.0%} of it off what the others tell: is it a slip?"
-    if left <= NOTED and not slip:
-        return left, []
-    return left, [f"{harmonics} harmonics leave out {100.0 * left:.1f} % of the angle's range (rms){slip}"]
+    slip_text = ""
+    # with fewer rows, the series fits the remaining rows whichever row is left out
+    if abs(fitted[worst] - angle[worst]) > NOTED_RESIDUAL * angle_range and len(position) > 2 * (2 * harmonics + 1):
+        other_rows = np.delete(np.arange(len(position)), worst)
+        value_at_worst, _slope, _curvature, refitted = _series(
+            position[other_rows], angle[other_rows], harmonics, position[[worst]]
+        )
+        if np.sqrt(np.mean((refitted - angle[other_rows]) ** 2)) < SLIP_RATIO * residual * angle_range:
+            distance = abs(float(value_at_worst[0] - angle[worst])) / angle_range
+            slip_text = f"; line {lines[worst]} alone is {distance:.0%} of it off what the others tell: is it a slip?"
+    if residual <= NOTED_RESIDUAL and not slip_text:
+        return residual, []
+    return residual, [f"{harmonics} harmonics leave out {100.0 * residual:.1f} % of the angle's range (rms){slip_text}"]
 
 
-def _parts(path: Path, name: str, phase: Array, stride_time: float | None) -> tuple[Array, float]:
-    """Where in the cycle each row is, from 0, and the period [s]."""
-    if stride_time is not None and not STRIDE_S[0] <= stride_time <= STRIDE_S[1]:
-        raise InputError(f"stride time {stride_time:g} s: from {STRIDE_S[0]:g} to {STRIDE_S[1]:g} s was expected")
+def _cycle_positions(path: Path, name: str, phase: Array, stride_time: float | None) -> tuple[Array, float]:
+    """Return the position of each row in the cycle, 0 for the first row and 1 for a closing row, and the period [s].
+
+    Raises
+    ------
+    InputError : a stride time outside `STRIDE_TIME_RANGE`, none where it is needed, or less or more than one cycle.
+    """
+    shortest, longest = STRIDE_TIME_RANGE
+    if stride_time is not None and not shortest <= stride_time <= longest:
+        raise InputError(f"stride time {stride_time:g} s: from {shortest:g} to {longest:g} s was expected")
     if name == "cycle_percent":
         if stride_time is None:
             raise InputError(f"{path}: cycle_percent needs --stride-time, in s")
-        whole, period = 100.0, stride_time
+        full_cycle, period = 100.0, stride_time
     else:
-        whole = period = stride_time if stride_time is not None else float(phase[-1] - phase[0])
-    part = (phase - phase[0]) / whole
-    step = float(np.median(np.diff(part)))
-    if abs(part[-1] - 1.0) < 1e-6 * len(part):
-        part[-1] = 1.0
-    elif not 0.0 < 1.0 - part[-1] <= 2.0 * step:
+        full_cycle = period = stride_time if stride_time is not None else float(phase[-1] - phase[0])
+    position = (phase - phase[0]) / full_cycle
+    step = float(np.median(np.diff(position)))
+    if abs(position[-1] - 1.0) < 1e-6 * len(position):
+        position[-1] = 1.0
+    elif not 0.0 < 1.0 - position[-1] <= 2.0 * step:
         unit = "%" if name == "cycle_percent" else "s"
         raise InputError(
-            f"{path}: {name} goes from {phase[0]:g} to {phase[-1]:g} {unit}: one whole cycle of {whole:g} {unit} was"
-            " expected"
+            f"{path}: {name} goes from {phase[0]:g} to {phase[-1]:g} {unit}: one whole cycle of {full_cycle:g} {unit}"
+            " was expected"
         )
-    return part, period
+    return position, period
 
 
-def _expect_closed(path: Path, name: str, values: Array, closing: bool, told: bool) -> None:
-    """Refuse what does not come back to where it began; without a closing row it may be one step short of it."""
+def _expect_closed(path: Path, name: str, values: Array, closing: bool, stride_time_given: bool) -> None:
+    """Check that a quantity ends at the value at which it began.
+
+    Without a closing row, the last row may differ from the first by twice the largest step between rows.
+
+    Raises
+    ------
+    InputError : the difference is larger than allowed.
+    """
     steps = np.abs(np.diff(values))
-    within = CLOSED_WITHIN if told else CLOSED_UNTOLD
-    allowed = max(within * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
-    apart = abs(float(values[-1] - values[0]))
-    if apart > allowed:
+    fraction = CLOSED_WITHIN if stride_time_given else CLOSED_WITHOUT_STRIDE_TIME
+    allowed = max(fraction * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
+    distance = abs(float(values[-1] - values[0]))
+    if distance > allowed:
         unit = "rad" if name == "angle" else "N*m"
         raise InputError(
-            f"{path}: {name} ends {apart:.3g} {unit} from where it began, at most {allowed:.3g} {unit} was expected of"
-            f" a cycle that repeats{'' if told else '; --stride-time tells how long one takes'}"
+            f"{path}: {name} ends {distance:.3g} {unit} from where it began, at most {allowed:.3g} {unit} was expected"
+            f" of a cycle that repeats{'' if stride_time_given else '; --stride-time tells how long one takes'}"
         )
 
 
 def _table(path: Path) -> tuple[list[str], list[int], Array]:
-    """Names of the columns used, the number of each line, and the values, one row a line."""
-    every = [name for known in NAMES.values() for name in known]
+    """Return the names of the three columns, the line number of each row, and the values, shape (rows, 3).
+
+    Raises
+    ------
+    InputError : no such file, a column that is absent or present in two units, cells that are not numbers, or fewer
+        rows than `FEWEST_ROWS` or more than `MOST_ROWS`.
+    """
+    known_names = [name for quantity_names in NAMES.values() for name in quantity_names]
     form = CsvForm(comment="", missing=())
-    table = Columns(path, form, every, every_row=False, most_bytes=MOST_BYTES, most_rows=MOST_ROWS + 1, most_faults=1)
+    table = Columns(
+        path, form, known_names, every_row=False, most_bytes=MOST_BYTES, most_rows=MOST_ROWS + 1, most_faults=1
+    )
     names: list[str] = []
-    for what, known in NAMES.items():
-        matches = [name for name in table.names if name in known]
+    for quantity, quantity_names in NAMES.items():
+        matches = [name for name in table.names if name in quantity_names]
         if len(matches) != 1:
-            expected = " or ".join(known)
+            expected = " or ".join(quantity_names)
             present = ", ".join(table.names)[:200]
-            raise InputError(f"{path}: line 1: one column {expected} was expected for {what}; found {present}")
+            raise InputError(f"{path}: line 1: one column {expected} was expected for {quantity}; found {present}")
         names += matches
     count = len(table.lines)
     if not FEWEST_ROWS <= count <= MOST_ROWS:

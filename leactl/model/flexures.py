@@ -1,8 +1,8 @@
-"""Preload of bearings on cantilevered flexures: a force in proportion to the deflection of the free end.
+"""Compute the preload of bearings on cantilevered flexures, a force in proportion to the deflection of the free end.
 
-The paper tells two points of one flexure: 300 N, the static load of the bearing, at 0.5 mm of deflection, and 138 N of
-preload at a gap of 0.75 mm. A line through both does not go through the origin. They agree to 8 % where the gap at
-which the flexure is at rest is 0.5 mm, so that 0.75 mm is a deflection of 0.25 mm.
+The paper has two points of one flexure: 300 N, the static load of the bearing, at 0.5 mm of deflection, and 138 N of
+preload at a gap of 0.75 mm, the "told" gap. A line through both points does not go through the origin. They agree to
+8 % if the flexure is at rest at a gap of 0.5 mm, so that the gap of 0.75 mm is a deflection of 0.25 mm.
 """
 
 from collections.abc import Sequence
@@ -14,37 +14,37 @@ from leactl.model.motor_schema import Bearings, MotorSheet
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read the two told points: a stiffness, and the gap at which the flexure is at rest."""
+    """One interpretation of the two points: a stiffness, and the gap at which the flexure is at rest."""
 
     name: str
     stiffness: float  # N/m
     rest_gap: float  # m
-    at_told_gap: float  # N, to be compared with the told preload
-    at_static_deflection: float  # N, to be compared with the static load
+    at_told_gap: float  # N, predicted preload at the gap `told_gap`, to compare with `told_preload`
+    at_static_deflection: float  # N, predicted force at the static deflection, to compare with the static load
 
 
 @dataclass(frozen=True)
 class Preload:
-    """What one gap means under one reading."""
+    """Deflection and preload at one gap, by one reading."""
 
     gap: float  # m
     deflection: float  # m
-    force: float  # N, of one bearing
-    side: float  # N, of all bearings of a side, magnitudes added; on a centred rotor they cancel
-    share: float  # of the static load of a bearing
+    force: float  # N, on one bearing
+    side: float  # N, sum of the magnitudes over all bearings of a side; on a centred rotor the forces cancel
+    share: float  # force over the static load of a bearing
 
     @property
     def holds(self) -> bool:
-        """Whether a bearing takes it."""
+        """Whether the force is at most the static load of a bearing."""
         return self.share <= 1.0
 
 
 def bearings_of(motor: MotorSheet) -> Bearings:
-    """The bearings on flexures of a motor.
+    """Return the bearings on flexures of a motor.
 
     Raises
     ------
-    InputError : its file tells of none.
+    InputError : the motor file has no `bearings`.
     """
     if motor.bearings is None:
         raise InputError(f"motor '{motor.name}' has no `bearings:`; a preload needs them")
@@ -52,44 +52,44 @@ def bearings_of(motor: MotorSheet) -> Bearings:
 
 
 def readings(bearings: Bearings, rest_gap: float) -> list[Reading]:
-    """Return the four readings of a motor's figures, each with the force that it predicts; `rest_gap` in m.
+    """Return the four readings of a motor's bearings, each with the forces that it predicts; `rest_gap` in m.
 
     Raises
     ------
-    InputError : a flexure at rest at the told gap or beyond, which could not have a preload there.
+    InputError : a rest gap of `told_gap` or more, at which the flexure could not have its preload.
     """
     if not 0.0 <= rest_gap < bearings.told_gap:
         raise InputError(
             f"gap at rest {1e3 * rest_gap:g} mm: from 0 to less than the {1e3 * bearings.told_gap:g} mm for which"
             f" {bearings.told_preload:g} N are told was expected"
         )
-    static = bearings.static_radial_load / bearings.deflection_at_static_load
-    told = bearings.told_preload / bearings.told_gap
-    beyond = bearings.told_preload / (bearings.told_gap - rest_gap)
-    ways = [
-        ("static load, gap is deflection", static, 0.0),
-        ("told preload, gap is deflection", told, 0.0),
-        ("static load, beyond the gap at rest", static, rest_gap),
-        ("told preload, beyond the gap at rest", beyond, rest_gap),
+    stiffness_from_load = bearings.static_radial_load / bearings.deflection_at_static_load
+    stiffness_from_preload = bearings.told_preload / bearings.told_gap
+    stiffness_beyond_rest = bearings.told_preload / (bearings.told_gap - rest_gap)
+    stiffnesses = [
+        ("static load, gap is deflection", stiffness_from_load, 0.0),
+        ("told preload, gap is deflection", stiffness_from_preload, 0.0),
+        ("static load, beyond the gap at rest", stiffness_from_load, rest_gap),
+        ("told preload, beyond the gap at rest", stiffness_beyond_rest, rest_gap),
     ]
     return [
         Reading(
             name,
             stiffness,
-            rest,
-            stiffness * (bearings.told_gap - rest),
+            rest_gap_of_reading,
+            stiffness * (bearings.told_gap - rest_gap_of_reading),
             stiffness * bearings.deflection_at_static_load,
         )
-        for name, stiffness, rest in ways
+        for name, stiffness, rest_gap_of_reading in stiffnesses
     ]
 
 
 def preload(bearings: Bearings, reading: Reading, gap: float) -> Preload:
-    """Preload at a gap [m]; a flexure that is not deflected carries none.
+    """Return the preload at a gap [m]; it is zero for a flexure that is not deflected.
 
     Raises
     ------
-    InputError : a gap that is no length.
+    InputError : a gap below 0 or of 100 mm or more.
     """
     if not 0.0 <= gap < 0.1:
         raise InputError(f"gap {1e3 * gap:g} mm: from 0 to 100 mm was expected")
@@ -99,15 +99,15 @@ def preload(bearings: Bearings, reading: Reading, gap: float) -> Preload:
 
 
 def most_gap(bearings: Bearings, reading: Reading) -> float:
-    """Gap at which a bearing carries its static load [m]."""
+    """Return the gap at which a bearing carries its static load [m]."""
     return reading.rest_gap + bearings.static_radial_load / reading.stiffness
 
 
-def disagreement(bearings: Bearings, ways: Sequence[Reading]) -> dict[str, float]:
-    """By how much each reading misses the point that it was not made from, relative."""
-    misses = {}
-    for reading in ways:
-        told = reading.at_told_gap / bearings.told_preload - 1.0
-        static = reading.at_static_deflection / bearings.static_radial_load - 1.0
-        misses[reading.name] = max(told, static, key=abs)
-    return misses
+def disagreement(bearings: Bearings, flexure_readings: Sequence[Reading]) -> dict[str, float]:
+    """Return, by name of the reading, the relative error at the point from which the reading was not derived."""
+    errors = {}
+    for reading in flexure_readings:
+        preload_error = reading.at_told_gap / bearings.told_preload - 1.0
+        load_error = reading.at_static_deflection / bearings.static_radial_load - 1.0
+        errors[reading.name] = max(preload_error, load_error, key=abs)
+    return errors

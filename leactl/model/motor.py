@@ -1,4 +1,4 @@
-"""Motor files: the parameters of one actuator in SI, checked when read, with the quantities that follow from them."""
+"""Read motor files, the parameters of one actuator in SI units, and check that they are plausible."""
 
 import math
 from collections.abc import Iterator
@@ -15,14 +15,14 @@ from leactl.model.motor_schema import MotorLimits, MotorSheet, NotNegative, Posi
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
 RESISTANCES = 1e-5, 1e3  # ohm
-SLOWEST_WINDING = 1.0  # s; of real actuators inductance over resistance is 0.1 to 20 ms
-ROOM = 25.0  # degC
-# by which two conventions of current are apart at the most: 3/2 of amplitudes and sqrt(3) of lines, 2.6 together
+SLOWEST_WINDING = 1.0  # s; inductance over resistance of real actuators is 0.1 to 20 ms
+ROOM_TEMPERATURE = 25.0  # degC
+# largest ratio of two conventions of current: 3/2 of amplitudes and sqrt(3) of lines, 2.6 together
 CONVENTIONS_APART = 3.0
 
 
 class Motor(MotorSheet):
-    """One actuator with everything that moving it asks for."""
+    """One actuator with all parameters that a run with moving drives needs."""
 
     pole_pairs: Annotated[int, Field(strict=True, ge=1, le=500)]
     phase_resistance: Positive  # ohm
@@ -43,12 +43,12 @@ class Motor(MotorSheet):
         return self.torque_constant / math.sqrt(self.phase_resistance)
 
     def resistance(self, temperature: float) -> float:
-        """Phase resistance [ohm] at a winding temperature [degC]."""
+        """Return the phase resistance [ohm] at a winding temperature [degC]."""
         return self.phase_resistance * (1 + self.resistance_coefficient * (temperature - self.reference_temperature))
 
 
 def motor_names() -> list[str]:
-    """Names of the motors that ship with leactl."""
+    """Return the names of the motors that ship with leactl, sorted."""
     folder = resources.files("leactl.model") / "motors"
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
@@ -58,69 +58,81 @@ def load_motor(name_or_path: str) -> tuple[Motor, yamlfile.Document]:
 
     Raises
     ------
-    InputError : no such motor or file, a fault in it, or figures that it lacks, one line each.
+    InputError : no such motor or file, a fault in the file, or missing parameters, one line each.
     """
     document = _document(name_or_path)
     return _plausible(document.validate(Motor), document), document
 
 
 def load_sheet(name_or_path: str) -> tuple[MotorSheet, yamlfile.Document]:
-    """Read what a motor file knows, however little; for what moves nothing.
+    """Read a motor file in which any parameter may be missing, for uses that move no drive.
 
     Raises
     ------
-    InputError : no such motor or file, or a fault in it, one line each.
+    InputError : no such motor or file, or a fault in the file, one line each.
     """
     document = _document(name_or_path)
     return _plausible(document.validate(MotorSheet), document), document
 
 
 def _plausible(motor: Sheet, document: yamlfile.Document) -> Sheet:
-    """Refuse figures that no actuator has; a model's may be those of all that turns with it."""
+    """Return the motor if its parameters are plausible.
+
+    Model files are not checked so: their inertia and friction may include everything that turns with the motor.
+
+    Raises
+    ------
+    InputError : parameters that no actuator has, one line each.
+    """
     faults = [
-        *_rotor_outside_of_its_body(motor, document),
-        *_friction_beyond_the_winding(motor, document),
-        *_no_winding(motor, document),
-        *_constants_apart(motor, document),
+        *_inertia_faults(motor, document),
+        *_friction_faults(motor, document),
+        *_winding_faults(motor, document),
+        *_torque_constant_faults(motor, document),
     ]
     if faults:
         raise InputError(faults)
     return motor
 
 
-def _rotor_outside_of_its_body(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+def _inertia_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """Yield a fault if the rotor's inertia exceeds that of the body's whole mass at its outer radius."""
     mass, diameter = motor.body.mass, motor.body.outer_diameter
     if motor.rotor_inertia is not None and mass is not None and diameter is not None:
-        most = mass * (0.5 * diameter) ** 2
-        if motor.rotor_inertia > most:
-            told = f"{motor.rotor_inertia:g} is more than all of the body's mass has at its rim, {most:.3g} kg*m^2"
-            yield document.fault(("rotor_inertia",), f"{told}; is it in kg*m^2?")
+        largest_inertia = mass * (0.5 * diameter) ** 2
+        if motor.rotor_inertia > largest_inertia:
+            yield document.fault(
+                ("rotor_inertia",),
+                f"{motor.rotor_inertia:g} is more than all of the body's mass has at its rim, {largest_inertia:.3g}"
+                " kg*m^2; is it in kg*m^2?",
+            )
 
 
-def _friction_beyond_the_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
-    """Friction that no current of the file overcomes, or that takes more than half of the speed at any voltage."""
-    held = continuous_torques(motor, ROOM)
-    told = [held.stated, held.network, motor.printed.nominal_torque, motor.printed.peak_torque_20_s]
-    most = max((torque for torque in told if torque is not None), default=math.inf)
-    if motor.coulomb_friction is not None and motor.coulomb_friction > most:
+def _friction_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """Yield a fault if no current of the file overcomes the friction, or if damping halves the speed at any voltage."""
+    continuous = continuous_torques(motor, ROOM_TEMPERATURE)
+    torques = [continuous.stated, continuous.network, motor.printed.nominal_torque, motor.printed.peak_torque_20_s]
+    largest_torque = max((torque for torque in torques if torque is not None), default=math.inf)
+    if motor.coulomb_friction is not None and motor.coulomb_friction > largest_torque:
         yield document.fault(
             ("coulomb_friction",),
             f"{motor.coulomb_friction:g} N*m is more than the most torque that the file's currents and printed torques"
-            f" give, {most:.3g} N*m; is it in N*m?",
+            f" give, {largest_torque:.3g} N*m; is it in N*m?",
         )
     damping, resistance = motor.viscous_damping, motor.phase_resistance
     if damping is None or resistance is None or motor.torque_constant is None or motor.back_emf_constant is None:
         return
-    shorted = motor.torque_constant * motor.back_emf_constant / resistance
-    if damping > shorted:
+    shorted_damping = motor.torque_constant * motor.back_emf_constant / resistance
+    if damping > shorted_damping:
         yield document.fault(
             ("viscous_damping",),
-            f"{damping:g} N*m*s/rad is more than the shorted winding brakes with, {shorted:.3g} N*m*s/rad; is it in"
-            " N*m*s/rad, and phase_resistance in ohm?",
+            f"{damping:g} N*m*s/rad is more than the shorted winding brakes with, {shorted_damping:.3g} N*m*s/rad; is"
+            " it in N*m*s/rad, and phase_resistance in ohm?",
         )
 
 
-def _no_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+def _winding_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """Yield a fault if the resistance, or the time constant of the winding, is out of range."""
     resistance, inductance = motor.phase_resistance, motor.phase_inductance
     if resistance is None:
         return
@@ -137,20 +149,20 @@ def _no_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]
         )
 
 
-def _constants_apart(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
-    """A torque constant that the file's other figures contradict by more than any convention."""
+def _torque_constant_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """Yield a fault for each value that differs from the torque constant by more than any convention of current."""
     constant, current, printed = motor.torque_constant, motor.continuous_current, motor.printed
     if constant is None:
         return
-    others = {"back_emf_constant": (motor.back_emf_constant, "V*s/rad")}
+    comparable = {"back_emf_constant": (motor.back_emf_constant, "V*s/rad")}
     if motor.phase_resistance is not None and printed.motor_constant is not None:
-        others["printed.motor_constant times sqrt(phase_resistance)"] = (
+        comparable["printed.motor_constant times sqrt(phase_resistance)"] = (
             printed.motor_constant * math.sqrt(motor.phase_resistance),
             "N*m/A",
         )
     if current is not None and printed.nominal_torque is not None:
-        others["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
-    for name, (value, unit) in others.items():
+        comparable["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
+    for name, (value, unit) in comparable.items():
         if value is not None and not 1 / CONVENTIONS_APART <= constant / value <= CONVENTIONS_APART:
             yield document.fault(
                 ("torque_constant",),

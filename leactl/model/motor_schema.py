@@ -1,7 +1,7 @@
-"""What is known of an actuator: every figure of a data sheet may be missing, and none is made up for one that is.
+"""Schema of a motor sheet, in which every parameter of an actuator may be missing; no default replaces a missing one.
 
-SI throughout, temperatures in degC; q axis, power-invariant transform, in the winding's own frame (winding.py).
-`Motor` asks for what moving one needs, `Model` adds the bench around it.
+SI throughout, temperatures in degC; q axis, power-invariant transform, in the frame of the winding (winding.py).
+`Motor` requires the parameters without which a drive may not move, `Model` adds the bench around the actuator.
 """
 
 import math
@@ -11,17 +11,17 @@ from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-LEAST, MOST = 1e-15, 1e15  # far beyond any machine in SI units, and far from where products overflow or vanish
+LEAST, MOST = 1e-15, 1e15  # outside any machine's range in SI units, and far from overflow or underflow of products
 
 
-def _of_a_machine(value: float) -> float:
+def _within_machine_range(value: float) -> float:
     if value and not LEAST <= abs(value) <= MOST:
         raise ValueError(f"{LEAST:g} to {MOST:g} was expected")
     return value
 
 
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False), AfterValidator(_of_a_machine)]
-NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False), AfterValidator(_of_a_machine)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False), AfterValidator(_within_machine_range)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False), AfterValidator(_within_machine_range)]
 Percent = Annotated[float, Field(strict=True, ge=0, le=1000)]
 Tolerance = Annotated[float, Field(strict=True, ge=0, le=0.5)]
 Length = Annotated[float, Field(strict=True, gt=0, le=10)]
@@ -29,7 +29,7 @@ DENSEST = 2e4  # kg/m^3: tungsten
 
 
 class ThermalSheet(Block):
-    """The paper's two-node network, winding and housing against ambient, as far as it is known."""
+    """Parameters of the paper's two-node thermal network, winding and housing against ambient; each may be missing."""
 
     winding_ambient_resistance: Positive | None = None  # K/W
     winding_housing_resistance: Positive | None = None  # K/W
@@ -41,18 +41,19 @@ class ThermalSheet(Block):
     def to_ambient(self) -> float | None:
         """Steady-state resistance from winding to ambient [K/W]; None if the path through the housing is not known.
 
-        A direct path from winding to air that is not known counts as insulating: the winding gets no cooler by that.
+        A direct path from winding to air that is not known counts as insulating, which never predicts too low a
+        winding temperature.
         """
         if self.winding_housing_resistance is None or self.housing_ambient_resistance is None:
             return None
-        through = self.winding_housing_resistance + self.housing_ambient_resistance
+        housing_path = self.winding_housing_resistance + self.housing_ambient_resistance
         if self.winding_ambient_resistance is None:
-            return through
-        return 1.0 / (1.0 / through + 1.0 / self.winding_ambient_resistance)
+            return housing_path
+        return 1.0 / (1.0 / housing_path + 1.0 / self.winding_ambient_resistance)
 
 
 class Thermal(ThermalSheet):
-    """The whole network."""
+    """Parameters of the two-node thermal network, all known."""
 
     winding_ambient_resistance: Positive  # K/W
     winding_housing_resistance: Positive  # K/W
@@ -62,11 +63,12 @@ class Thermal(ThermalSheet):
 
 
 class Tolerances(Block):
-    """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
+    """Largest deviation of the bench's actuator from the file, as a fraction of each value unless the name has a unit.
 
-    `current` is that of the drive's current reading, ripple and d axis included; `line_current` that of a supply's
-    reading, as `current` where it is left out; `ambient_K` that of the ambient that a bench file tells;
-    `temperature_rise` that of the rises above ambient that the network gives, by a camera's gain where it was fitted.
+    `current` is the tolerance of the drive's current reading, ripple and d axis included; `line_current` that of a
+    supply's reading, equal to `current` by default; `ambient_K` that of the ambient temperature in a bench file;
+    `temperature_rise` that of the network's rises above ambient, for a network that was fitted to a camera with a
+    gain error.
     """
 
     phase_resistance: Tolerance
@@ -85,13 +87,13 @@ class Tolerances(Block):
 
 
 class LimitsSheet(Block):
-    """What the maker allows."""
+    """Limits that the maker states; each may be missing."""
 
     winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)] | None = None  # degC
 
 
 class MotorLimits(LimitsSheet):
-    """What must not be passed."""
+    """Limits that a run must not exceed."""
 
     winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)]  # degC
 
@@ -105,14 +107,14 @@ class Body(Block):
     length: Length | None = None  # m
 
     @model_validator(mode="after")
-    def _inside_of_itself(self) -> Self:
+    def _inner_below_outer(self) -> Self:
         inner, outer = self.inner_diameter, self.outer_diameter
         if inner is not None and outer is not None and inner >= outer:
             raise ValueError(f"inner_diameter {inner:g} m is not below outer_diameter {outer:g} m")
         return self
 
     @model_validator(mode="after")
-    def _no_denser_than_metal(self) -> Self:
+    def _density_below_limit(self) -> Self:
         if self.mass is not None and self.outer_diameter is not None and self.length is not None:
             density = self.mass / (0.25 * math.pi * self.outer_diameter**2 * self.length)
             if density > DENSEST:
@@ -124,18 +126,18 @@ class Body(Block):
 
 
 class LoopFigures(Block):
-    """How a control loop answers, in the terms of data sheets."""
+    """Response of a control loop, in the terms of data sheets."""
 
     rise_time: Positive | None = None  # s
     overshoot_percent: Percent | None = None
     settling_time: Positive | None = None  # s
     error_percent: Percent | None = None
     bandwidth: Positive | None = None  # Hz
-    bandwidth_at_least: Positive | None = None  # Hz, where no end was seen
+    bandwidth_at_least: Positive | None = None  # Hz, if the response did not fall to the limit in the tested band
 
 
 class Control(Block):
-    """Both loops with the drive they were measured on."""
+    """Responses of the current and position loops, measured with a drive."""
 
     current: LoopFigures = LoopFigures()
     position: LoopFigures = LoopFigures()
@@ -144,15 +146,15 @@ class Control(Block):
 class Bearings(Block):
     """Bearings on flexures around a large rotor; the bending of each flexure preloads its bearing."""
 
-    each_side: Annotated[int, Field(strict=True, ge=1, le=1000)]
-    static_radial_load: Positive  # N, that one bearing takes
+    each_side: Annotated[int, Field(strict=True, ge=1, le=1000)]  # number of bearings
+    static_radial_load: Positive  # N, rating of one bearing
     deflection_at_static_load: Positive  # m, of the flexure's free end
-    told_gap: Positive  # m, between flexure and stator, for which a preload is told
-    told_preload: Positive  # N, of one bearing
+    told_gap: Positive  # m, between flexure and stator, for which the source states a preload
+    told_preload: Positive  # N, preload of one bearing at that gap
 
 
 class Printed(Block):
-    """What the source prints beside its own values, or against them; nothing is worked out from these."""
+    """Values that the source prints and that repeat or contradict its other values; checks use them, models do not."""
 
     motor_constant: Positive | None = None  # N*m/sqrt(W)
     rotor_inertia: Positive | None = None  # kg*m^2
@@ -162,7 +164,7 @@ class Printed(Block):
 
 
 class MotorSheet(Block):
-    """One actuator as far as it is known."""
+    """One actuator, of which any parameter may be missing."""
 
     name: Annotated[str, Field(min_length=1)]
     winding: Literal["wye", "delta"]
@@ -170,7 +172,7 @@ class MotorSheet(Block):
     phase_resistance: Positive | None = None  # ohm, at reference_temperature: R_ll / 2 (wye), 3/2 R_ll (delta)
     resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)] | None = None  # 1/K
     reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] | None = None  # degC
-    phase_inductance: Positive | None = None  # H, the same parts of the line-to-line value
+    phase_inductance: Positive | None = None  # H, the same fractions of the line-to-line value
     torque_constant: Positive | None = None  # N*m/A
     back_emf_constant: Positive | None = None  # V*s/rad
     rotor_inertia: Positive | None = None  # kg*m^2
@@ -189,5 +191,5 @@ class MotorSheet(Block):
     printed: Printed = Printed()
 
     def missing(self, *names: str) -> list[str]:
-        """Those of these figures that the file does not have."""
+        """Return the names among `names` whose value the file lacks."""
         return [name for name in names if getattr(self, name) is None]

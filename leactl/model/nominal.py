@@ -1,9 +1,9 @@
-"""Model files: what one believes of a bench, whole or in part, as the gap diagnosis and the simulator read them.
+"""Read model files: the nominal parameters of a bench, complete or partial, for the gap diagnosis and the simulator.
 
-A motor file says all of one actuator; a model file may leave out what the runs cannot show, and adds the bench around
-it (`bench:`), what a foreign rig moves (`load:`) and how it is driven (`drive:`), and effects with their parameters.
-SI throughout; for a linear axis the same keys stand for m, N and kg, and `units:` renames them in reports. All figures
-are at the joint, behind its gear: a torque is what the joint feels, an angle what the joint turns by.
+A motor file has all parameters of one actuator. A model file may leave out those that the runs do not reveal, and adds
+the bench (`bench:`), the load on the shaft (`load:`), the drive (`drive:`), and effects with their parameters. SI
+throughout; for a linear axis the same keys stand for m, N and kg, and `units:` renames them in reports. All torques and
+angles are those of the joint, behind its gear.
 """
 
 import math
@@ -18,23 +18,23 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.yamlblock import Block
 
 Angle = Annotated[float, Field(strict=True, ge=-10.0, le=10.0)]  # rad
-MOST_OFFSET = 20.0  # K, of the logged ambient: beyond that it is of another place
+MOST_OFFSET = 20.0  # K, of the logged ambient; a larger one means that it was logged at another place
 
 
 class BenchModel(Block):
-    """What the supply, the sensors and the loops do."""
+    """Parameters of the supply, the sensors and the control loops."""
 
     bus_voltage: Positive | None = None  # V
     current_loop_bandwidth: Positive | None = None  # Hz, first order
-    setpoint_lead: NotNegative = 0.0  # share by which the drive's current setpoint counts for more at first
-    setpoint_lead_time: Positive = 0.06  # s, in which that fades
+    setpoint_lead: NotNegative = 0.0  # relative overshoot of the effective current setpoint after a change
+    setpoint_lead_time: Positive = 0.06  # s, time constant of the overshoot's decay
     velocity_filter_bandwidth: Positive | None = None  # Hz, first order
     torque_filter_bandwidth: Positive | None = None  # Hz, first order
     shaft_stiffness: Positive | None = None  # N*m/rad, between test and load actuator
 
 
 class LoadModel(Block):
-    """What hangs on the shaft: nothing, a pendulum or the arm of a joint; friction of a load actuator.
+    """Load on the shaft: none, a pendulum or the arm of a joint; and the friction of a load actuator.
 
     A pendulum is a point mass on an arm and hangs straight down at angle zero; an arm is a point mass that stands
     `zero_angle` above level where the joint reads zero, so that gravity takes mass g length cos(angle + zero_angle).
@@ -47,21 +47,23 @@ class LoadModel(Block):
     zero_angle: Angle = 0.0  # rad, of an arm
     gravity: Positive = 9.80665  # m/s^2
     viscous_damping: NotNegative | None = None  # N*m*s/rad, of the load actuator; by default the test actuator's
-    coulomb_friction: NotNegative | None = None  # N*m, the same
+    coulomb_friction: NotNegative | None = None  # N*m, of the load actuator; by default the test actuator's
 
     def frictions(self, viscous: float | None, coulomb: float | None) -> tuple[float, float]:
-        """Viscous damping [N*m*s/rad] and Coulomb friction [N*m] of the load actuator.
+        """Return viscous damping [N*m*s/rad] and Coulomb friction [N*m] of the load actuator.
 
         Parameters
         ----------
-        viscous, coulomb : of the test actuator: the load's where it has none of its own, 0 where neither has.
+        viscous, coulomb : values of the test actuator, used if the load's are None; None counts as 0.
         """
-        own = (self.viscous_damping, viscous), (self.coulomb_friction, coulomb)
-        damping, friction = (of_test or 0.0 if of_load is None else of_load for of_load, of_test in own)
+        pairs = (self.viscous_damping, viscous), (self.coulomb_friction, coulomb)
+        damping, friction = (
+            test_value or 0.0 if load_value is None else load_value for load_value, test_value in pairs
+        )
         return damping, friction
 
     @model_validator(mode="after")
-    def _of_its_type(self) -> "LoadModel":
+    def _fits_type(self) -> "LoadModel":
         if self.type != "arm" and self.zero_angle:
             raise self.faulty([(("zero_angle",), f"is an arm's; a load of type {self.type} has none")])
         if self.type == "arm" and self.arm_mass:
@@ -72,29 +74,29 @@ class LoadModel(Block):
 
     @property
     def level_torque(self) -> float:
-        """Torque that holds what hangs on the shaft out level [N*m]."""
+        """Torque that holds the load horizontal against gravity [N*m]."""
         return 0.0 if self.type == "none" else (self.mass + 0.5 * self.arm_mass) * self.gravity * self.length
 
     @property
     def inertia(self) -> float:
-        """Inertia of what hangs on the shaft about it [kg*m^2]."""
+        """Inertia of the load about the shaft [kg*m^2]."""
         return 0.0 if self.type == "none" else (self.mass + self.arm_mass / 3.0) * self.length**2
 
     @property
     def hanging_angle(self) -> float:
-        """Angle of the shaft [rad] at which it hangs straight down: gravity takes level_torque sin(angle - this)."""
+        """Shaft angle [rad] at which the load hangs straight down: gravity takes level_torque sin(angle - this)."""
         return -0.5 * math.pi - self.zero_angle if self.type == "arm" else 0.0
 
 
 class Transmission(Block):
-    """What gives between the motor and the joint."""
+    """Compliance between the motor and the joint."""
 
     stiffness: Positive  # N*m/rad, at the joint
     damping: NotNegative = 0.0  # N*m*s/rad
 
 
 class Feedforward(Block):
-    """A motor driven by a voltage, as WPILib gives it: V = kS sgn(w) + kV w + kA dw/dt. Its torques are told in V."""
+    """Voltage-driven motor by WPILib's constants: V = kS sgn(w) + kV w + kA dw/dt. Torques of such a model are in V."""
 
     kS: NotNegative  # V  # noqa: N815 (WPILib's names)
     kV: NotNegative  # V*s/rad  # noqa: N815
@@ -102,7 +104,7 @@ class Feedforward(Block):
 
 
 class DriveModel(Block):
-    """A position servo that turns the angle's error, and how fast that changes, into a voltage."""
+    """Position servo whose voltage is proportional to the angle's error and to the rate of that error."""
 
     type: Literal["position_servo"]
     gain: NotNegative = 0.0  # V/rad
@@ -137,11 +139,11 @@ IN_NEWTON_METRES = (
     "drive",
     "transmission",
 )
-"""Keys of a model that say in newton metres, or of currents, what `feedforward:` says in volts."""
+"""Keys of a model that are in newton metres or describe currents; `feedforward:` has their values in volts instead."""
 
 
 class Model(MotorSheet):
-    """A nominal model; what it leaves out is None and cannot be judged."""
+    """A nominal model; a parameter that the file leaves out is None, and the diagnosis does not judge it."""
 
     winding: Literal["wye", "delta"] = "wye"
     resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)] = 0.0  # 1/K
@@ -159,13 +161,14 @@ class Model(MotorSheet):
     effects: list[EffectEntry] = []
 
     @model_validator(mode="after")
-    def _in_volts(self) -> "Model":
-        """Let kA and kS of a feedforward stand for inertia and friction, torques being told in volts."""
+    def _adopt_feedforward(self) -> "Model":
+        """Use kA and kS of a feedforward as inertia and friction, with torques in volts."""
         if self.feedforward is None:
             return self
-        if given := [key for key in IN_NEWTON_METRES if getattr(self, key) is not None]:
-            text = f"stands beside `feedforward:`, whose torques are told in volts; leave out {', '.join(given)}"
-            raise self.faulty([((given[0],), text)])
+        if conflicting_keys := [key for key in IN_NEWTON_METRES if getattr(self, key) is not None]:
+            surplus = ", ".join(conflicting_keys)
+            text = f"stands beside `feedforward:`, whose torques are told in volts; leave out {surplus}"
+            raise self.faulty([((conflicting_keys[0],), text)])
         if self.load.type != "none":
             text = "its torque is in N*m, those of `feedforward:` are in V; leave it out, gravity_load tells it in V"
             raise self.faulty([(("load",), text)])
@@ -174,7 +177,7 @@ class Model(MotorSheet):
         return self
 
     def units_of(self, units: str) -> str:
-        """The units in which this model tells what a definition tells in some: volts for torques of a feedforward."""
+        """Return the units of a quantity in this model: V in place of N*m if it has a `feedforward`."""
         return units.replace("N*m", "V") if self.feedforward is not None else units
 
 
@@ -183,14 +186,14 @@ def read_model(path: Path) -> tuple[Model, yamlfile.Document]:
 
     Raises
     ------
-    InputError : no such file, or a fault in it, one line each.
+    InputError : no such file, or faults in the file, one line each.
     """
     document = yamlfile.load(path)
     return document.validate(Model), document
 
 
 def as_mapping(model: Model) -> dict[str, Any]:
-    """What a model file says, without what it leaves out."""
+    """Return the model as the mapping of a model file, without keys that have their default."""
     document = model.model_dump(exclude_none=True, exclude_defaults=True) | {"name": model.name}
     if model.feedforward is not None:
         return {key: value for key, value in document.items() if key not in ("rotor_inertia", "coulomb_friction")}

@@ -1,9 +1,9 @@
-"""Scale a known motor to another air-gap radius: how the torque constant of the LEA was predicted.
+"""Scale a known motor to another air-gap radius, as the paper predicts the torque constant of the LEA.
 
-Rotor and stator keep their radial thickness, their length and their materials; slots, poles and turns are as many a
-millimetre of circumference as before, all of a phase in series (paper, section "Frameless motor", after Seok, Wang,
-Otten and Kim, 2012, and Urs, Adu, Rouse and Moore, 2022). Force then grows with the circumference and torque with its
-lever too.
+Rotor and stator keep their radial thickness, their length and their materials; the numbers of slots, poles and turns
+per millimetre of circumference stay the same, all turns of a phase in series (paper, section "Frameless motor", after
+Seok, Wang, Otten and Kim, 2012, and Urs, Adu, Rouse and Moore, 2022). Force is then proportional to the circumference,
+and torque to its square.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class ScaledFigure:
-    """One figure of the known and of the scaled motor; both are None if the known motor lacks it."""
+    """One quantity of the known and of the scaled motor; both values are None if the known motor lacks it."""
 
     name: str
     power: float  # exponent of the radius

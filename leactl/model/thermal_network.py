@@ -1,5 +1,7 @@
-"""The two-node thermal network, solved exactly: on an even clock for heat held between samples, and at any stamps for
-heat that goes in straight lines between readings.
+"""Solve the two-node thermal network exactly.
+
+`ThermalNetwork` takes heat that is constant between evenly spaced samples; `driven_at` takes heat that is linear
+between readings at any stamps.
 """
 
 from dataclasses import dataclass
@@ -11,14 +13,14 @@ from scipy.signal import lfilter
 from leactl.model.motor_schema import Thermal
 
 Array = npt.NDArray[np.float64]
-ACTIVE_SHARE = 2.0 / 3.0  # of a wye winding: the phases that two leads feed; the third carries no direct current
-DECAY = 200.0  # time constants that are summed up at a time: their exponentials stay far inside the range of floats
-EVEN = 1e-6  # of a step, that steps may differ by and still count as one
+ACTIVE_SHARE = 2.0 / 3.0  # share of a wye winding that two leads feed; the third phase carries no direct current
+DECAY = 200.0  # time constants in one block of a cumulative sum, whose exponentials stay far inside the range of floats
+EVEN = 1e-6  # relative difference up to which steps count as equal
 
 
 @dataclass(frozen=True)
 class Conductances:
-    """The network by its conductances, which may be zero where a resistance is without end."""
+    """The network by its conductances; a conductance is zero where the resistance is infinite."""
 
     winding_ambient: float  # W/K
     winding_housing: float  # W/K
@@ -28,7 +30,7 @@ class Conductances:
 
     @classmethod
     def of(cls, thermal: Thermal) -> "Conductances":
-        """Those of a motor file's network."""
+        """Return the conductances of a motor file's network."""
         return cls(
             1 / thermal.winding_ambient_resistance,
             1 / thermal.winding_housing_resistance,
@@ -38,9 +40,10 @@ class Conductances:
         )
 
     def modes(self) -> tuple[Array, Array, Array]:
-        """Rates [1/s] of two responses that do not see each other, nodes from modes, and modes from nodes.
+        """Return the rates of the two decoupled modes [1/s], the matrix of nodes from modes, and its inverse.
 
-        With C dT/dt = q - K T and S the second matrix, m = inverse(S) T obeys dm/dt = rate m + transpose(S) q.
+        With C dT/dt = q - K T and S the matrix of nodes from modes, m = inverse(S) T obeys
+        dm/dt = rate m + transpose(S) q.
         """
         wa, wh, ha = self.winding_ambient, self.winding_housing, self.housing_ambient
         roots = np.sqrt([self.winding_capacitance, self.housing_capacitance])
@@ -50,7 +53,7 @@ class Conductances:
 
 
 class ThermalNetwork:
-    """Winding and housing against ambient: Cw dTw/dt and Ch dTh/dt as in the paper."""
+    """Two-node network of the paper, winding and housing against ambient, at a constant interval [s]."""
 
     def __init__(self, thermal: Thermal, interval: float) -> None:
         network = Conductances.of(thermal)
@@ -60,29 +63,30 @@ class ThermalNetwork:
         self._gain = np.expm1(rates * interval) / rates
 
     def answer(self, winding_heat: Array, housing_heat: Array, start: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Rises of winding and housing [K], shape (2, n).
+        """Return the rises of winding and housing [K], shape (2, n).
 
-        Heat [W] is held over the interval that begins at each sample; `start` is the rise at the first sample.
+        Heats [W], shape (n,), are constant over the interval that begins at each sample; `start` has the rises of
+        winding and housing at the first sample.
         """
         modes = self._shapes.T @ np.stack([winding_heat, housing_heat])
-        first = self._inverse @ np.asarray(start, float)
-        out = np.empty_like(modes)
-        for k in range(2):
-            driven = np.concatenate([[first[k]], self._gain[k] * modes[k, :-1]])
-            out[k] = lfilter([1.0], [1.0, -self._decay[k]], driven)
-        return np.asarray(self._shapes @ out, np.float64)
+        start_modes = self._inverse @ np.asarray(start, float)
+        mode_rises = np.empty_like(modes)
+        for mode in range(2):
+            inputs = np.concatenate([[start_modes[mode]], self._gain[mode] * modes[mode, :-1]])
+            mode_rises[mode] = lfilter([1.0], [1.0, -self._decay[mode]], inputs)
+        return np.asarray(self._shapes @ mode_rises, np.float64)
 
     def temperatures(self, heat: Array, ambient: Array, start: tuple[float, float]) -> Array:
-        """Temperatures of winding and housing [degC], shape (2, n), for Joule heat in the winding [W]."""
+        """Return the temperatures of winding and housing [degC], shape (2, n), for Joule heat in the winding [W]."""
         wa, ha = self.to_ambient
         return self.answer(heat + ambient * wa, ambient * ha, start)
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Joule heat of the winding and the ambient, straight between the stamps at which they are known.
+    """Joule heat of the winding and ambient temperature, both linear between their stamps.
 
-    `begin` and `end` are the heat [W] at both ends of each interval: equal where it is held, else those of a line.
+    `begin` and `end` are the heat [W] at both ends of each interval; they are equal where the heat is constant.
     """
 
     time: Array  # s, n stamps
@@ -92,59 +96,67 @@ class Drive:
 
 
 def driven_at(network: Conductances, drive: Drive, stamps: Array) -> tuple[Array, Array]:
-    """Temperatures [degC] at stamps within the drive, both nodes at zero at its first, and their rates [K/s].
+    """Return temperatures [degC] and their rates [K/s] at stamps [s] within the drive, each of shape (2, stamps).
 
-    Shapes (2, stamps), winding first. Exact: what drives the network is straight between the drive's stamps.
+    The winding comes first. Both nodes are at zero at the drive's first stamp.
     """
     rates, shapes, _ = network.modes()
-    before = np.clip(np.searchsorted(drive.time, stamps, side="right") - 1, 0, len(drive.time) - 2)
-    into = stamps - drive.time[before]
-    share = into / np.diff(drive.time)[before]
+    interval = np.clip(np.searchsorted(drive.time, stamps, side="right") - 1, 0, len(drive.time) - 2)
+    elapsed = stamps - drive.time[interval]
+    share = elapsed / np.diff(drive.time)[interval]
     forced = np.empty((2, len(stamps)))
     modes, changes = np.empty_like(forced), np.empty_like(forced)
-    for k, rate in enumerate(rates):
-        by_heat = shapes[0, k]
-        by_air = by_heat * network.winding_ambient + shapes[1, k] * network.housing_ambient
-        air = by_air * drive.ambient
-        begin, end = by_heat * drive.begin + air[:-1], by_heat * drive.end + air[1:]
-        known = first_order(rate, drive.time, begin, end)
-        now = begin[before] + share * (end - begin)[before]
-        modes[k] = known[before] * np.exp(rate * into) + gained(rate, into, begin[before], now)
-        changes[k] = rate * modes[k] + now
-    # no matrix product: its threads wait for each other longer than so small a one takes
-    first, second = shapes[:, :1], shapes[:, 1:]
-    return first * modes[0] + second * modes[1], first * changes[0] + second * changes[1]
+    for index, rate in enumerate(rates):
+        heat_gain = shapes[0, index]
+        ambient_gain = heat_gain * network.winding_ambient + shapes[1, index] * network.housing_ambient
+        ambient_drive = ambient_gain * drive.ambient
+        begin, end = heat_gain * drive.begin + ambient_drive[:-1], heat_gain * drive.end + ambient_drive[1:]
+        at_drive_stamps = first_order(rate, drive.time, begin, end)
+        drive_now = begin[interval] + share * (end - begin)[interval]
+        modes[index] = at_drive_stamps[interval] * np.exp(rate * elapsed) + first_order_gain(
+            rate, elapsed, begin[interval], drive_now
+        )
+        changes[index] = rate * modes[index] + drive_now
+    # no matrix product: for so small a matrix, its threads wait longer for each other than they compute
+    first_mode, second_mode = shapes[:, :1], shapes[:, 1:]
+    return first_mode * modes[0] + second_mode * modes[1], first_mode * changes[0] + second_mode * changes[1]
 
 
-def left_of_start(network: Conductances, after: Array) -> Array:
-    """What is left of a kelvin of either node after times [s]: shape (node, node it began in, times)."""
+def remaining_rise(network: Conductances, after: Array) -> Array:
+    """Return the rises of both nodes at times [s] after one node starts 1 K warmer: shape (node, warm node, times)."""
     rates, shapes, inverse = network.modes()
     return np.asarray(np.einsum("nm,mt,ms->nst", shapes, np.exp(np.outer(rates, after)), inverse), np.float64)
 
 
 def first_order(rate: float, time: Array, begin: Array, end: Array) -> Array:
-    """Solution of dm/dt = rate m + f from zero, f straight from `begin` to `end` between stamps; rate below zero."""
+    """Solve dm/dt = rate m + f from zero at the first stamp, with f linear from `begin` to `end` in each interval.
+
+    `rate` is below zero [1/s], `time` has n stamps [s]; returns the solution at the stamps, shape (n,).
+    """
     steps = np.diff(time)
     out = np.zeros(len(time))
     if np.ptp(steps) < EVEN * steps[0]:
         step = float(np.mean(steps))
-        out[1:] = lfilter([1.0], [1.0, -np.exp(rate * step)], gained(rate, np.array([step]), begin, end))
+        out[1:] = lfilter([1.0], [1.0, -np.exp(rate * step)], first_order_gain(rate, np.array([step]), begin, end))
         return out
-    added, left = gained(rate, steps, begin, end), 0
-    while left < len(steps):
-        right = max(left + 1, int(np.searchsorted(time, time[left] - DECAY / rate)) - 1)
-        if right == left + 1:
-            out[right] = np.exp(rate * steps[left]) * out[left] + added[left]
+    gains, start = first_order_gain(rate, steps, begin, end), 0
+    while start < len(steps):
+        stop = max(start + 1, int(np.searchsorted(time, time[start] - DECAY / rate)) - 1)
+        if stop == start + 1:
+            out[stop] = np.exp(rate * steps[start]) * out[start] + gains[start]
         else:
-            decay = np.exp(rate * (time[left + 1 : right + 1] - time[left]))
-            out[left + 1 : right + 1] = decay * (out[left] + np.cumsum(added[left:right] / decay))
-        left = right
+            decay = np.exp(rate * (time[start + 1 : stop + 1] - time[start]))
+            out[start + 1 : stop + 1] = decay * (out[start] + np.cumsum(gains[start:stop] / decay))
+        start = stop
     return out
 
 
-def gained(rate: float, duration: Array, begin: Array, end: Array) -> Array:
-    """What a first-order response gains in a duration from a drive that goes straight from `begin` to `end`."""
-    exponent = np.minimum(rate * duration, -1e-300)  # nothing is gained in no time
+def first_order_gain(rate: float, duration: Array, begin: Array, end: Array) -> Array:
+    """Return the change of a first-order response from zero by a drive that is linear from `begin` to `end`.
+
+    `rate` is below zero [1/s]; `duration` [s], `begin` and `end` have one entry for each interval.
+    """
+    exponent = np.minimum(rate * duration, -1e-300)  # avoids 0 / 0 for a duration of zero, whose change is zero
     level = np.expm1(exponent) / exponent
     slope = (level - 1.0) / exponent
     return np.asarray(duration * ((level - slope) * begin + slope * end), np.float64)

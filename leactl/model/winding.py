@@ -1,7 +1,7 @@
-"""Convert figures of a winding between its leads and the q axis, for wye and delta; power-invariant transform.
+"""Convert parameters of a winding between its leads and the q axis, for wye and delta; power-invariant transform.
 
-A wye's own frame is that of its phases, between lead and neutral; a delta's, whose phases lie between two leads. The
-same delta seen as the wye that nobody could tell from it has a third of the resistance and inductance, its torque
+The frame of a wye is that of its phases between lead and neutral, the frame of a delta that of its phases between two
+leads. The wye that is equivalent to a delta at the leads has a third of its resistance and inductance, its torque
 constant divided by sqrt(3) and its current times sqrt(3): torque, power and motor constant are the same in both.
 
 Paper, section "Back-EMF Constant", and Lee and Rouse (2023) for the delta.
@@ -16,11 +16,11 @@ WindingType = Literal["wye", "delta"]
 
 @dataclass(frozen=True)
 class QAxisFactors:
-    """Factors from what is measured between and in the leads of a winding to its q-axis quantities."""
+    """Factors that convert measurements between and in the leads of a winding to q-axis quantities."""
 
-    resistance: float  # of the line-to-line resistance; of inductance too
-    back_emf: float  # of the amplitude of the line-to-line back-EMF constant; of voltages too
-    current: float  # of the amplitude of the current in a lead
+    resistance: float  # multiplies the line-to-line resistance or inductance
+    back_emf: float  # multiplies the amplitude of the line-to-line back-EMF constant or voltage
+    current: float  # multiplies the amplitude of the current in a lead
 
 
 FRAMES: dict[WindingType, QAxisFactors] = {
@@ -31,7 +31,7 @@ FRAMES: dict[WindingType, QAxisFactors] = {
 
 @dataclass(frozen=True)
 class Electrical:
-    """Electrical figures of a winding in one frame, SI; None where not known."""
+    """Electrical parameters of a winding in its frame, SI; None if not known."""
 
     winding: WindingType
     resistance: float | None  # ohm
@@ -39,7 +39,7 @@ class Electrical:
     torque_constant: float | None  # N*m/A, equal to the back-EMF constant in V*s/rad
 
     def line_to_line(self) -> "LineToLine":
-        """As a meter between two leads, the others open, sees it."""
+        """Return the values that a meter between two leads measures, the third lead open."""
         frame = FRAMES[self.winding]
         return LineToLine(
             _times(self.resistance, 1.0 / frame.resistance),
@@ -48,24 +48,24 @@ class Electrical:
         )
 
     def seen_as(self, winding: WindingType) -> "Electrical":
-        """The winding of this type that cannot be told from this one at its leads."""
+        """Return the winding of the given type that is equivalent at the leads."""
         return self.line_to_line().q_axis(winding)
 
     def per_line_amplitude(self) -> float | None:
-        """Torque per ampere of amplitude in a lead [N*m/A], the same whatever the frame."""
+        """Return the torque per ampere of amplitude in a lead [N*m/A], which is equal in both frames."""
         return _times(self.torque_constant, FRAMES[self.winding].current)
 
 
 @dataclass(frozen=True)
 class LineToLine:
-    """What is measured between two leads, SI; None where not known."""
+    """Electrical parameters measured between two leads, SI; None if not known."""
 
     resistance: float | None  # ohm
     inductance: float | None  # H
     back_emf_constant: float | None  # V*s/rad, amplitude of the voltage
 
     def q_axis(self, winding: WindingType) -> Electrical:
-        """In the own frame of a winding of this type."""
+        """Return the parameters in the frame of a winding of the given type."""
         frame = FRAMES[winding]
         return Electrical(
             winding,
@@ -76,7 +76,7 @@ class LineToLine:
 
 
 def voltage_ceiling(bus_voltage: float, winding: WindingType) -> float:
-    """Largest q-axis voltage that a bus gives [V]: between two leads its amplitude is that of the bus."""
+    """Return the largest q-axis voltage [V], at which the amplitude between two leads equals the bus voltage."""
     return FRAMES[winding].back_emf * bus_voltage
 
 

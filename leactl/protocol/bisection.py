@@ -1,4 +1,4 @@
-"""Bisections: trials at setpoints between two ends; their number is known before the first one.
+"""Expand `bisect` steps to trials at setpoints between two ends; the number of trials is fixed in advance.
 
 The first two trials are at the ends. The others are between them, at setpoints chosen during the run, and are skipped
 if both ends have the same outcome. The setpoint rests at zero after every trial.
@@ -21,15 +21,15 @@ from leactl.protocol.setpointkeys import CURRENT, SPELLINGS
 from leactl.protocol.steps import BisectStep, ProtocolStep
 from leactl.protocol.timeline import Timeline
 
-MAX_HALVINGS = 32  # no setpoint of a drive has more bits
+MAX_HALVINGS = 32  # the setpoint of a drive has at most 32 bits
 
 
 def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Expand a bisection; `pass_number` counts the passes of the repeats around it."""
+    """Write the actions of a `bisect` step; `pass_number` counts the passes of the enclosing repeats."""
     content: BisectStep = step.content
-    lasts = content.hold_s, content.settle_s
-    timeline.check_times(step, ("settle_s", "hold_s"), *lasts)
-    until = criterion(timeline, step, ("criterion", "hold_s"), lasts)
+    times = content.hold_s, content.settle_s
+    timeline.check_times(step, ("settle_s", "hold_s"), *times)
+    until = criterion(timeline, step, ("criterion", "hold_s"), times)
     mode = timeline.roles[content.role].mode
     search = Search(
         content.name,
@@ -44,11 +44,11 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
         message = f"{content.role} is {'off' if mode is Mode.OFF else f'in {mode} mode'} at this point"
         timeline.complain(step, "role", f"{message}; current or torque_profile was expected")
         return
-    if not _sound(timeline, step, search):
+    if not _is_valid(timeline, step, search):
         return
     rest_s = max(content.rest_s, 1.0 / timeline.rate_hz)
     timeline.foresee(step, 2 * search.trials, search.trials * (content.hold_s + rest_s))
-    where: dict[str, float | str] = {"role": content.role, "repeat": pass_number}
+    parameters: dict[str, float | str] = {"role": content.role, "repeat": pass_number}
     ends = search.first, search.second
     between = Sought(min(ends), max(ends))
     for number in range(1, search.trials + 1):
@@ -60,17 +60,17 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
             content.name,
             content.hold_s,
             {content.role: profile},
-            {**where, "trial": number},
+            {**parameters, "trial": number},
             content.settle_s,
             until,
             SearchTrial(search, number),
         )
-        timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, where)
+        timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, parameters)
     timeline.add(step, EndWhen())
 
 
-def _sound(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
-    """Check ends and resolution of a search; faults are added to the timeline."""
+def _is_valid(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
+    """Check the ends and the resolution of a search, and add faults to the timeline; True if there are none."""
     span = abs(search.second - search.first)
     if not span > 0.0:
         timeline.complain(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")

@@ -1,7 +1,7 @@
-"""Protocols for moving and reading a bench by hand, so that this is checked, run and recorded like any protocol.
+"""Generate protocols for moving and reading a bench by hand, so that these are checked and recorded like any run.
 
-They are generated as text and not shipped as files, because role, mode and set-up vary, which protocol parameters
-cannot express. The run file keeps the text, and `leactl run` accepts it.
+The protocols are generated as text and not shipped as files, because protocol parameters cannot express a choice of
+role, mode and set-up. The run file keeps the text, and `leactl run` accepts it.
 """
 
 import math
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RATE_HZ = 50
-HELD = "held"  # the step in which a bench turns and pulls
-SWINGS_HZ = (2.0, 2.4)  # a torque either way for a quarter of a second: interlocks see no lasting contradiction
-SWING_S = 2.5  # whole periods of both, whose difference begins and ends at 0 and leaves a shaft at rest where it was
-REST_S = 0.5  # in which friction stops the shaft before the other drive begins
+HELD = "held"  # name of the step in which drives turn and apply torque
+SWINGS_HZ = (2.0, 2.4)  # the torque keeps its sign for a quarter of a second: no interlock sees a lasting contradiction
+SWING_S = 2.5  # whole periods of both frequencies: the beat begins and ends at 0 and returns the shaft to its angle
+REST_S = 0.5  # time in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
-GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
+GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: slow enough for a hand
 
 
 class Jog(NamedTuple):
@@ -37,7 +37,7 @@ class Jog(NamedTuple):
 
     role: str
     mode: Mode
-    value: float  # A, rad/s or rad; an angle is counted from where the shaft stands
+    value: float  # A, rad/s or rad; an angle is relative to the present angle of the shaft
     hold_s: float
     rate: float | None = None  # A/s, rad/s^2 or rad/s
 
@@ -46,7 +46,7 @@ class Jog(NamedTuple):
 
         Raises
         ------
-        InputError : a role that is no drive's, a value that is not finite, a time or a rate that is not above zero.
+        InputError : a role other than test and load, a value that is not finite, or a time or rate not above zero.
         """
         faults = []
         if self.role not in ("test", "load"):
@@ -61,7 +61,7 @@ class Jog(NamedTuple):
             raise InputError(faults)
 
     def steps(self, stands_at: float = 0.0) -> list[str]:
-        """The protocol's steps; `stands_at` is the shaft's angle [rad], from which an angle is counted."""
+        """Return the protocol's steps; `stands_at` is the present shaft angle [rad], added to an angle setpoint."""
         keys = SPELLINGS[self.mode]
         rate = f"{keys.rate}: {self.rate or GENTLE[self.mode]!r}"
         goal = self.value + (stands_at if self.mode is Mode.ANGLE else 0.0)
@@ -77,7 +77,7 @@ class Jog(NamedTuple):
 
 
 def reading_steps(duration_s: float) -> list[str]:
-    """Steps that record for `duration_s` with every drive off.
+    """Return steps that record for `duration_s` with every drive off.
 
     Raises
     ------
@@ -89,25 +89,27 @@ def reading_steps(duration_s: float) -> list[str]:
 
 
 def endless_steps() -> list[str]:
-    """Steps that record with every drive off until the run is stopped: a question that nobody is to answer."""
+    """Return steps that record with every drive off until the run is stopped, by a prompt that nobody confirms."""
     return ["prompt: Reads until it is stopped"]
 
 
 def tare_steps() -> list[str]:
-    """Steps that tare the torque sensor, with every drive off."""
+    """Return steps that tare the torque sensor, with every drive off."""
     return [f"tare: {{samples: {TARE_SAMPLES}}}"]
 
 
 def motion_steps(setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float) -> list[str]:
-    """Steps that move the drives as the set-up allows; coupled, the load drive turns and the test drive applies torque.
+    """Return steps that move the drives as the set-up allows.
+
+    In set-up `coupled`, the load drive turns and the test drive applies torque.
 
     Parameters
     ----------
-    velocity, current : setpoints of the drive that turns and of the drive that applies torque [rad/s, A].
+    velocity, current : setpoints of the drive that turns [rad/s] and of the drive that applies torque [A].
 
     Raises
     ------
-    InputError : this set-up lets no drive move.
+    InputError : the set-up allows no drive to move.
     """
     pulls = "test" in roles and (setup == "locked" or (setup == "coupled" and "load" in roles))
     turns = [] if setup in ("locked", "heated") else [role for role in roles if not (pulls and role == "test")]
@@ -125,9 +127,10 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
 
 
 def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
-    """Steps that let one drive after the other swing the shaft by a beat of current [A], the other drives off.
+    """Return steps in which each drive in turn swings the shaft by a beat of two sines, the other drives off.
 
-    A sine alone would push a shaft of little friction ever onwards; after this one stands where it began.
+    A single sine that starts at zero would leave a shaft of little friction turning; after the beat the shaft is at its
+    first angle. `currents` has the amplitude of the beat by role [A].
     """
     current = SPELLINGS[Mode.CURRENT].setpoint
     swing = f"frequencies_Hz: {list(SWINGS_HZ)!r}, duration_s: {SWING_S!r}"
@@ -144,7 +147,7 @@ def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
 
 
 def swing(times: "Array") -> "Array":
-    """The beat of `swinging_steps` over its amplitude, of shape (n,), at times (n,) of the loop's cycles [s]."""
+    """Return the beat of `swinging_steps` divided by its amplitude, shape (n,), at times (n,) of control cycles [s]."""
     signal = MultisineSignal(
         kind="multisine", role="test", frequencies_Hz=SWINGS_HZ, amplitude_A=1.0, duration_s=SWING_S
     )

@@ -1,4 +1,4 @@
-"""Criteria on channels, for waits, holds, trials and conditions, with checks of their bounds."""
+"""Convert and check criteria on channels, for waits, holds, trials and conditions."""
 
 import math
 
@@ -9,19 +9,20 @@ from leactl.quantities import UNITS
 
 
 def criterion(
-    timeline: Timeline, step: ProtocolStep, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
+    timeline: Timeline, step: ProtocolStep, keys: tuple[str, str], times: tuple[float, float], *, required: bool = False
 ) -> Until:
-    """The criterion of a step; faults are added to the timeline.
+    """Return the criterion of a step, and add faults to the timeline.
 
     Parameters
     ----------
     keys : keys of the criterion and of the duration in the step.
-    lasts : duration and settle window of the step [s].
+    times : duration and settle time of the step [s].
+    required : whether the run fails if the criterion is never met.
     """
     block: CriterionBlock = getattr(step.content, keys[0])
     low, high = bounds(timeline, step, block, (keys[0],), "/s" if block.statistic == "slope" else "")
     where = keys[0], "window_s"
-    if lasts[1] + block.window_s > lasts[0]:
+    if times[1] + block.window_s > times[0]:
         message = f"settle_s and a window of {block.window_s:g} s are longer than {keys[1]}; less was expected"
         timeline.complain(step, where, message)
     least = LEAST_SAMPLES / timeline.rate_hz
@@ -38,7 +39,13 @@ def bounds(
     under: tuple[str, ...] = (),
     per: str = "",
 ) -> tuple[float, float]:
-    """Lowest and highest value that meet a criterion, infinite if open; faults are added to the timeline."""
+    """Return the lowest and highest value that meet a criterion, infinite if open, and add faults to the timeline.
+
+    Parameters
+    ----------
+    under : path of keys from the step to the criterion.
+    per : suffix of the unit, "/s" for a slope.
+    """
     unit = UNITS.get(content.quantity or "")
     if unit is None:
         message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"

@@ -1,22 +1,22 @@
-"""Weighings: prompts to hang dead weights on an arm of the torque sensor, and a hold with the torque of each."""
+"""Expand `weigh` steps to prompts to hang dead weights on an arm of the torque sensor, and a hold for each weight."""
 
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Hang
 from leactl.protocol.steps import ProtocolStep, WeighStep
 from leactl.protocol.timeline import Timeline
 
-STANDARD_GRAVITY = 9.80665  # m/s^2 (CGPM 1901); what it is at the place is the analysis's matter
+STANDARD_GRAVITY = 9.80665  # m/s^2 (CGPM 1901); local gravity is left to the analysis
 
 
 def order_of(masses: tuple[float, ...]) -> list[tuple[float, str]]:
-    """Masses [kg] with directions: 0 and all masses rising, then the same falling without the largest."""
+    """Return masses [kg] with directions: 0 and all masses rising, then all but the largest falling, and 0."""
     rising = sorted(masses)
     falling = [(mass, "falling") for mass in reversed([0.0, *rising[:-1]])]
     return [(mass, "rising") for mass in (0.0, *rising)] + falling
 
 
 def weigh(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Expand a weighing; `pass_number` counts the passes of the repeats around it."""
+    """Write the actions of a `weigh` step; `pass_number` counts the passes of the enclosing repeats."""
     content: WeighStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
     engaged = [role for role, followed in timeline.roles.items() if followed.mode is not Mode.OFF]

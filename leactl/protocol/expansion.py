@@ -31,7 +31,7 @@ HEATED = "heated"
 
 
 def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int = 1) -> None:
-    """Write the actions of the steps; faults are added to the timeline.
+    """Write the actions of the steps to the timeline, and add their faults to it.
 
     `pass_number` counts the passes of all enclosing repeats and becomes the parameter `repeat` of the holds.
 
@@ -50,14 +50,14 @@ def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int
             _when(timeline, step, pass_number)
         elif step.content is None:
             timeline.charge(step)
-            timeline.whole = False
+            timeline.fault_free = False
             timeline.modes_known = timeline.modes_known and step.kind != "mode"
         else:
             _WRITERS[step.kind](timeline, step, pass_number)
 
 
 def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Write conditional steps; a fault if modes or setpoints after them differ from those before."""
+    """Write conditional steps; it is a fault if modes or setpoints after them differ from those before."""
     condition = None if step.content is None else _condition(timeline, step)
     before = {role: (followed.mode, followed.setpoint) for role, followed in timeline.roles.items()}
     began = len(timeline.actions)
@@ -66,10 +66,10 @@ def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     expand(timeline, step.inner, pass_number)
     if condition is not None:
         timeline.add(step, EndWhen())
-    timeline.whole = timeline.whole and condition is not None
+    timeline.fault_free = timeline.fault_free and condition is not None
     if any(isinstance(action, SetRecordRate | SetSupply) for action in timeline.actions[began:]):
         timeline.complain(step, "steps", "a record or supply step would outlast the condition; none was expected")
-    for role, (mode, setpoint) in before.items() if timeline.whole else ():
+    for role, (mode, setpoint) in before.items() if timeline.fault_free else ():
         followed = timeline.roles[role]
         if (followed.mode, followed.setpoint) != (mode, setpoint):
             known = "off" if mode is Mode.OFF else f"{mode} at {'its angle' if setpoint is None else f'{setpoint:g}'}"
@@ -78,18 +78,18 @@ def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange | None:
-    """The condition of a `when` step; None, with faults, if it is invalid."""
+    """Return the condition of a `when` step; if it is invalid, add faults and return None."""
     content: WhenStep = step.content
     reading = ("quantity", "role", "below", "above", "unit")
-    given = [key for key in reading if getattr(content, key) is not None]
+    reading_keys = [key for key in reading if getattr(content, key) is not None]
     if content.step is None and content.outcome is None:
-        missing = [key for key in ("quantity", "role", "unit") if key not in given]
+        missing = [key for key in ("quantity", "role", "unit") if key not in reading_keys]
         if missing:
             timeline.complain(step, missing[0], "is required and missing; or step and outcome of an earlier step")
             return None
         return InRange(content.quantity or "", content.role or "", *bounds(timeline, step, content))
-    if given:
-        timeline.complain(step, given[0], "either step and outcome, or a reading with its bounds, was expected")
+    if reading_keys:
+        timeline.complain(step, reading_keys[0], "either step and outcome, or a reading with its bounds, was expected")
         return None
     if content.step is None or content.outcome is None:
         timeline.complain(step, "step" if content.step is None else "outcome", "is required and missing")
@@ -201,7 +201,7 @@ def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _samples(timeline: Timeline, step: ProtocolStep, content: Any, spelling: Spelling) -> Samples | None:
-    """Sample a signal at the rate of its setpoints; None, with faults, if it cannot be made."""
+    """Sample a signal at the rate of its setpoints; if it cannot be computed, add faults and return None."""
     import numpy as np
 
     rate = content.reference_Hz or timeline.rate_hz

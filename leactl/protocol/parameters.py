@@ -1,4 +1,4 @@
-"""Parameters of a protocol: defaults, values of a condition, values from the command line, and their use as `$name`.
+"""Resolve the parameters of a protocol from defaults, a condition and the command line, and replace `$name` by them.
 
 `--set` overrides the condition, and the condition overrides the default. A value has the kind of its default (number,
 text, list of either) and replaces `$name` as a whole; nothing is computed.
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*\Z")
 REFERENCE = re.compile(r"\$([a-z][A-Za-z0-9_]*)\Z")
-KEPT = ("name", "parameters", "conditions")  # keys of the file in which `$name` is not replaced
+LITERAL_KEYS = ("name", "parameters", "conditions")  # keys of the file whose values keep `$name` as it is
 UNKNOWN = "is no parameter"
 EXPECTED = "a finite number, a text that is no $name, or a list of one of these was expected"
 
@@ -35,7 +35,7 @@ class Resolved:
         self.values[name], self.origins[name] = value, origin
 
     def changed(self, name: str) -> bool:
-        """Whether a condition or the command line has overridden the default."""
+        """Return whether the value comes from a condition or the command line, not from the default."""
         return not self.origins[name].startswith("line ")
 
 
@@ -56,7 +56,7 @@ class Substituted(Document):
                 self.below.setdefault(location[:length], []).append(text)
 
     def fault(self, location: Sequence[str | int], message: str) -> str:
-        """The line for a fault, with the parameter that the value comes from."""
+        """Return the line for a fault, with the parameter that the value comes from."""
         keys = tuple(location)
         ancestors = [keys[:length] for length in range(len(keys), 0, -1)]
         parameters = next(
@@ -66,12 +66,18 @@ class Substituted(Document):
         return line + printable(f" ({', '.join(dict.fromkeys(parameters))})" if parameters else "")
 
     def explain(self, error: "ValidationError", under: Location = ()) -> list[str]:
-        """Faults of a model, without those of a `$name` that is already reported as unknown."""
+        """Return the faults of a model, without those of a `$name` that is already reported as unknown."""
         return [line for line in super().explain(error, under) if not line.endswith(f"{UNKNOWN})")]
 
 
 def resolve(document: Document, overrides: Mapping[str, str], condition: str, faults: list[str]) -> Resolved | None:
-    """Resolve defaults, condition and overrides; adds faults, and returns None if `parameters` is no mapping."""
+    """Resolve defaults, condition and overrides, and add faults; None if `parameters` is not a mapping.
+
+    Parameters
+    ----------
+    overrides : texts by parameter, from the command line.
+    condition : label of the condition whose values apply; the values of all conditions are checked.
+    """
     defaults = document.data.get("parameters")
     conditions = document.data.get("conditions")
     if not isinstance(defaults, Mapping | None):
@@ -100,6 +106,7 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
 def _take_condition(
     document: Document, label: str, values: Any, known: Mapping[str, Any], into: Resolved | None, faults: list[str]
 ) -> None:
+    """Check the values of a condition against the defaults in `known`, and take them into `into` unless it is None."""
     keys = ("conditions", label)
     if not isinstance(values, Mapping):
         faults.append(document.fault(keys, "a mapping of parameters to values was expected"))
@@ -127,18 +134,19 @@ def _take_override(name: str, text: str, known: Mapping[str, Any], resolved: Res
 
 
 def _misfit(name: str, value: Any, known: Mapping[str, Any]) -> str:
-    """Reason why a value cannot override a default; empty if it can."""
+    """Return the reason why a value cannot override a default; empty if it can."""
     if name not in known:
         return f"no such parameter; known: {', '.join(known) or 'none'}"
     kind, expected = _kind(value), _kind(known[name])
     if expected is None:
-        return ""  # the default itself is at fault, and said to be
+        return ""  # the fault of the default is already reported
     if kind != expected:
         return f"{shown(value)}: a {expected} was expected, as in the default {shown(known[name])}"
     return ""
 
 
 def _kind(value: Any) -> str | None:
+    """Return the kind of a parameter's value, as in messages; None if no parameter may have such a value."""
     if isinstance(value, list):
         kinds = {_kind(item) for item in value}
         kind = kinds.pop() if len(kinds) == 1 else None
@@ -171,12 +179,12 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
         result.put_in(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
         return resolved.values[name]
 
-    result.data = {k: v if k in KEPT else put_in(v, (k,)) for k, v in document.data.items()}
+    result.data = {key: value if key in LITERAL_KEYS else put_in(value, (key,)) for key, value in document.data.items()}
     return result
 
 
 def unused(document: Document) -> list[str]:
-    """A line for each parameter that a protocol file defines and does not use."""
+    """Return a line for each parameter that a protocol file defines and does not use."""
 
     def references_in(value: Any) -> set[str]:
         if isinstance(value, dict | list):
@@ -185,7 +193,7 @@ def unused(document: Document) -> list[str]:
         reference = REFERENCE.match(value) if isinstance(value, str) else None
         return {reference[1]} if reference else set()
 
-    used_names = references_in({key: value for key, value in document.data.items() if key not in KEPT})
+    used_names = references_in({key: value for key, value in document.data.items() if key not in LITERAL_KEYS})
     return [
         document.fault(("parameters", name), f"${name} stands nowhere in the file: to set it changes nothing")
         for name in document.data.get("parameters") or ()

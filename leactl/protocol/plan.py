@@ -1,4 +1,4 @@
-"""A plan: every action of a protocol in order, with numbers in place of parameters; the runner executes it.
+"""Define the plan of a run: every action of a protocol in order, with numbers in place of parameters.
 
 Setpoints are absolute and in the SI unit of the role's mode. A role that a segment does not name keeps its setpoint.
 Engaging a role sets its setpoint to zero, except in angle mode, which holds the present angle.
@@ -25,22 +25,22 @@ SETPOINT_QUANTITY = {
 }
 
 
-LEAST_SAMPLES = 3  # in the window of a criterion: two samples always give a slope, and no deviation from it
+LEAST_SAMPLES = 3  # in the window of a criterion: two samples always lie on a line, without deviation
 
 
 class SetpointProfile(Protocol):
-    """A setpoint over the time since its segment's start."""
+    """A setpoint as a function of the time since its segment's start."""
 
     def at(self, time: float) -> float:
-        """The setpoint at a time [s]; before the start and after the end, the nearest one."""
+        """Return the setpoint at a time [s]; before the start the first one, after the end the last one."""
 
     @property
     def low(self) -> float:
-        """The lowest setpoint."""
+        """Lowest setpoint."""
 
     @property
     def high(self) -> float:
-        """The highest setpoint."""
+        """Highest setpoint."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Constant:
     value: float
 
     def at(self, time: float) -> float:
-        """The setpoint."""
+        """Return the setpoint."""
         return self.value
 
     @property
@@ -66,14 +66,14 @@ class Constant:
 
 @dataclass(frozen=True)
 class Ramp:
-    """From one setpoint to another at a constant rate."""
+    """A setpoint that changes from `start` to `stop` at a constant rate."""
 
     start: float
     stop: float
     duration: float
 
     def at(self, time: float) -> float:
-        """The setpoint on the straight line; exact at both ends."""
+        """Return the setpoint on the straight line; exact at both ends."""
         if time >= self.duration:
             return self.stop
         if time <= 0:
@@ -110,7 +110,7 @@ class Samples:
     __hash__ = None  # type: ignore[assignment]  # an array has none
 
     def at(self, time: float) -> float:
-        """The latest sample; a time that is early by a millionth of a period counts as on time."""
+        """Return the latest sample; a time that is early by up to a millionth of a period counts as on time."""
         index, numbers = int(time / self.period + 1e-6), self.numbers
         if index <= 0:
             return numbers[0]
@@ -133,19 +133,22 @@ class Samples:
 
 @dataclass(frozen=True)
 class Sought:
-    """A constant setpoint between two ends that a search chooses while the plan is executed."""
+    """A constant setpoint between two ends, which a search chooses while the plan is executed."""
 
     low: float
     high: float
 
     def at(self, time: float) -> float:
-        """The end of larger magnitude."""
+        """Return the end of larger magnitude, the worst case of the setpoint."""
         return max(self.low, self.high, key=abs)
 
 
 @dataclass(frozen=True)
 class Until:
-    """Criterion that ends a segment early: low <= statistic of a channel over a window <= high, infinite if open."""
+    """Criterion that ends a segment early: low <= statistic of a channel over a window <= high.
+
+    An open bound is infinite.
+    """
 
     quantity: str
     role: str
@@ -157,8 +160,8 @@ class Until:
 
     def __str__(self) -> str:
         unit = UNITS[self.quantity] + ("/s" if self.statistic == "slope" else "")
-        what = f"{self.statistic} of {self.role} {self.quantity} over {self.window_s:g} s"
-        return f"{what} in {self.low:g} .. {self.high:g} {unit}"
+        statistic_text = f"{self.statistic} of {self.role} {self.quantity} over {self.window_s:g} s"
+        return f"{statistic_text} in {self.low:g} .. {self.high:g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -185,8 +188,8 @@ class Search:
 
     def __str__(self) -> str:
         unit = UNITS[self.quantity]
-        span = f"{self.role} {self.first:g} .. {self.second:g} {unit}"
-        return f"{self.trials} trials, {span} to {self.resolution:g} {unit}"
+        interval = f"{self.role} {self.first:g} .. {self.second:g} {unit}"
+        return f"{self.trials} trials, {interval} to {self.resolution:g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -201,8 +204,8 @@ class SearchTrial:
 class Segment:
     """Setpoints over a duration, which is 0 for a jump; analyses leave out the first `settle_s`.
 
-    With `until`, the duration is the longest, and setpoints are constant, so that every end leaves the same ones. A
-    trial has a criterion; a setpoint that its search has yet to choose is `Sought`.
+    With `until`, the duration is the longest possible one, and setpoints are constant, so that they are the same
+    whenever the segment ends. A trial has a criterion; a setpoint that its search has not chosen yet is `Sought`.
     """
 
     name: str
@@ -234,7 +237,7 @@ class WaitUntil:
 
 @dataclass(frozen=True)
 class Tare:
-    """Set the zero of every sensor that can be tared to the mean of `samples` readings."""
+    """Set the zero of every sensor that can be tared, to the mean of `samples` readings."""
 
     samples: int
 
@@ -339,7 +342,7 @@ class ChannelBounds:
 
     @property
     def bounds(self) -> str:
-        """Both bounds, for a person."""
+        """Both bounds as text for a person."""
         return f"{self.low:g} to {self.high:g} was required"
 
 
@@ -394,7 +397,7 @@ class Plan:
         return any(isinstance(action, When) or getattr(action, "until", None) is not None for action in self.actions)
 
     def searches(self) -> list[tuple[Search, float]]:
-        """Every search in order, with its longest duration [s] without rests."""
+        """Return every search in order, with its longest duration [s] without rests."""
         trials = [action for action in self.actions if isinstance(action, Segment) and action.trial is not None]
         first_trials = [action for action in trials if action.trial is not None and action.trial.number == 1]
         return [
@@ -404,7 +407,7 @@ class Plan:
         ]
 
     def peaks(self) -> dict[tuple[str, str], float]:
-        """Largest magnitude of each setpoint by (role, quantity); supplies count with their current."""
+        """Return the largest magnitude of each setpoint by (role, quantity); supplies count with their current."""
         peaks: dict[tuple[str, str], float] = {}
         for action, modes in self._with_modes():
             if isinstance(action, SetSupply):
@@ -419,7 +422,7 @@ class Plan:
         return peaks
 
     def timeline(self) -> list[TimelineRow]:
-        """One row for each action, starting where the one before ends."""
+        """Return one row for each action, which starts when the previous one ends."""
         rows = []
         start = 0.0
         for action, modes in self._with_modes():
@@ -437,12 +440,13 @@ class Plan:
         return rows
 
     def _lasts(self, action: Action) -> float:
-        """Duration of an action [s]; taring takes one reading per cycle."""
+        """Return the duration of an action [s]; taring takes one reading per cycle."""
         if isinstance(action, Tare):
             return action.samples / self.rate_Hz
         return action.duration_s if isinstance(action, Segment) else 0.0
 
     def _with_modes(self) -> Iterator[tuple[Action, dict[str, Mode]]]:
+        """Yield each action with the modes by role after it; the dictionary is the same object each time."""
         modes: dict[str, Mode] = {}
         for action in self.actions:
             if isinstance(action, Engage):

@@ -1,4 +1,4 @@
-"""Protocol files: find one by name or path, check it, and expand it to a plan with its parameters.
+"""Find a protocol file by name or path, check it, and expand it with its parameters to a plan.
 
 name: torque-constant
 title: Torque over q-axis current while the load actuator holds position
@@ -6,16 +6,16 @@ setup: coupled                  # free | locked | coupled | heated
 analysis: torque-constant       # may be left out
 rate_Hz: 50                     # control loop
 record_Hz: 50                   # default rate_Hz; must divide it
-parameters: {hold_s: 5.5}       # `$hold_s` below, as a whole value, takes it; --set hold_s=3 goes over it
+parameters: {hold_s: 5.5}       # replaces a value `$hold_s` below; --set hold_s=3 overrides it
 conditions: {loaded: {hold_s: 8}}
 steps: [...]                    # see steps.py
 acceptance:
   - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
   - {channel: torque, step: hold, statistic: max, high: 6, unit: N*m, stop: true}
-wants: [winding_temperature]    # that the analysis takes; a run says which of them no device of its bench measures
-separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
-needs: [phase_voltage_ab]                     # refused on a bench without; opens devices that are `on_demand` there
-attended: true                  # somebody stays by the bench: a supply that could burn a winding may be switched on
+wants: [winding_temperature]    # quantities that the analysis uses; a run names those that no device measures
+separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by runs of it
+needs: [phase_voltage_ab]                     # quantities that the bench must measure; opens its `on_demand` devices
+attended: true                  # a person stays by the bench: a supply that could burn a winding may be switched on
 """
 
 import math
@@ -39,7 +39,7 @@ NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
 
 def locate(name_or_path: str) -> Path:
-    """Path of a shipped protocol by its name, or the given path.
+    """Return the path of a shipped protocol by its name, or the given path.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def locate(name_or_path: str) -> Path:
     return path
 
 
-def read_overrides(given: Sequence[str]) -> dict[str, str]:
+def read_overrides(texts: Sequence[str]) -> dict[str, str]:
     """Parse `name=value` texts of the command line to texts by parameter.
 
     `seed` is left out, because it belongs to the emulated bench and not to the protocol.
@@ -64,10 +64,10 @@ def read_overrides(given: Sequence[str]) -> dict[str, str]:
     ------
     InputError : one line for each text that is no `name=value`, and for each repeated name.
     """
-    faults = [f"--set {item}: name=value was expected" for item in given if not item.partition("=")[1]]
-    pairs = [item.partition("=") for item in given]
-    set_here = [name.strip() for name, equals, _value in pairs if equals]
-    faults += [f"--set {name}: given twice" for name in dict.fromkeys(set_here) if set_here.count(name) > 1]
+    faults = [f"--set {item}: name=value was expected" for item in texts if not item.partition("=")[1]]
+    pairs = [item.partition("=") for item in texts]
+    names = [name.strip() for name, equals, _value in pairs if equals]
+    faults += [f"--set {name}: given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
     if faults:
         raise InputError(faults)
     return {name.strip(): value.strip() for name, _equals, value in pairs if name.strip() != "seed"}
@@ -117,7 +117,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
     names = list(dict.fromkeys(segment.name for segment in segments))
     trials = [segment.trial for segment in segments if segment.trial is not None]
     searches = {trial.search.name: trial.search.quantity for trial in trials}
-    for number, limit in enumerate(head.acceptance) if head is not None and timeline.whole else ():
+    for number, limit in enumerate(head.acceptance) if head is not None and timeline.fault_free else ():
         for key, message in limit.misfits(names, searches):
             faults.append(filled.fault(("acceptance", number, *([key] if key else [])), message))
     if faults or head is None or resolved is None:
@@ -166,7 +166,7 @@ def _bounds(
 
 
 def _number(rate: object) -> float:
-    """A control rate [Hz] with which steps can be checked if the head has faults."""
+    """Return a control rate [Hz] to check the steps with if the head has faults: the file's, else 1000 Hz."""
     usable = isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate <= 10_000
     return float(rate) if usable else 1000.0  # type: ignore[arg-type]
 

@@ -39,7 +39,7 @@ class Driven(Block):
     takes: ClassVar[tuple[str, ...]] = ()
 
     def given(self, spelling: Spelling, stem: str) -> Any:
-        """The value of a stem's key in this spelling; None if it was left out."""
+        """Return the value of a stem's key in a spelling; None if the block does not have it."""
         return getattr(self, spelling.key(stem))
 
 
@@ -70,12 +70,12 @@ class ResultLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys at fault with reasons; whether the analysis has the result is checked later."""
+        """Yield keys at fault with reasons; whether the analysis has the result is checked later."""
         yield from _faults_of_bounds(self)
 
 
 class ChannelLimit(Block):
-    """Bounds of a channel in every step of a name, without the settle time; needs no analysis."""
+    """Bounds of a channel in every step of a name, without its settle time; checked without an analysis."""
 
     channel: Quantity
     role: Literal["test", "load", "bench"] = "test"
@@ -87,7 +87,7 @@ class ChannelLimit(Block):
     stop: Annotated[bool, Field(strict=True)] = False
 
     def misfits(self, steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys at fault with reasons; `steps` are the names of the protocol's steps."""
+        """Yield keys at fault with reasons; `steps` are the names of the protocol's steps."""
         yield from _faults_of_bounds(self)
         yield from _faults_of_unit(self.unit, self.channel, self.channel)
         if self.step and self.step not in steps:
@@ -100,7 +100,7 @@ class ChannelLimit(Block):
 
 
 class BisectLimit(Block):
-    """Bounds that must contain the whole final interval of a bisection; needs no analysis."""
+    """Bounds that must contain the whole final interval of a bisection; checked without an analysis."""
 
     bisect: Annotated[str, Field(max_length=40)]
     low: Bound | None = None
@@ -108,7 +108,7 @@ class BisectLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Keys at fault with reasons; `searches` has the quantity that each bisection sets, by name."""
+        """Yield keys at fault with reasons; `searches` has the quantity that each bisection sets, by name."""
         yield from _faults_of_bounds(self)
         if self.bisect in searches:
             yield from _faults_of_unit(self.unit, searches[self.bisect], self.bisect)
@@ -131,8 +131,9 @@ def _faults_of_bounds(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterat
         yield "low", f"{limit.low:g} is above high ({limit.high:g})"
 
 
-def _form(given: Any) -> str:
-    keys = given if isinstance(given, Mapping) else ()
+def _form(block: Any) -> str:
+    """Return the tag of the limit type that a block of the file has."""
+    keys = block if isinstance(block, Mapping) else ()
     return "[channel]" if "channel" in keys else "[bisect]" if "bisect" in keys else "[result]"
 
 
@@ -145,7 +146,7 @@ Limit = Annotated[
 
 
 class Head(Block):
-    """The keys of a protocol file; parameters, conditions and steps are checked separately, to report all faults."""
+    """Keys of a protocol file; parameters, conditions and steps are checked separately, to report all faults."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
     title: Annotated[str, Field(max_length=200)] = ""
@@ -164,6 +165,6 @@ class Head(Block):
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:
-    """Whether a rate is the loop's rate divided by a whole number."""
+    """Return whether `part_hz` is `whole_hz` divided by a whole number."""
     ratio = whole_hz / part_hz
     return 1 - 1e-9 < ratio < math.inf and abs(ratio - round(ratio)) < 1e-9 * ratio

@@ -1,4 +1,4 @@
-"""Keys of setpoints in each mode: a key contains the unit, so that a wrong unit is an unknown key.
+"""Define the keys of setpoints in each mode; a key contains the unit, so that a wrong unit is an unknown key.
 
 mode                     setpoint         levels, amplitude, ...     rate
 current, torque_profile  current_A        levels_A                   rate_A_s
@@ -19,7 +19,7 @@ class Spelling(NamedTuple):
     rate: str
 
     def key(self, stem: str) -> str:
-        """The key of a stem: "setpoint", "to_setpoint", "from_setpoint", "rate", "levels", "offset" and so on."""
+        """Return the key of a stem: "setpoint", "to_setpoint", "from_setpoint", "rate", "levels", "offset" etc."""
         if stem.endswith("setpoint"):
             return stem.replace("setpoint", self.setpoint)
         return self.rate if stem == "rate" else f"{stem}_{self.suffix}"

@@ -1,8 +1,8 @@
-"""The protocols that ship with leactl: their names, their files, and what a list shows of each.
+"""List the protocols that ship with leactl, with title, set-up and duration.
 
-How long a protocol lasts is known only after expanding it, which takes longer than to show the list. `durations.json`
-beside the files has it, by the digest of the file that was expanded: a file that was changed since is expanded again.
-`python -m leactl.protocol.shipped` prints it anew.
+The duration of a protocol is known only after its expansion, which would slow down the list. The file `durations.json`
+in the folder of the protocols therefore has the duration and the digest of each protocol; a protocol with another
+digest is expanded again. `python -m leactl.protocol.shipped` prints a new content of `durations.json`.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ DURATIONS = "durations.json"
 
 
 class Listed(NamedTuple):
-    """What a list shows of a protocol."""
+    """Entry of a protocol in the list."""
 
     name: str
     title: str
@@ -26,17 +26,17 @@ class Listed(NamedTuple):
 
 
 def folder() -> Path:
-    """Where the protocols are."""
+    """Return the folder of the shipped protocols."""
     return Path(str(resources.files("leactl_protocols")))
 
 
 def names() -> list[str]:
-    """Names of the protocols that ship with leactl."""
+    """Return the names of the shipped protocols, sorted."""
     return sorted(path.stem for path in folder().glob("*.yaml"))
 
 
 def listed() -> list[Listed]:
-    """Every protocol, in the order of names.
+    """Return the entry of every shipped protocol, sorted by name.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def listed() -> list[Listed]:
 
 
 def durations() -> dict[str, dict[str, str | float]]:
-    """Digest and duration of every protocol, expanded afresh: the content of `durations.json`."""
+    """Expand every shipped protocol and return its digest and duration, the content of `durations.json`."""
     paths = [folder() / f"{name}.yaml" for name in names()]
     return {path.stem: {"sha256": _digest(path), "duration_s": _expanded(path).duration_s} for path in paths}
 

@@ -1,4 +1,4 @@
-"""Signals: setpoints sampled at the rate of the control loop, each held until the next.
+"""Compute signals: setpoints sampled at the rate of the control loop, each held until the next.
 
     kind        keys besides role, kind, duration_s, offset_*, settle_s, reference_Hz
     step        from_current_A (or as the mode asks), to_current_A, at_s; no offset
@@ -43,15 +43,15 @@ class ProtocolSignal(Driven):
     reference_Hz: Frequency | None = None
 
     def in_pass(self, number: int) -> "ProtocolSignal":
-        """The signal in a pass of a repeat, counted from 1."""
+        """Return the signal in a pass of a repeat, counted from 1."""
         return self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Keys at fault for the rate of the setpoints, with reasons."""
+        """Yield keys at fault for the rate of the setpoints [Hz], with reasons."""
         yield from ()
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Setpoints (n,) at times (n,) [s].
+        """Return setpoints (n,) at times (n,) [s].
 
         Raises
         ------
@@ -85,12 +85,12 @@ class StepSignal(ProtocolSignal):
     duration_s: Duration
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Fault if the jump is not before the end."""
+        """Yield a fault if the jump is not before the end."""
         if not self.at_s < self.duration_s:
             yield "at_s", f"{self.at_s:g} s: less than duration_s ({self.duration_s:g} s) was expected"
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """The first level before the jump, the second from it on."""
+        """Return the first level before the jump and the second from `at_s` on."""
         import numpy as np
 
         before, after = self.given(spelling, "from_setpoint"), self.given(spelling, "to_setpoint")
@@ -108,12 +108,12 @@ class OffsetSignal(ProtocolSignal):
     offset_rad: Setpoint | None = None
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Offset plus the signal around it."""
+        """Return the signal with its offset."""
         values: Array = self.around(times, spelling) + float(self.given(spelling, "offset") or 0.0)
         return values
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The signal without its offset."""
+        """Return the signal without its offset, shape (n,)."""
         raise NotImplementedError
 
 
@@ -134,11 +134,11 @@ class SineSignal(AmplitudeSignal):
     phase_rad: Setpoint = 0.0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Faults for frequencies of half the rate or more."""
+        """Yield a fault for each frequency of half the rate or more."""
         yield from self._below_half(rate_hz, "frequency_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The sine, starting at its phase."""
+        """Return the sine, which starts at `phase_rad`."""
         import numpy as np
 
         wave: Array = np.sin(2 * math.pi * self.frequency_Hz * times + self.phase_rad)
@@ -154,19 +154,19 @@ class ChirpSignal(AmplitudeSignal):
     spacing: Literal["linear", "log"] = "linear"
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Faults for frequencies of half the rate or more."""
+        """Yield a fault for each frequency of half the rate or more."""
         yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """A sine whose phase is the integral of the frequency."""
+        """Return a sine whose phase is the integral of its frequency."""
         import numpy as np
 
-        first, last, total = self.from_Hz, self.to_Hz, self.duration_s
-        logarithm = math.log(last / first)
-        if self.spacing == "linear" or abs(logarithm) < 1e-9:
-            cycles = first * times + (last - first) * times**2 / (2 * total)
+        start_hz, stop_hz, duration_s = self.from_Hz, self.to_Hz, self.duration_s
+        log_ratio = math.log(stop_hz / start_hz)
+        if self.spacing == "linear" or abs(log_ratio) < 1e-9:
+            cycles = start_hz * times + (stop_hz - start_hz) * times**2 / (2 * duration_s)
         else:
-            cycles = first * total / logarithm * np.expm1(logarithm * times / total)
+            cycles = start_hz * duration_s / log_ratio * np.expm1(log_ratio * times / duration_s)
         wave: Array = np.sin(2 * math.pi * cycles)
         return float(self.given(spelling, "amplitude")) * wave
 
@@ -183,7 +183,7 @@ class MultisineSignal(AmplitudeSignal):
     seed: Seed = 0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Faults in the choice of frequencies, and for frequencies of half the rate or more."""
+        """Yield faults of the choice of frequencies, and of frequencies of half the rate or more."""
         band = (self.from_Hz, self.to_Hz, self.count)
         if (self.frequencies_Hz is None) == (None in band) and any(item is not None for item in band):
             yield "from_Hz", "from_Hz, to_Hz and count together, or frequencies_Hz alone, were expected"
@@ -204,19 +204,19 @@ class MultisineSignal(AmplitudeSignal):
     def _frequencies(self) -> list[float]:
         if self.frequencies_Hz is not None:
             return list(self.frequencies_Hz)
-        first, last, count = self.from_Hz, self.to_Hz, self.count
-        assert first is not None
-        assert last is not None
+        start_hz, stop_hz, count = self.from_Hz, self.to_Hz, self.count
+        assert start_hz is not None
+        assert stop_hz is not None
         assert count is not None
-        return [first + (last - first) * index / (count - 1) for index in range(count)]
+        return [start_hz + (stop_hz - start_hz) * index / (count - 1) for index in range(count)]
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The sum, scaled to its peak; Schroeder's phases (1970) keep the peak of a flat spectrum low."""
+        """Return the sum, scaled to its peak; Schroeder's phases (1970) keep the peak of a flat spectrum low."""
         import numpy as np
 
         frequencies = self._frequencies()
         if self.phases == "schroeder":
-            phases = [-math.pi * k * (k + 1) / len(frequencies) for k in range(len(frequencies))]
+            phases = [-math.pi * index * (index + 1) / len(frequencies) for index in range(len(frequencies))]
         else:
             phases = list(np.random.default_rng(self.seed).uniform(0, 2 * math.pi, len(frequencies)))
         total: Array = np.zeros(len(times))
@@ -242,15 +242,15 @@ class NoiseSignal(OffsetSignal):
     fresh: Annotated[bool, Field(strict=True)] = False
 
     def in_pass(self, number: int) -> ProtocolSignal:
-        """With `fresh`, each pass has another seed."""
+        """Return the signal of a pass, with another seed in each pass if `fresh`."""
         return self.model_copy(update={"seed": self.seed + number - 1}) if self.fresh else self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Faults for frequencies of half the rate or more."""
+        """Yield a fault for each frequency of half the rate or more."""
         yield from self._below_half(rate_hz, "cutoff_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The noise, filtered in second-order sections: a polynomial of order 35 is unstable in double precision."""
+        """Return the noise, filtered in second-order sections: a polynomial of order 35 is numerically unstable."""
         import numpy as np
         from scipy.signal import butter, sosfilt
 

@@ -1,4 +1,4 @@
-"""The steps of protocol files. Each step is a mapping with one key, its kind, to a block of settings.
+"""Read the steps of protocol files; each step is a mapping with one key, its kind, to a block of settings.
 
     mode: {test: current, load: angle}     off | current | torque_profile | velocity | angle
     set: {role: test, current_A: 5}        a jump
@@ -43,8 +43,8 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)]
 Level = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e4)]
 
 
-def _none_where_off(given: Any) -> Any:
-    return None if given == Mode.OFF.value else given
+def _none_if_off(setting: Any) -> Any:
+    return None if setting == Mode.OFF.value else setting
 
 
 class ModeStep(Block):
@@ -55,7 +55,7 @@ class ModeStep(Block):
 
 
 class TareStep(Block):
-    """Zero the sensors; best before a drive is engaged, since a load at standstill is zeroed too."""
+    """Zero the sensors; best done before a drive is engaged, since a torque at standstill would be zeroed too."""
 
     samples: Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 
@@ -108,7 +108,7 @@ class UntilBlock(CriterionBlock):
 
 
 class HoldStep(Driven):
-    """Keep a setpoint; analyses identify a hold that is no level by `name`."""
+    """Keep a setpoint; analyses identify a hold that is not a level by its `name`."""
 
     guesses = {"current": "current_A", "velocity": "velocity_rad_s", "angle": "angle_rad", "hold_s": "duration_s"}
     takes = ("setpoint",)
@@ -240,8 +240,8 @@ class Output(Block):
 class SupplyStep(Block):
     """Switch on the supply at each role's leads with these limits, or change them; None switches it off."""
 
-    test: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
-    load: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
+    test: Annotated[Output | None, BeforeValidator(_none_if_off)] = None
+    load: Annotated[Output | None, BeforeValidator(_none_if_off)] = None
 
     @property
     def outputs(self) -> dict[str, tuple[float, float] | None]:
@@ -253,9 +253,9 @@ class SupplyStep(Block):
 
 
 class WeighStep(Block):
-    """Let the operator hang weights on an arm of the torque sensor: none, rising, falling, none.
+    """Ask the operator to hang weights on an arm of the torque sensor: none, rising, falling, none.
 
-    With `sign: -1` they pull in the opposite direction.
+    With `sign: -1` the weights pull in the opposite direction.
     """
 
     masses_kg: Annotated[tuple[Level, ...], Field(min_length=1)]
@@ -310,18 +310,18 @@ class ProtocolStep:
 
 
 def read(document: Substituted, raw: list[Any], keys: Location, faults: list[str]) -> tuple[ProtocolStep, ...]:
-    """Check each step; one with faults stays in the sequence without content, so that the others are checked too."""
-    return tuple(_read_one(document, item, (*keys, index), faults) for index, item in enumerate(raw))
+    """Check each step and add faults; a faulty step stays in the sequence without content, and the rest is checked."""
+    return tuple(_read_step(document, item, (*keys, index), faults) for index, item in enumerate(raw))
 
 
-def _read_one(document: Substituted, raw: Any, keys: Location, faults: list[str]) -> ProtocolStep:
+def _read_step(document: Substituted, raw: Any, keys: Location, faults: list[str]) -> ProtocolStep:
     known = ", ".join(sorted([*KINDS, "signal"]))
     if not isinstance(raw, Mapping) or len(raw) != 1:
         faults.append(document.fault(keys, f"a mapping of one key was expected, one of {known}"))
         return ProtocolStep(keys, "unknown", None)
-    kind, given = next(iter(raw.items()))
+    kind, settings = next(iter(raw.items()))
     kind_keys = (*keys, kind)
-    adapter = _signal(document, given, kind_keys, faults) if kind == "signal" else KINDS.get(kind)
+    adapter = _signal(document, settings, kind_keys, faults) if kind == "signal" else KINDS.get(kind)
     if adapter is None:
         if kind != "signal":
             close = get_close_matches(kind, [*KINDS, "signal"], n=1)
@@ -334,19 +334,19 @@ def _read_one(document: Substituted, raw: Any, keys: Location, faults: list[str]
             kind = close[0] if close else "unknown"
         return ProtocolStep(kind_keys, kind, None)
     try:
-        content = adapter.validate_python(given)
+        content = adapter.validate_python(settings)
     except ValidationError as error:
         faults.extend(document.explain(error, kind_keys))
         content = None
     inner: tuple[ProtocolStep, ...] = ()
-    if kind in ("repeat", "when") and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
-        inner = read(document, given["steps"], (*kind_keys, "steps"), faults)
+    if kind in ("repeat", "when") and isinstance(settings, Mapping) and isinstance(settings.get("steps"), list):
+        inner = read(document, settings["steps"], (*kind_keys, "steps"), faults)
     return ProtocolStep(kind_keys, kind, content, inner)
 
 
-def _signal(document: Substituted, given: Any, keys: Location, faults: list[str]) -> TypeAdapter[Any] | None:
+def _signal(document: Substituted, settings: Any, keys: Location, faults: list[str]) -> TypeAdapter[Any] | None:
     known = ", ".join(SIGNALS)
-    kind = given.get("kind") if isinstance(given, Mapping) else None
+    kind = settings.get("kind") if isinstance(settings, Mapping) else None
     if not isinstance(kind, str) or kind not in SIGNALS:
         shown = f"{kind!r}: " if isinstance(kind, str) else ""
         faults.append(document.fault((*keys, "kind"), f"{shown}one of {known} was expected"))

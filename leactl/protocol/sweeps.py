@@ -1,4 +1,4 @@
-"""Sweeps and grids: hold levels in an order that separates friction and hysteresis."""
+"""Expand `sweep` and `grid` steps to holds of levels, in an order that separates friction and hysteresis."""
 
 import itertools
 import math
@@ -15,7 +15,14 @@ from leactl.protocol.timeline import Timeline
 def visits(
     levels: tuple[float, ...], visit: str, overshoot: float, before: float | None
 ) -> Iterator[tuple[str, float]]:
-    """Names ("hold", "turn", "rest") and setpoints in order; `before` is the setpoint before the sweep."""
+    """Yield the names ("hold", "turn", "rest") and setpoints of a sweep in order.
+
+    Parameters
+    ----------
+    visit : order of the levels, as in `SweepStep`.
+    overshoot : distance of a turn beyond the levels; 0: no turns.
+    before : setpoint before the sweep; None: not known.
+    """
     rising = sorted(levels)
     if visit == "as_given":
         yield from (("hold", level) for level in levels)
@@ -40,7 +47,7 @@ def visits(
 
 
 def sweep(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Expand a sweep; `pass_number` counts the passes of the enclosing repeats."""
+    """Write the actions of a `sweep` step; `pass_number` counts the passes of the enclosing repeats."""
     content: SweepStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
     spelling = timeline.spelling(step, content.role, content)
@@ -60,6 +67,7 @@ def sweep(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _visit_levels(timeline: Timeline, step: ProtocolStep, spelling: Spelling, where: dict[str, float | str]) -> bool:
+    """Write one repeat of a sweep; False, with a fault, if a ramp is asked for from an unknown setpoint."""
     content: SweepStep = step.content
     followed = timeline.roles[content.role]
     before = None if followed.setpoint is None else followed.setpoint * content.sign
@@ -81,8 +89,8 @@ def _visit_levels(timeline: Timeline, step: ProtocolStep, spelling: Spelling, wh
     return True
 
 
-class _Lane(NamedTuple):
-    """One axis of a grid, with the setpoint key of its role's present mode."""
+class _AxisLevels(NamedTuple):
+    """One axis of a grid: its role, the parameter's key in the role's present mode, its levels and its rate."""
 
     role: str
     key: str
@@ -91,76 +99,88 @@ class _Lane(NamedTuple):
 
 
 def grid(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Expand a grid; its holds have every axis's setpoint as parameter, with the role in the key if units are equal."""
+    """Write the actions of a `grid` step; `pass_number` counts the passes of the enclosing repeats.
+
+    Its holds have the setpoint of every axis as a parameter; if two axes have the same unit, the key contains the role.
+    """
     content: GridStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
-    lanes = _lanes(timeline, step)
-    if not lanes:
+    axes = _axes_of(timeline, step)
+    if not axes:
         return
-    holds = content.repeats * math.prod(len(lane.levels) for lane in lanes)
+    holds = content.repeats * math.prod(len(axis.levels) for axis in axes)
     timeline.foresee(step, holds, holds * content.hold_s)
     row: tuple[int, ...] = ()
     for number in range(1, content.repeats + 1):
         repeat = (pass_number - 1) * content.repeats + number
-        for indices in itertools.product(*(range(len(lane.levels)) for lane in lanes)):
-            where: dict[str, float | str] = {"role": lanes[-1].role, "repeat": repeat}
+        for indices in itertools.product(*(range(len(axis.levels)) for axis in axes)):
+            where: dict[str, float | str] = {"role": axes[-1].role, "repeat": repeat}
             if content.rest_s and row and row != (number, *indices[:-1]):
-                _rest(timeline, step, lanes, where)
+                _rest_at_zero(timeline, step, axes, where)
             row = number, *indices[:-1]
-            point = [lane.levels[index] for lane, index in zip(lanes, indices, strict=True)]
-            _move(timeline, step, lanes, point, where)
-            directions = [timeline.roles[lane.role].goes_to(value) for lane, value in zip(lanes, point, strict=True)]
+            point = [axis.levels[index] for axis, index in zip(axes, indices, strict=True)]
+            _move_axes(timeline, step, axes, point, where)
+            directions = [timeline.roles[axis.role].goes_to(value) for axis, value in zip(axes, point, strict=True)]
             parameters = (
-                {lane.key: value for lane, value in zip(lanes, point, strict=True)}
+                {axis.key: value for axis, value in zip(axes, point, strict=True)}
                 | where
                 | {"direction": directions[-1]}
             )
-            setpoints = {lane.role: Constant(value) for lane, value in zip(lanes, point, strict=True)}
+            setpoints = {axis.role: Constant(value) for axis, value in zip(axes, point, strict=True)}
             timeline.segment(step, "hold", content.hold_s, setpoints, parameters, content.settle_s)
 
 
-def _lanes(timeline: Timeline, step: ProtocolStep) -> list[_Lane]:
-    """The axes with their keys and levels; empty, with faults, if an axis does not fit the mode of its role."""
-    axes: tuple[GridAxis, ...] = step.content.axes
-    roles = [axis.role for axis in axes]
+def _axes_of(timeline: Timeline, step: ProtocolStep) -> list[_AxisLevels]:
+    """Return the axes with their keys and levels; if one does not fit its role's mode, add faults and return none."""
+    grid_axes: tuple[GridAxis, ...] = step.content.axes
+    roles = [axis.role for axis in grid_axes]
     if len(set(roles)) < len(roles):
         timeline.complain(step, ("axes", len(roles) - 1, "role"), f"{roles[-1]} is an axis already")
         return []
-    spelling_of_axes = [timeline.spelling(step, axis.role, axis, ("axes", number)) for number, axis in enumerate(axes)]
+    spelling_of_axes = [
+        timeline.spelling(step, axis.role, axis, ("axes", number)) for number, axis in enumerate(grid_axes)
+    ]
     spellings = [spelling for spelling in spelling_of_axes if spelling is not None]
     if len(spellings) < len(spelling_of_axes):
         return []
     shared = len(set(spellings)) < len(spellings)
-    lanes = []
-    for number, (axis, spelling) in enumerate(zip(axes, spellings, strict=True)):
+    axes = []
+    for number, (axis, spelling) in enumerate(zip(grid_axes, spellings, strict=True)):
         key = f"{axis.role}_{spelling.setpoint}" if shared else spelling.setpoint
         rate = axis.given(spelling, "rate")
         if rate is not None and timeline.known_setpoint(step, axis.role, ("axes", number, spelling.rate)) is None:
             return []
-        lanes.append(_Lane(axis.role, key, axis.given(spelling, "levels"), rate))
-    return lanes
+        axes.append(_AxisLevels(axis.role, key, axis.given(spelling, "levels"), rate))
+    return axes
 
 
-def _rest(timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], where: Mapping[str, float | str]) -> None:
-    resting = [lane for lane in lanes if timeline.roles[lane.role].mode is not Mode.ANGLE]
-    _move(timeline, step, resting, [0.0] * len(resting), where)
-    for lane in resting:
-        timeline.roles[lane.role].goes_to(0.0)
-    setpoints = {lane.role: Constant(0.0) for lane in resting}
+def _rest_at_zero(
+    timeline: Timeline, step: ProtocolStep, axes: list[_AxisLevels], where: Mapping[str, float | str]
+) -> None:
+    """Move all axes but angles to zero, and hold them there for `rest_s`."""
+    resting = [axis for axis in axes if timeline.roles[axis.role].mode is not Mode.ANGLE]
+    _move_axes(timeline, step, resting, [0.0] * len(resting), where)
+    for axis in resting:
+        timeline.roles[axis.role].goes_to(0.0)
+    setpoints = {axis.role: Constant(0.0) for axis in resting}
     timeline.segment(step, "rest", step.content.rest_s, setpoints, where)
 
 
-def _move(
-    timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], point: list[float], where: Mapping[str, float | str]
+def _move_axes(
+    timeline: Timeline,
+    step: ProtocolStep,
+    axes: list[_AxisLevels],
+    point: list[float],
+    where: Mapping[str, float | str],
 ) -> None:
-    """Ramp all axes with a rate at the same time, none faster than its rate; the others jump at the hold."""
+    """Ramp all axes that have a rate together, none faster than its rate; axes without a rate jump at the hold."""
     ramps: dict[str, tuple[float, float]] = {}
     duration = 0.0
-    for lane, value in zip(lanes, point, strict=True):
-        before = timeline.roles[lane.role].setpoint
-        if lane.rate is not None and before is not None and before != value:
-            ramps[lane.role] = before, value
-            duration = max(duration, abs(value - before) / lane.rate)
+    for axis, value in zip(axes, point, strict=True):
+        before = timeline.roles[axis.role].setpoint
+        if axis.rate is not None and before is not None and before != value:
+            ramps[axis.role] = before, value
+            duration = max(duration, abs(value - before) / axis.rate)
     if ramps:
         timeline.segment(step, "ramp", duration, {role: Ramp(*ends, duration) for role, ends in ramps.items()}, where)
         for role, (_before, value) in ramps.items():

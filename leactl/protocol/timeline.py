@@ -1,4 +1,4 @@
-"""The timeline under construction: mode and setpoint of each role, and sums of actions, duration and samples.
+"""Collect the actions of a protocol, and track mode and setpoint of each role and the sums of actions and duration.
 
 Every action is counted before it is added, so that a protocol with nested repeats is refused before it grows large.
 """
@@ -39,7 +39,7 @@ class RoleSetpoint:
     direction: str = "rising"  # of the last change
 
     def goes_to(self, value: float) -> str:
-        """Set a new setpoint; returns "rising" or "falling", unchanged if the setpoint is."""
+        """Set a new setpoint and return "rising" or "falling"; an equal setpoint keeps the last direction."""
         before = self.setpoint
         if before is not None and value != before:
             self.direction = "rising" if value > before else "falling"
@@ -59,9 +59,9 @@ class Timeline:
     roles: dict[str, RoleSetpoint] = field(default_factory=lambda: {"test": RoleSetpoint(), "load": RoleSetpoint()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
     signals: dict[tuple[Location, str, ProtocolSignal], Samples] = field(default_factory=dict)
-    outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # that steps so far may have, by name
-    modes_known: bool = True  # False behind a faulty `mode` step
-    whole: bool = True  # False behind any faulty step
+    outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # possible outcomes of earlier steps, by name
+    modes_known: bool = True  # False after a faulty `mode` step
+    fault_free: bool = True  # False after any faulty step
     _steps: int = 0
     _samples: int = 0
     _duration_s: float = 0.0
@@ -74,9 +74,9 @@ class Timeline:
         self.faults.setdefault(self.document.fault((*step.location, *path), message))
 
     def complain_of_either(self, step: ProtocolStep, keys: tuple[str, str], message: str) -> None:
-        """Add a fault of two keys: at the second if only its parameter was changed, else at the first."""
-        first, second = ((*step.location, key) in self.document.changed for key in keys)
-        self.complain(step, keys[1] if second and not first else keys[0], message)
+        """Add a fault of two keys: at the second key if only its parameter was changed, else at the first."""
+        first_changed, second_changed = ((*step.location, key) in self.document.changed for key in keys)
+        self.complain(step, keys[1] if second_changed and not first_changed else keys[0], message)
 
     def charge(self, step: ProtocolStep, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
         """Count the actions, duration and samples of a step.
@@ -91,7 +91,7 @@ class Timeline:
         self._samples += samples
 
     def foresee(self, step: ProtocolStep, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
-        """Check the least demand of a step before any of its actions is created.
+        """Check that the least actions, duration and samples of a step fit the limits, before any action is created.
 
         Raises
         ------
@@ -119,7 +119,10 @@ class Timeline:
     def spelling(
         self, step: ProtocolStep, role: str, block: Driven, under: tuple[str | int, ...] = ()
     ) -> Spelling | None:
-        """Keys of the role's setpoints in its present mode; None, with faults, if the block has other keys."""
+        """Return the keys of a role's setpoints in its present mode; if the block has other keys, add faults: None.
+
+        `under` is the path of keys from the step to the block.
+        """
         if not self.modes_known:
             return None
         mode = self.roles[role].mode
@@ -130,23 +133,23 @@ class Timeline:
         fits = True
         for stem in (*block.needs, *block.takes):
             key = spelling.key(stem)
-            others = {other.key(stem) for other in SPELLINGS.values()} - {key}
-            strange = [other for other in sorted(others) if getattr(block, other) is not None]
-            for other in strange:
-                value = getattr(block, other)
+            keys_of_other_modes = {spelling_of_mode.key(stem) for spelling_of_mode in SPELLINGS.values()} - {key}
+            wrong_keys = [wrong for wrong in sorted(keys_of_other_modes) if getattr(block, wrong) is not None]
+            for wrong in wrong_keys:
+                value = getattr(block, wrong)
                 shown = f"{value:g}: " if isinstance(value, float) else ""
                 message = f"{shown}{role} is in {mode} mode at this point; {key} was expected"
-                self.complain(step, (*under, other), message)
-            missing = stem in block.needs and not strange and getattr(block, key) is None
+                self.complain(step, (*under, wrong), message)
+            missing = stem in block.needs and not wrong_keys and getattr(block, key) is None
             if missing:
                 self.complain(step, (*under, key), f"is required and missing ({role} is in {mode} mode at this point)")
-            fits = fits and not strange and not missing
+            fits = fits and not wrong_keys and not missing
         return spelling if fits else None
 
     def known_setpoint(self, step: ProtocolStep, role: str, why: str | tuple[str | int, ...]) -> float | None:
-        """The setpoint at which a ramp begins; None, with a fault, if it is unknown."""
+        """Return the setpoint at which a ramp begins; if it is unknown, add a fault at the key `why`: None."""
         before = self.roles[role].setpoint
-        if before is None and self.whole:
+        if before is None and self.fault_free:
             known = f"the {self.roles[role].mode} of {role} is not known before its first setpoint"
             self.complain(step, why, f"{known}; a set or hold before it was expected")
         return before
@@ -154,12 +157,12 @@ class Timeline:
     # -- actions ------------------------------------------------------------------------------------------------------
 
     def add(self, step: ProtocolStep, action: Action) -> None:
-        """Add an action that is no segment."""
+        """Add an action other than a segment."""
         self.charge(step)
         self.actions.append(action)
 
     def engage(self, step: ProtocolStep, modes: Mapping[str, Mode]) -> None:
-        """Put roles into modes; the setpoint becomes zero, in angle mode unknown."""
+        """Add an action that puts roles into modes; their setpoints become zero, or unknown in angle mode."""
         for role, mode in modes.items():
             self.roles[role] = RoleSetpoint(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
         self.add(step, Engage(dict(modes)))
@@ -175,7 +178,7 @@ class Timeline:
         until: Until | None = None,
         trial: SearchTrial | None = None,
     ) -> None:
-        """Add a segment."""
+        """Add a segment, and note the outcomes that its criterion may have."""
         self.charge(step, duration_s=duration_s)
         if until is not None:
             self.outcomes[name] = CRITERION_OUTCOMES if trial is None else SEARCH_OUTCOMES
@@ -211,7 +214,7 @@ class Timeline:
     def approach(
         self, step: ProtocolStep, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
     ) -> bool:
-        """Add a ramp to a setpoint if a rate is given and the setpoint changes; False if the start is unknown."""
+        """Add a ramp to a setpoint if a rate is given and the setpoint changes; False if the present one is unknown."""
         if rate is None or self.roles[role].setpoint == value:
             return True
         before = self.known_setpoint(step, role, SPELLINGS[self.roles[role].mode].rate)

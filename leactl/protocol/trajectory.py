@@ -1,4 +1,4 @@
-"""Trajectories from CSV files: a header with `time_s` and a column whose name ends in its unit; times increase.
+"""Read trajectories from CSV files with a column `time_s`, which increases, and a column whose name ends in its unit.
 
 Other columns are ignored. Values between rows are interpolated linearly; the signal starts at the first row's time.
 """
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1 << 28
 MAX_VALUE = 1e6
-MAX_FAULTS = 20  # faults reported: a file in the wrong unit has one in every row
+MAX_FAULTS = 20  # reported; a file in the wrong unit has a fault in every row
 
 
 def read(path: Path, column: str | None, spelling: Spelling) -> tuple["Array", "Array"]:
-    """Times (n,) from zero [s], and setpoints (n,).
+    """Return times (n,) from zero [s], and setpoints (n,).
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Run files: one HDF5 file holds one run, written while the bench moves and read years later by anyone.
+"""Write, read and check run files: one HDF5 file holds one run.
 
-A kill at any moment loses at most the last unflushed second, nothing is ever overwritten, and plain h5py, xarray and
-MATLAB open what is written here.
+A kill at any moment loses at most the last unflushed second, no file is ever overwritten, and plain h5py, xarray and
+MATLAB open run files.
 
     write/      record a run: rows into memory, memory into a live file, at the end the compressed file
     read/       read channels, steps, events and notes of a run

@@ -1,8 +1,8 @@
-"""Attach a record of another device to a closed run, as a stream of its own on the run's clock, with its provenance.
+"""Attach a record of another device to a closed run, as a separate stream on the run's clock, with its provenance.
 
-The run's own values stay as they are: the file is replaced by a copy with one more stream, after all other values have
-been compared. The stream's attributes keep the files' checksums, remarks on their content and the alignment of the
-clocks. The new stamps are a linear function of the record's own, which can therefore be restored.
+The recorded values of the run do not change: the file is replaced by a copy with one more stream, after all other
+values have been compared. The stream's attributes have the files' checksums, remarks on their content and the alignment
+of the clocks. The new stamps are a linear function of the record's stamps, which can therefore be restored.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ from leactl.runfile.write.repack import CHUNK_ROWS, COMPRESSION
 
 START_S = 0.2  # longest time from a run's `created` to its first cycle
 FEWEST_ROWS = 2
-MOST_TOLD = 8000  # bytes of one text: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
+MOST_TEXT_BYTES = 8000  # bytes of one text: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class AlignedRecord:
     alignment: Alignment
     time: Array  # s since the run's start
     values: Array  # (rows, channels)
-    left_out: int  # rows before the run's start or after its end
+    left_out: int  # number of rows before the run's start or after its end
 
     @property
     def uncertainty(self) -> float:
@@ -48,15 +48,15 @@ class AlignedRecord:
         return max(self.alignment.uncertainty(float(stamp)) for stamp in device_times)
 
     def summary_lines(self) -> list[str]:
-        """Lines for people: remarks on the record, the alignment, its uncertainty, and the rows kept and left out."""
+        """Return lines for people: remarks on the record, the alignment, its uncertainty, and the numbers of rows."""
         middle = float(np.mean((self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate))
         rows = f"{len(self.time)} rows, {self.time[0]:.6g} to {self.time[-1]:.6g} s of the run"
-        outside = f"; {self.left_out} rows outside the run left out" if self.left_out else ""
-        worst = f"stamps are good to {self.uncertainty:.2g} s (95 %)"
-        return [*self.record.remarks, self.alignment.describe(middle), worst, rows + outside]
+        outside_text = f"; {self.left_out} rows outside the run left out" if self.left_out else ""
+        uncertainty_text = f"stamps are good to {self.uncertainty:.2g} s (95 %)"
+        return [*self.record.remarks, self.alignment.describe(middle), uncertainty_text, rows + outside_text]
 
     def as_json(self) -> dict[str, Any]:
-        """The same facts as a JSON object."""
+        """Return the same facts as a JSON object."""
         return {
             "stream": self.record.stream,
             "rows": len(self.time),
@@ -105,19 +105,19 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
         return fit_alignment("a given offset", [Tie(0.0, clock.offset_s, sd)], drift, 0.0)
     reference_settings = clock.estimate or clock.onset
     assert reference_settings is not None
-    channel_values = record_channel(record, reference_settings.channel)
+    values = record_channel(record, reference_settings.channel)
     reference = run.channel_at(reference_settings.against)
     near = clock.near_s if clock.near_s is not None else expected_offset(record, run)
-    what = f"{reference_settings.channel} and {reference_settings.against}"
+    channels_text = f"{reference_settings.channel} and {reference_settings.against}"
     systematic = clock.delays_within_s + 0.5 * record.resolution
     reference_channel = (reference.time, reference.values)
     try:
         if clock.estimate is not None:
             return align_by_similarity(
-                (record.time, channel_values),
+                (record.time, values),
                 reference_channel,
                 reference_settings.within_s,
-                what,
+                channels_text,
                 near,
                 drift,
                 systematic,
@@ -125,7 +125,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
         assert clock.onset is not None
         ties = ties_by_onset(
             record.time,
-            channel_values,
+            values,
             *reference_channel,
             clock.onset.jump,
             near,
@@ -149,7 +149,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
 
 
 def record_channel(record: FileRecord, name: str) -> Array:
-    """Values (n,) of one channel of the record.
+    """Return the values (n,) of one channel of the record.
 
     Raises
     ------
@@ -162,7 +162,9 @@ def record_channel(record: FileRecord, name: str) -> Array:
 
 
 def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
-    """Offset of the clocks by their times of day [s], and half its uncertainty from the resolution of both [s].
+    """Return the offset of the clocks by their wall-clock times [s], and its uncertainty from their resolutions [s].
+
+    The uncertainty is a half-width; it includes the time from the run's `created` to its first cycle.
 
     Raises
     ------
@@ -180,13 +182,13 @@ def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
         raise InputError(f"{run.path}: attribute created is {text!r}, no ISO 8601 moment") from None
     if created.tzinfo is None:
         raise InputError(f"{run.path}: attribute created, {text}, has no zone")
-    cut = 0.0 if "." in text else 1.0  # whole seconds are cut, not rounded
-    start = created.timestamp() + 0.5 * (cut + START_S)
-    return record.began + 0.5 * record.resolution - start, 0.5 * (cut + START_S + record.resolution)
+    resolution = 0.0 if "." in text else 1.0  # s; whole seconds are truncated, not rounded
+    start = created.timestamp() + 0.5 * (resolution + START_S)
+    return record.began + 0.5 * record.resolution - start, 0.5 * (resolution + START_S + record.resolution)
 
 
 def expected_offset(record: FileRecord, run: Run) -> float:
-    """Offset to search around [s]: by the wall clocks if both have one, else 0."""
+    """Return the offset to search around [s]: that of the wall clocks if both are known, else 0."""
     try:
         return wall_offset(record, run)[0]
     except InputError:
@@ -198,7 +200,7 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
 
     Parameters
     ----------
-    settings : the settings that the files were read with; stored as an attribute of the stream.
+    settings : settings with which the files were read; stored as an attribute of the stream.
     replace : replace a stream of this name that was attached before.
 
     Raises
@@ -233,8 +235,8 @@ def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
         if not attached:
             faults.append(f"stream {record.stream} was recorded with the run and stays; name the device otherwise")
         elif not replace:
-            taken = f"stream {record.stream} is attached already, from {attached.get('record_files')}"
-            faults.append(f"{taken}; --replace puts this record in its place")
+            message = f"stream {record.stream} is attached already, from {attached.get('record_files')}"
+            faults.append(f"{message}; --replace puts this record in its place")
     holders = {
         (spec.quantity, spec.role, spec.location): f"{name}/{spec.name}"
         for name, specs in run.streams.items()
@@ -251,19 +253,19 @@ def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
 
 
 def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
-    """Attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks."""
+    """Return the attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks."""
     record, alignment = joined.record, joined.alignment
     digests = []
     for path in record.files:
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-    many = hashlib.sha256("".join(digests).encode()).hexdigest() if len(digests) > 1 else digests[0]
+    digest_text = hashlib.sha256("".join(digests).encode()).hexdigest() if len(digests) > 1 else digests[0]
     return {
-        "record_files": ", ".join(path.name for path in record.files)[:MOST_TOLD],
-        "record_sha256": many,  # of several files: of their checksums one after the other
+        "record_files": ", ".join(path.name for path in record.files)[:MOST_TEXT_BYTES],
+        "record_sha256": digest_text,  # of several files: digest of their concatenated hexadecimal digests
         "record_driver": driver,
-        "record_settings": json.dumps(settings, ensure_ascii=False)[:MOST_TOLD],
-        "record_told": "\n".join(joined.summary_lines()).encode()[:MOST_TOLD].decode("utf-8", "ignore"),
+        "record_settings": json.dumps(settings, ensure_ascii=False)[:MOST_TEXT_BYTES],
+        "record_told": "\n".join(joined.summary_lines()).encode()[:MOST_TEXT_BYTES].decode("utf-8", "ignore"),
         "record_rows_left_out": joined.left_out,
         "alignment_method": alignment.method,
         "alignment_offset_s": alignment.offset,

@@ -1,6 +1,7 @@
-"""Export a run to CSV, MATLAB or Parquet for people who do not read HDF5; the run file stays the record.
+"""Export a run to CSV, MATLAB or Parquet for programs that do not read HDF5.
 
-CSV and Parquet get one file per stream, MATLAB one file for the run. No file is overwritten or left half written.
+CSV and Parquet get one file per stream, MATLAB one file for the run. No file is overwritten, and an interrupted export
+leaves no incomplete file.
 """
 
 import csv
@@ -19,8 +20,8 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runfile.read.reader import Run
 
 Format = Literal["csv", "mat", "parquet"]
-FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet runs (OWASP, "CSV injection")
-CONTROL = re.compile("[\x00-\x1f\x7f]")  # a carriage return alone begins a new row for some readers
+FORMULA = ("=", "+", "-", "@")  # first characters of a cell that a spreadsheet evaluates (OWASP, "CSV injection")
+CONTROL = re.compile("[\x00-\x1f\x7f]")  # for some programs, a single carriage return begins a new row
 FIELD_LENGTH = 63  # MATLAB's longest name
 
 
@@ -56,7 +57,7 @@ Writer = Callable[[Path], None]
 
 
 def csv_writers(run: Run) -> dict[str, Writer]:
-    """One CSV per stream."""
+    """Return one CSV per stream."""
 
     def write(stream: str, target: Path) -> None:
         with target.open("x", encoding="utf-8", newline="") as file:
@@ -69,18 +70,18 @@ def csv_writers(run: Run) -> dict[str, Writer]:
 
 
 def heading(text: str) -> str:
-    """A heading that no spreadsheet takes for a formula: an apostrophe stands before a leading `=`, `+`, `-` or `@`."""
+    """Return a heading that no spreadsheet reads as a formula: a leading `=`, `+`, `-` or `@` gets an apostrophe."""
     plain = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
     return f"'{plain}" if plain.startswith(FORMULA) else plain
 
 
 def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
-    """Shortest decimal texts that read back as the same values; float32 needs at most nine digits."""
+    """Yield the shortest decimal texts that read back as the same values; float32 needs at most nine digits."""
     return (f"{value:.9g}" if column.itemsize < 8 else repr(value) for value in column.tolist())
 
 
 def parquet_writers(run: Run) -> dict[str, Writer]:
-    """One Parquet file per stream, with units and the run's attributes as metadata."""
+    """Return one Parquet file per stream, with units and the run's attributes as metadata."""
     arrow, parquet = modules()
 
     def write(stream: str, target: Path) -> None:
@@ -99,7 +100,7 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_writers(run: Run) -> dict[str, Writer]:
-    """One MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
+    """Return one MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
     from scipy.io import savemat
 
     def write(target: Path) -> None:
@@ -119,7 +120,7 @@ def mat_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_stream(run: Run, stream: str) -> dict[str, Any]:
-    """One stream as a struct of channels, each a struct of values, quantity, role, units and names."""
+    """Return one stream as a struct of channels, each a struct of values, quantity, role, units and names."""
     columns: dict[str, Any] = {"time": run.time(stream)}
     values = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
     for spec in run.streams[stream]:
@@ -129,7 +130,7 @@ def mat_stream(run: Run, stream: str) -> dict[str, Any]:
 
 
 def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
-    """Blocks of all rows of a stream, by channel name."""
+    """Return the blocks of all rows of a stream, by channel name."""
     columns: dict[str, list[np.ndarray[Any, Any]]] = {
         spec.name: [np.empty(0, spec.dtype)] for spec in run.streams[stream]
     }
@@ -140,7 +141,7 @@ def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
 
 
 def struct(fields: dict[str, Any]) -> dict[str, Any]:
-    """The fields under distinct names that MATLAB accepts: letters, digits and underscores, a letter first."""
+    """Rename fields to distinct names that MATLAB accepts: letters, digits and underscores, a letter first."""
     named: dict[str, Any] = {}
     for name, value in fields.items():
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)

@@ -11,24 +11,24 @@ from leactl.yamlblock import Block
 LONGEST = 200  # characters of a text that is to be on one line
 
 
-def _iso(given: Any) -> Any:
-    """Refuse anything but an ISO date: pydantic would take a number for seconds since 1970."""
-    if isinstance(given, str) and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", given, re.ASCII):
+def _iso_date_only(value: Any) -> Any:
+    """Refuse any value but an ISO date, since pydantic would read a number as seconds since 1970."""
+    if isinstance(value, str) and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", value, re.ASCII):
         raise ValueError("a date as 2026-01-31 was expected")
-    if isinstance(given, int | float):
+    if isinstance(value, int | float):
         raise ValueError("a date as 2026-01-31 was expected")  # noqa: TRY004 (pydantic passes TypeError on)
-    return given
+    return value
 
 
-def _quoted(given: Any) -> Any:
-    """Refuse an unquoted number, which would have lost its leading zeros."""
-    if isinstance(given, int | float):
-        raise ValueError(f'a text was expected: put it in quotes, "{given}"')  # noqa: TRY004 (as above)
-    return given
+def _quoted_text_only(value: Any) -> Any:
+    """Refuse an unquoted number, since YAML drops its leading zeros."""
+    if isinstance(value, int | float):
+        raise ValueError(f'a text was expected: put it in quotes, "{value}"')  # noqa: TRY004 (as above)
+    return value
 
 
-Label = Annotated[str, BeforeValidator(_quoted), Field(max_length=LONGEST)]
-Day = Annotated[date, BeforeValidator(_iso)]
+Label = Annotated[str, BeforeValidator(_quoted_text_only), Field(max_length=LONGEST)]
+Day = Annotated[date, BeforeValidator(_iso_date_only)]
 
 
 class Instrument(Block):

@@ -1,6 +1,6 @@
-"""Layout of a run file, version 1: names of groups and attributes, text in both its forms, and checksums.
+"""Define the layout of a run file, version 1: names of groups and attributes, storage of text, and checksums.
 
-docs/reference/run-format.md describes the same contract in prose; whatever changes here changes `VERSION`.
+docs/reference/run-format.md describes the same contract in prose. A change of the layout requires a new `VERSION`.
 """
 
 import hashlib
@@ -64,12 +64,12 @@ def to_python(value: Any) -> Any:
 
 
 def attributes(node: Any) -> dict[str, Any]:
-    """Attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
+    """Return the attributes of a group or dataset as Python values, without those of HDF5's dimension scales."""
     return {name: to_python(node.attrs[name]) for name in node.attrs if name not in OF_SCALES}
 
 
 def storable(text: str) -> str:
-    """Replace characters that HDF5 cannot store: NUL, which ends a string, and lone surrogates, which are no UTF-8."""
+    """Replace characters that HDF5 cannot store: NUL, which ends a string, and lone surrogates, which UTF-8 forbids."""
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
 
 
@@ -96,21 +96,21 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
 
 
 def parameters(file: Any) -> dict[str, Any]:
-    """Parameters of the protocol with the values of the run; empty if the file has none."""
+    """Return the parameters of the protocol with the values of the run; empty if the file has none."""
     group = file.get("parameters")
     values = attributes(group) if isinstance(group, h5py.Group) else {}
     return {name: value for name, value in values.items() if is_parameter(value)}
 
 
 def is_parameter(value: Any) -> bool:
-    """Whether an attribute has a type that a parameter may have: text, a finite number, or a list of either."""
+    """Return whether an attribute has a type that a parameter may have: text, a finite number, or a list of either."""
     if isinstance(value, list):
         return all(not isinstance(item, list) and is_parameter(item) for item in value)
     return isinstance(value, str) or (isinstance(value, int | float) and math.isfinite(value))
 
 
 def instruments(file: Any) -> dict[str, dict[str, str]]:
-    """Known facts of each device, by its name in the bench file; empty if the file has none."""
+    """Return the known facts of each device, by its name in the bench file; empty if the file has none."""
     group = file.get("instruments")
     devices = group.items() if isinstance(group, h5py.Group) else ()
     known = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
@@ -136,12 +136,12 @@ def copy_description(source: Any, target: Any) -> None:
 
 
 def is_text(dataset: Any) -> bool:
-    """Whether a dataset holds strings, of fixed or variable length."""
+    """Return whether a dataset holds strings, of fixed or variable length."""
     return h5py.check_string_dtype(dataset.dtype) is not None
 
 
 def texts(dataset: Any, rows: int | None = None) -> list[str]:
-    """A 1-D string dataset, of fixed or variable length, as str."""
+    """Return the first `rows` values, or all, of a 1-D string dataset of fixed or variable length."""
     return [str(to_python(value)) for value in dataset[:rows]]
 
 
@@ -161,7 +161,7 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
 
 
 def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
-    """Attributes of a channel; empty optional ones are left out."""
+    """Return the attributes of a channel; empty optional ones are left out."""
     required: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,
@@ -179,7 +179,7 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
 
 
 def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every dataset below a group with its path; soft and external links are not followed."""
+    """Yield every dataset below a group with its path; soft and external links are not followed."""
     for name in node:
         if not isinstance(node.get(name, getlink=True), h5py.HardLink):
             continue
@@ -192,7 +192,7 @@ def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def digest(dataset: Any) -> str:
-    """SHA-256 of a dataset's values.
+    """Return the SHA-256 of a dataset's values.
 
     Numbers count as their little-endian bytes, a scalar string as its UTF-8 bytes (so that `sha256sum` of the YAML
     file gives the same), an array of strings as the UTF-8 bytes of each with a NUL after it.
@@ -213,5 +213,5 @@ def digest(dataset: Any) -> str:
 
 
 def little_endian(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The same values in the byte order that checksums are defined in."""
+    """Return the same values in little-endian byte order, by which checksums are defined."""
     return values.astype(values.dtype.newbyteorder("<"), copy=False)

@@ -27,7 +27,7 @@ def new_file(target: Path) -> Iterator[Path]:
     refuse_existing(target)
     with temporary(target) as path:
         yield path
-        with _blamed_on(target):
+        with _reported_for(target):
             force_to_disk(path)
             move_without_overwriting(path, target)
 
@@ -37,7 +37,7 @@ def replacement(target: Path) -> Iterator[Path]:
     """Yield a temporary path; the file written there replaces `target` in one step or not at all."""
     with temporary(target) as path:
         yield path
-        with _blamed_on(target):
+        with _reported_for(target):
             force_to_disk(path)
             path.replace(target)
         force_folder_to_disk(target.parent)
@@ -66,29 +66,30 @@ def move_without_overwriting(source: Path, target: Path) -> None:
 
 @contextmanager
 def temporary(target: Path) -> Iterator[Path]:
-    """Yield an unused hidden path next to the target, and remove the file there at the end.
+    """Yield an unused hidden path in the target's folder, and remove the file there at the end.
 
     Raises
     ------
-    NotWritten : the block failed with an OSError; the target is blamed only where the system blames it or the disk.
+    NotWritten : the block failed with an OSError; the message says that the target cannot be written if the error
+        names it or is that of a disk, and else that it was not written.
     """
     path = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield path
     except OSError as fault:
-        # a write that failed names no file, and so does a read; the system's number tells a disk that takes no more
-        is_of_target = str(fault.filename) in (str(path), str(target)) or (
+        # a failed write has no file name, and neither has a failed read; errno identifies a disk that cannot be written
+        is_write_failure = str(fault.filename) in (str(path), str(target)) or (
             fault.filename is None and fault.errno in DISK_FAULTS
         )
-        raise _not_written(target, "cannot be" if is_of_target else "was not", fault) from fault
+        raise _not_written(target, "cannot be" if is_write_failure else "was not", fault) from fault
     finally:
-        with suppress(OSError):  # what went wrong before is what is told
+        with suppress(OSError):  # an earlier error must not be replaced by this one
             path.unlink()
 
 
 @contextmanager
-def _blamed_on(target: Path) -> Iterator[None]:
-    """Convert an OSError of forcing a finished file to the disk and naming it."""
+def _reported_for(target: Path) -> Iterator[None]:
+    """Convert an OSError in the block to NotWritten, with the target as the file that cannot be written."""
     try:
         yield
     except OSError as fault:
@@ -96,14 +97,15 @@ def _blamed_on(target: Path) -> Iterator[None]:
 
 
 def _not_written(target: Path, verb: str, fault: OSError) -> NotWritten:
-    """The error of one line, with the words of the system."""
+    """Return an error of one line that ends with the text of `fault`."""
     return NotWritten(f"{target}: {verb} written: {' '.join(str(fault).split())}")
 
 
 def force_folder_to_disk(folder: Path) -> None:
-    """Wait until the entries of a folder are on the disk, where its file system can be asked for that.
+    """Wait until the entries of a folder are on the disk, if its file system supports that.
 
-    Some network mounts refuse it, and Windows opens no folder. The file has its name by then: it is no failure.
+    Some network mounts refuse the request, and Windows cannot open a folder. That is no failure, since the file already
+    has its final name.
     """
     if sys.platform != "win32":
         with suppress(OSError):
@@ -111,7 +113,10 @@ def force_folder_to_disk(folder: Path) -> None:
 
 
 def force_to_disk(path: Path) -> None:
-    """Wait until a file, or what a folder lists, is on the disk (fsync); Windows wants a descriptor that may write."""
+    """Wait until a file, or the entries of a folder, are on the disk (fsync).
+
+    Windows requires a descriptor that is open for writing.
+    """
     descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,9 +1,9 @@
-"""The seal of a run file: digests of all its objects, names and attributes included, when the run was closed.
+"""Seal run files: compute and check digests of all objects of a closed run, with their names and attributes.
 
-`/seal` lists each group and dataset with a digest of its kind, its attributes and the checksum of its values; the
-root's attribute `seal` is the digest of that list. A group that is added later has a `seal` of its own tree, and the
-root's attribute `additions` is the digest of those. The storage of a value (compression, chunks, version of HDF5 or
-h5py, scalar or array of one) is in no digest, so that a rewritten file keeps its seal.
+The group `/seal` lists each group and dataset with a digest of its kind, its attributes and the checksum of its values;
+the root's attribute `seal` is the digest of that list. A group that is added after the close has an attribute `seal`
+for its tree, and the root's attribute `additions` is the digest of all those seals. No digest depends on the storage of
+a value (compression, chunks, version of HDF5 or h5py, scalar or array of one), so that a rewritten file keeps its seal.
 """
 
 import hashlib
@@ -15,15 +15,15 @@ import h5py
 
 from leactl.runfile import layout
 
-SEAL: Final = "seal"  # attribute of the root and of each addition, and the group with the list
+SEAL: Final = "seal"  # attribute of the root and of each addition, and group with the list
 ADDITIONS: Final = "additions"
 COLUMNS: Final[dict[str, int | None]] = {"path": 0, "sha256": 0}
-OWN: Final = ("sha256", SEAL, ADDITIONS)  # attributes that are digests themselves
-MOST_LISTED: Final = 5  # places with a line each
+DIGEST_ATTRIBUTES: Final = ("sha256", SEAL, ADDITIONS)  # attributes that are digests themselves
+MOST_LISTED: Final = 5  # paths that get a line each in findings
 
 
 def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
-    """Path and digest of every object of a tree, the node itself first; without additions and `/seal`."""
+    """Yield path and digest of every object of a tree, `node` first, without additions and `/seal`."""
     yield path, object_digest(node)
     if not isinstance(node, h5py.Group):
         return
@@ -39,7 +39,7 @@ def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
 
 
 def object_digest(node: Any) -> str:
-    """Digest of a group or dataset: its kind, shape, attributes, and the stored checksum of its values."""
+    """Return the digest of a group or dataset: of its kind, shape, attributes and the stored checksum of its values."""
     digests = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
     attributes = {name: value for name, value in layout.attributes(node).items() if name not in digests}
     if isinstance(node, h5py.Dataset):
@@ -51,23 +51,23 @@ def object_digest(node: Any) -> str:
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 of a value as JSON with sorted keys and shortest round-trip numbers."""
+    """Return the SHA-256 of a value as JSON with sorted keys and shortest round-trip numbers."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def table_of(file: Any) -> list[dict[str, str]]:
-    """Rows of `/seal` for the present state of a file."""
+    """Return the rows of `/seal` for the present state of a file."""
     return [{"path": path, "sha256": digest} for path, digest in sorted(entries(file))]
 
 
 def digest_of_table(rows: list[dict[str, str]]) -> str:
-    """Value of the root's attribute `seal` for these rows."""
+    """Return the value of the root's attribute `seal` for the rows of `/seal`."""
     return digest_of([[row["path"], row["sha256"]] for row in rows])
 
 
 def additions(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and object of each addition after the close: the objects that have a seal of their own."""
+    """Yield path and object of each addition after the close: each object with an attribute `seal`."""
     for name in node:
         child_path = f"{path}/{name}"
         if child_path == f"/{SEAL}" or not isinstance(node.get(name, getlink=True), h5py.HardLink):
@@ -80,7 +80,7 @@ def additions(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def seal_additions(file: Any, hdf5_paths: Iterable[str]) -> None:
-    """Update the seals of additions at these paths and the root's digest of them; does nothing in an unsealed file."""
+    """Update the seals of the additions at these paths and the root's digest of all; leave an unsealed file alone."""
     if SEAL not in file.attrs:
         return
     for hdf5_path in hdf5_paths:
@@ -90,12 +90,12 @@ def seal_additions(file: Any, hdf5_paths: Iterable[str]) -> None:
 
 
 def digest_of_additions(file: Any) -> str:
-    """Value of the root's attribute `additions`."""
+    """Return the value of the root's attribute `additions`."""
     return digest_of(sorted((hdf5_path, layout.to_python(node.attrs[SEAL])) for hdf5_path, node in additions(file)))
 
 
 def seal_findings(file: Any) -> list[str]:
-    """One line for each difference to the closed run or to its sealed additions; empty for a file without a seal."""
+    """Return one line for each difference to the closed run or its sealed additions; empty if the file has no seal."""
     sealed = SEAL in file.attrs
     if not sealed and SEAL not in file:
         return []
@@ -108,44 +108,42 @@ def seal_findings(file: Any) -> list[str]:
         return [f"/{SEAL}: the list of what the file held at its close is missing or damaged"]
     if not sealed or layout.to_python(file.attrs[SEAL]) != digest_of_table(rows):
         return [f"/{SEAL}: the list of what the file held at its close does not match the root's seal"]
-    if unlisted := more_than_the_list(file[SEAL]):
+    if unlisted := unlisted_content(file[SEAL]):
         return [f"/{SEAL}: holds more than the list of what the file held at its close: {unlisted}"]
     recorded, present = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
     findings = [
-        *findings_for(
-            without_members(recorded.keys() - present.keys()), "is missing; it was there when the run was closed"
-        ),
-        *findings_for(without_members(present.keys() - recorded.keys()), "was not there when the run was closed"),
+        *findings_for(topmost(recorded.keys() - present.keys()), "is missing; it was there when the run was closed"),
+        *findings_for(topmost(present.keys() - recorded.keys()), "was not there when the run was closed"),
         *findings_for(
             {path for path in recorded.keys() & present.keys() if recorded[path] != present[path]},
             "attributes, kind or checksum are not those of when the run was closed",
         ),
     ]
-    later = dict(additions(file))
-    for hdf5_path, node in later.items():
+    sealed_later = dict(additions(file))
+    for hdf5_path, node in sealed_later.items():
         if layout.to_python(node.attrs[SEAL]) != digest_of(sorted(entries(node, hdf5_path))):
             findings.append(f"{hdf5_path}: is not as it was added after the run was closed")
     sealed_additions = layout.to_python(file.attrs.get(ADDITIONS, ""))
-    if sealed_additions != (digest_of_additions(file) if later or sealed_additions else ""):
+    if sealed_additions != (digest_of_additions(file) if sealed_later or sealed_additions else ""):
         findings.append("/: what was added after the run was closed is not all there, or more was added")
     return findings
 
 
-def more_than_the_list(group: Any) -> str:
-    """Members and attributes of `/seal` beside its list, which no digest covers; empty if there are none."""
+def unlisted_content(group: Any) -> str:
+    """Return the members and attributes of `/seal` that do not belong to its list and that no digest covers."""
     members = [name for name in group if name not in COLUMNS]
     columns = {name for column in COLUMNS for name in layout.attributes(group[column])}
     return ", ".join(map(repr, [*members, *layout.attributes(group), *(columns - {"sha256"})]))
 
 
 def findings_for(paths: Iterable[str], reason: str) -> list[str]:
-    """A line for each path, or one line for all if there are more than `MOST_LISTED`."""
+    """Return a line for each path, or one line for all if there are more than `MOST_LISTED`."""
     in_order = sorted(paths)
     if len(in_order) > MOST_LISTED:
         return [f"{in_order[0]} and {len(in_order) - 1} more: {reason}"]
     return [f"{path}: {reason}" for path in in_order]
 
 
-def without_members(paths: set[str]) -> set[str]:
-    """The paths that do not lie below another one of them."""
-    return {path for path in paths if not any(path.startswith(f"{other}/") for other in paths if other != path)}
+def topmost(paths: set[str]) -> set[str]:
+    """Return the paths without those that lie below another path of the set."""
+    return {path for path in paths if not any(path.startswith(f"{parent}/") for parent in paths if parent != path)}

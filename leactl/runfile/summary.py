@@ -1,4 +1,4 @@
-"""Summary of a run for lists: plain values without HDF5, which can be stored, sent and compared."""
+"""Define the summary of a run for lists: plain values without HDF5, which can be stored, sent and compared."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,11 +13,11 @@ class Summary(NamedTuple):
     """Summary of one run file; if `fault` is not empty, only `folder`, `file` and `size` are known."""
 
     folder: Path
-    file: str  # its name in the folder
+    file: str  # file name in the folder
     size: int  # bytes
     run_id: str = ""
     protocol: str = ""
-    experiment: str = ""  # what its protocol asks to be analysed as, else the protocol's name
+    experiment: str = ""  # analysis that the protocol names, else the protocol's name
     actuator: str = ""
     condition: str = ""
     bench: str = ""
@@ -28,9 +28,9 @@ class Summary(NamedTuple):
     status: str = ""
     status_reason: str = ""
     created: str = ""
-    seed: int | None = None  # of an emulated bench, where the file has it
+    seed: int | None = None  # of an emulated bench; None if the file has none
     duration: float = 0.0  # s, up to the last stamp of any stream
-    rows: int = 0  # of its longest stream
+    rows: int = 0  # of the longest stream
     fault: str = ""
     parameters: Mapping[str, Any] = {}  # of the protocol, with the values that were used
     tags: tuple[str, ...] = ()
@@ -41,13 +41,13 @@ class Summary(NamedTuple):
         return self.folder / self.file
 
     def as_json(self) -> dict[str, Any]:
-        """All fields as a JSON object."""
-        known = self._asdict()
-        del known["folder"]
-        changed = {"parameters": dict(self.parameters), "tags": list(self.tags)}
-        return {"path": str(self.path)} | known | changed
+        """Return all fields as a JSON object."""
+        values = self._asdict()
+        del values["folder"]
+        plain_values = {"parameters": dict(self.parameters), "tags": list(self.tags)}
+        return {"path": str(self.path)} | values | plain_values
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a file name is that of a run file."""
+    """Return whether a file name is that of a run file."""
     return name.endswith((".h5", ".h5.partial")) and not name.startswith(".")

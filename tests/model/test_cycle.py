@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.model.cycle import POINTS, _left_out, _series, read_cycle
+from leactl.model.cycle import POINTS, _residual_and_notes, _series, read_cycle
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_derivatives_are_those_of_the_motion(written, closed):
     np.testing.assert_allclose(cycle.velocity, velocity, atol=1e-6)
     np.testing.assert_allclose(cycle.acceleration, acceleration, atol=1e-5)
     np.testing.assert_allclose(cycle.torque, 40.0 * np.cos(part) - 10.0, atol=0.05)
-    assert cycle.left_out < 1e-6
+    assert cycle.relative_residual < 1e-6
 
 
 def test_rows_that_are_not_even_leave_nothing_free(written):
@@ -82,7 +82,7 @@ def test_noise_of_an_angle_does_not_become_acceleration(written):
     clean = read_cycle(written(), stride_time=1.0)
     noisy = read_cycle(written(edit=shaken), stride_time=1.0)
     assert np.std(noisy.acceleration - clean.acceleration) < 0.2 * np.std(clean.acceleration)
-    assert 0.001 < noisy.left_out < 0.01
+    assert 0.001 < noisy.relative_residual < 0.01
     assert not noisy.notes
 
 
@@ -98,7 +98,7 @@ def slipped(*rows, by):
 def test_a_single_sample_that_the_series_smooths_away_is_told_with_its_line(written, closed):
     cycle = read_cycle(written(edit=slipped(50, by=80.0), closed=closed), stride_time=1.1)
     (note,) = cycle.notes
-    assert note.startswith(f"10 harmonics leave out {100.0 * cycle.left_out:.1f} % of the angle's range (rms)")
+    assert note.startswith(f"10 harmonics leave out {100.0 * cycle.relative_residual:.1f} % of the angle's range (rms)")
     assert "; line 52 alone is " in note
 
 
@@ -110,7 +110,7 @@ def test_samples_that_are_many_are_told_without_a_line(written):
 
 def test_a_small_slip_of_one_sample_is_told_too(written):
     cycle = read_cycle(written(edit=slipped(50, by=6.0)), stride_time=1.1)
-    assert cycle.left_out < 0.02
+    assert cycle.relative_residual < 0.02
     assert "; line 52 alone is 15% of it off what the others tell" in cycle.notes[0]  # 6 of 40 deg
 
 
@@ -130,7 +130,9 @@ def test_noise_is_no_slip(seed, rows):
     rng = np.random.default_rng(seed)
     part = np.arange(rows) / rows
     angle = np.sin(2.0 * np.pi * part) + rng.normal(0.0, 0.1, rows)
-    assert "line" not in "".join(_left_out(part, angle, _series(part, angle, 10, part)[3], list(range(rows)), 10)[1])
+    assert "line" not in "".join(
+        _residual_and_notes(part, angle, _series(part, angle, 10, part)[3], list(range(rows)), 10)[1]
+    )
 
 
 def cut(table):

@@ -27,7 +27,7 @@ def swing(amplitude=0.4, torque=50.0, phase=0.7, period=1.1, mean=0.0):
         -amplitude * rate**2 * np.sin(PART),
         torque * np.cos(PART + phase) + mean,
         harmonics=1,
-        left_out=0.0,
+        relative_residual=0.0,
     )
 
 

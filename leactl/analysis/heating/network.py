@@ -14,7 +14,7 @@ import numpy as np
 from leactl.analysis.heating.first_guess import covered, guesses, starting_lag, thinned
 from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.errors import NotIdentifiable
-from leactl.model.thermal_network import Conductances, Drive, driven_at, left_of_start
+from leactl.model.thermal_network import Conductances, Drive, driven_at, remaining_rise
 
 NETWORK = 5  # unknowns that all records share
 STEP = 1e-4  # of central differences: their error is its square
@@ -200,7 +200,7 @@ def _started(
 ) -> Array:
     after = _stamps(record, unknowns, record_unknowns) - record.supply.time[0]
     start = np.array([record_unknowns["winding_start"], record_unknowns["housing_start"]])
-    return np.asarray(np.einsum("nst,s->nt", left_of_start(network, after), start), np.float64)
+    return np.asarray(np.einsum("nst,s->nt", remaining_rise(network, after), start), np.float64)
 
 
 def _stamps(record: HeatingRecord, unknowns: Unknowns, record_unknowns: dict[str, float]) -> Array:
@@ -239,7 +239,7 @@ def _columns(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array)
             high, low = (_fitted(record, unknowns, network_of(p), record_unknowns) for p in moved)
             derivatives[:, :, k] = (high - low) / (2.0 * step)
         after = _stamps(record, unknowns, record_unknowns) - record.supply.time[0]
-        start, names = left_of_start(network, after), unknowns.of(record)
+        start, names = remaining_rise(network, after), unknowns.of(record)
         derivative_of = {
             "winding_start": start[:, 0],
             "housing_start": start[:, 1],

@@ -1,8 +1,8 @@
 """Align one clock with another: offset, drift and their uncertainty, by least squares through common moments (ties).
 
-A tie is one moment read on both clocks, with its standard deviation. A straight line through
-the ties is the alignment. The drift of one clock against the other is bounded beforehand; the bound enters as a
-prior on the slope, so that the uncertainty of a single tie grows with the time from it.
+A tie is one moment with its time on both clocks and its standard deviation. The alignment is a straight line through
+the ties. The drift of one clock against the other has a known bound, which enters as a prior on the slope, so that the
+uncertainty of a single tie grows with the time from it.
 """
 
 import math
@@ -18,17 +18,20 @@ from leactl.runfile.align.similarity import FAR_APART, FEWEST_COMMON, ends_searc
 
 Array = npt.NDArray[np.float64]
 NORMAL_95 = 1.959964
-LEAST_CORRELATION = 0.8  # below it, two channels are taken to have measured different quantities
-LEAST_SHARE = 0.05  # a channel's noise and its own derivative cancel from sample to sample
-LEAST_PART = 1.0 / 3.0  # of the variance that the best shift explains: a shift that explains less may fit by chance
-BLOCKS = 12  # of the common time, each of which gives a tie
+LEAST_CORRELATION = 0.8  # two channels with a lower correlation have measured different quantities
+# bound of a variance of correlated scores over that of uncorrelated ones; scores are a channel's noise times its own
+# derivative, which cancel from sample to sample
+LEAST_VARIANCE_SHARE = 0.05
+# of the variance that the best shift explains; a shift that explains less may fit by chance
+LEAST_EXPLAINED_SHARE = 1.0 / 3.0
+BLOCKS = 12  # parts of the common time, each of which gives a tie
 FEWEST_IN_BLOCK = 30  # samples
 LEAST_DRIFT = 1e-12
-LEAST_SD = 0.01  # of the sampling interval: between samples lies a straight line
+LEAST_SD = 0.01  # of the sampling interval; samples are interpolated linearly
 
 
 class Tie(NamedTuple):
-    """One moment on both clocks."""
+    """Time of one moment on both clocks."""
 
     device_time: float  # s
     run_time: float  # s
@@ -43,24 +46,27 @@ class Alignment:
     offset: float  # s
     rate: float
     covariance: tuple[float, float, float]  # of offset and rate: s^2, s, 1; before `systematic`
-    systematic: float  # s, 95 %: delays that no tie shows
-    quantile: float  # of what the covariance is multiplied by for 95 %
-    ties: int
+    systematic: float  # s, 95 %: constant delay between the channels, which no tie shows
+    quantile: float  # factor from standard deviation to the half-width of the 95 % interval
+    ties: int  # number of ties
 
     def on_run(self, device_time: Array) -> Array:
         """Convert stamps of the device's clock [s], any shape, to the run's clock [s]."""
         return np.asarray(self.offset + self.rate * device_time, np.float64)
 
     def uncertainty(self, device_time: float) -> float:
-        """Half-width of the 95 % interval [s] of a stamp converted to the run's clock."""
-        a, ab, b = self.covariance
+        """Return the half-width of the 95 % interval [s] of a stamp converted to the run's clock."""
+        offset_variance, covariance, rate_variance = self.covariance
         return math.hypot(
-            self.quantile * math.sqrt(max(a + 2 * device_time * ab + device_time * device_time * b, 0.0)),
+            self.quantile
+            * math.sqrt(
+                max(offset_variance + 2 * device_time * covariance + device_time * device_time * rate_variance, 0.0)
+            ),
             self.systematic,
         )
 
     def describe(self, device_time: float = 0.0) -> str:
-        """One line for people: offset and drift with their uncertainty at `device_time` [s], and the method."""
+        """Return one line for people: offset and drift with their uncertainty at `device_time` [s], and the method."""
         drift = f", drift {self.drift_ppm:+.3g} +- {self.drift_uncertainty_ppm:.2g} ppm" if self.covariance[2] else ""
         run_time = float(self.on_run(np.array([device_time]))[0])
         when = f" at {device_time:.6g} s of its own" if device_time else ""
@@ -83,7 +89,7 @@ def fit_alignment(method: str, ties: Sequence[Tie], drift_within: float, systema
 
     Parameters
     ----------
-    drift_within : the rate lies within 1 +- this before any tie is seen (95 %).
+    drift_within : prior of the rate: within 1 +- `drift_within` (95 %).
     systematic : constant delay between the two channels that the ties compare (95 %) [s].
     """
     device_times = np.array([tie.device_time for tie in ties])
@@ -100,30 +106,43 @@ def fit_alignment(method: str, ties: Sequence[Tie], drift_within: float, systema
     )
     covariance = np.linalg.inv(normal)
     mean, slope = covariance @ np.array([(weight * shift).sum(), (weight * centred * shift).sum()])
-    free = len(ties) - (2 if drift_within > LEAST_DRIFT else 1)
+    degrees_of_freedom = len(ties) - (2 if drift_within > LEAST_DRIFT else 1)
     quantile = NORMAL_95
-    if free >= 1:
+    if degrees_of_freedom >= 1:
         from scipy.stats import t
 
-        # ties that scatter by more than they claim are worth less; fewer than they claim is luck
-        scatter = float((weight * (shift - mean - slope * centred) ** 2).sum()) / free
+        # a scatter above the standard deviations of the ties widens the interval; one below them is chance
+        scatter = float((weight * (shift - mean - slope * centred) ** 2).sum()) / degrees_of_freedom
         covariance = covariance * max(scatter, 1.0)
-        quantile = float(t.ppf(0.975, free)) if scatter > 1.0 else NORMAL_95
+        quantile = float(t.ppf(0.975, degrees_of_freedom)) if scatter > 1.0 else NORMAL_95
     at_zero = np.array([[1.0, -centre], [0.0, 1.0]])
-    a, b = at_zero @ covariance @ at_zero.T
+    offset_row, rate_row = at_zero @ covariance @ at_zero.T
     return Alignment(
-        method, float(mean - slope * centre), 1.0 + float(slope), (a[0], a[1], b[1]), systematic, quantile, len(ties)
+        method,
+        float(mean - slope * centre),
+        1.0 + float(slope),
+        (offset_row[0], offset_row[1], rate_row[1]),
+        systematic,
+        quantile,
+        len(ties),
     )
 
 
 def ties_by_similarity(
     time: Array, values: Array, base: Array, reference: Array, shift: float, rate: float = 1.0
 ) -> list[Tie]:
-    """Ties of two channels that measured the same quantity, one for each block of their common time.
+    """Compute ties of two channels that measured the same quantity, one for each block of their common time.
 
-    Near the right shift the channel is a scaled reference plus the reference's derivative times the error of the
-    shift. Noise of the reference would bias that error towards zero; the channel's own derivative serves as the
-    instrumental variable. Both are compared at the samples of the slower one; the faster one is interpolated.
+    Near the right shift, the channel is the scaled reference plus the reference's derivative times the error of the
+    shift. Noise of the reference would bias that error towards zero, so that the channel's own derivative serves as
+    the instrumental variable. The channels are compared at the samples of the slower one; the faster one is
+    interpolated.
+
+    Parameters
+    ----------
+    time, values : stamps on the device's clock [s] and values of the channel, shape (n,).
+    base, reference : stamps on the run's clock [s] and values of the reference, shape (m,).
+    shift, rate : approximate alignment: run time = shift + rate * device time.
     """
     finite, reference_finite = np.isfinite(values), np.isfinite(reference)
     time, values, base, reference = (
@@ -132,56 +151,68 @@ def ties_by_similarity(
         base[reference_finite],
         reference[reference_finite],
     )
-    fine = float(np.median(np.diff(time))) < float(np.median(np.diff(base)))
-    grid = base if fine else time
+    channel_is_faster = float(np.median(np.diff(time))) < float(np.median(np.diff(base)))
+    grid = base if channel_is_faster else time
     interval = float(np.median(np.diff(grid)))
-    first, last = max(time[0], base[0]) + interval, min(time[-1], base[-1]) - interval
-    grid = grid[(grid > first) & (grid < last)]
+    start, stop = max(time[0], base[0]) + interval, min(time[-1], base[-1]) - interval
+    grid = grid[(grid > start) & (grid < stop)]
     channel, channel_slope = value_and_slope(grid, time, values, interval)
     reference_values, reference_slope = value_and_slope(grid, base, reference, interval)
-    spread = float(np.std(reference_values))
-    if len(grid) < FEWEST_COMMON or spread == 0.0:
+    reference_sd = float(np.std(reference_values))
+    if len(grid) < FEWEST_COMMON or reference_sd == 0.0:
         return []
     gain = math.copysign(
-        float(np.std(channel)) / spread,
+        float(np.std(channel)) / reference_sd,
         float((channel - channel.mean()) @ (reference_values - reference_values.mean())),
     )
     level = np.stack([reference_values, np.ones(len(grid))], axis=1)
-    delayed, instrument, response = (
+    delay_response, instrument, residual = (
         residual_of(level, column) for column in (gain * reference_slope, channel_slope, channel)
     )
-    if not float(instrument @ delayed):
+    if not float(instrument @ delay_response):
         return []
-    parts = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
-    # a block's own noise, known from a few samples, would make a poor weight: that of all blocks counts
-    common = float(instrument @ response) / float(instrument @ delayed)
-    scores = instrument * (response - common * delayed)
-    noise = sum(autocorrelated_variance(scores[part]) for part in parts) / float(instrument @ instrument)
+    blocks = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
+    # the noise of all blocks together, since that of one block would be estimated from a few samples
+    common_shift = float(instrument @ residual) / float(instrument @ delay_response)
+    scores = instrument * (residual - common_shift * delay_response)
+    noise = sum(autocorrelated_variance(scores[block]) for block in blocks) / float(instrument @ instrument)
     ties = []
-    for part in parts:
-        x, z, y = delayed[part], instrument[part], response[part]
-        shared = float(z @ x)
-        sd = math.hypot(math.sqrt(noise * float(z @ z)) / abs(shared), LEAST_SD * interval) if shared else math.inf
-        if sd < 0.5 * (grid[part[-1]] - grid[part[0]]):
-            at = float(np.average(grid[part], weights=channel_slope[part] ** 2))
-            ties.append(Tie((at - shift) / rate, at + float(z @ y) / shared, sd))
+    for block in blocks:
+        block_delay, block_instrument, block_residual = delay_response[block], instrument[block], residual[block]
+        projection = float(block_instrument @ block_delay)
+        sd = (
+            math.hypot(
+                math.sqrt(noise * float(block_instrument @ block_instrument)) / abs(projection), LEAST_SD * interval
+            )
+            if projection
+            else math.inf
+        )
+        if sd < 0.5 * (grid[block[-1]] - grid[block[0]]):
+            time_of_tie = float(np.average(grid[block], weights=channel_slope[block] ** 2))
+            ties.append(
+                Tie(
+                    (time_of_tie - shift) / rate,
+                    time_of_tie + float(block_instrument @ block_residual) / projection,
+                    sd,
+                )
+            )
     return ties
 
 
-def residual_of(others: Array, column: Array) -> Array:
-    """Residual of a column (n,) after least squares on other columns (n, k)."""
-    rest: Array = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-    return rest
+def residual_of(regressors: Array, column: Array) -> Array:
+    """Return the residual of a column (n,) after least squares on regressors (n, k)."""
+    residual: Array = column - regressors @ np.linalg.lstsq(regressors, column, rcond=None)[0]
+    return residual
 
 
 def value_and_slope(grid: Array, time: Array, values: Array, interval: float) -> tuple[Array, Array]:
-    """A channel interpolated at the times of a grid, and its central difference over one interval to either side."""
+    """Interpolate a channel at the times of a grid, and compute its central difference over +-`interval`."""
     ahead, behind = np.interp(grid + interval, time, values), np.interp(grid - interval, time, values)
     return np.interp(grid, time, values), (ahead - behind) / (2.0 * interval)
 
 
-def autocorrelated_variance(scores: Array, least: float = LEAST_SHARE) -> float:
-    """Variance of the sum of correlated scores, after Newey and West (1987), Bartlett weights.
+def autocorrelated_variance(scores: Array, least: float = LEAST_VARIANCE_SHARE) -> float:
+    """Estimate the variance of the sum of correlated scores, after Newey and West (1987), with Bartlett weights.
 
     Parameters
     ----------
@@ -190,23 +221,23 @@ def autocorrelated_variance(scores: Array, least: float = LEAST_SHARE) -> float:
     count = len(scores)
     lags = min(count - 1, 4 + int(4.0 * (count / 100.0) ** (2.0 / 9.0)))
     centred = scores - scores.mean()
-    alone = total = float(centred @ centred)
-    for k in range(1, lags + 1):
-        total += 2.0 * (1.0 - k / (lags + 1.0)) * float(centred[k:] @ centred[:-k])
-    return max(total, least * alone) * count / max(count - 3, 1)
+    uncorrelated = total = float(centred @ centred)
+    for lag in range(1, lags + 1):
+        total += 2.0 * (1.0 - lag / (lags + 1.0)) * float(centred[lag:] @ centred[:-lag])
+    return max(total, least * uncorrelated) * count / max(count - 3, 1)
 
 
 def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better: Alignment, worse: Alignment) -> float:
-    """Excess squared residual of one alignment over another, in standard deviations, at the samples both compare.
+    """Return the excess squared residual of `worse` over `better`, in standard deviations, at their common samples.
 
-    Where both fit equally well, their squared residuals are noise of the same kind, and the sum is as uncertain as
-    that of the better one. A change within one sampling interval is left out: where in it an edge lay is not known.
+    If both fit equally well, their squared residuals are noise of the same kind, and the excess is as uncertain as the
+    sum for `better`. A change within one sampling interval does not count, since the time of an edge in it is unknown.
     """
     (time, values), (base, reference_values) = channel, reference
     interval = float(np.median(np.diff(base)))
-    # samples between those of the reference share its noise
-    every = max(1, round(interval / float(np.median(np.diff(time)))))
-    time, values = time[::every], values[::every]
+    # compare no more samples than the reference has: interpolated ones share its noise
+    stride = max(1, round(interval / float(np.median(np.diff(time)))))
+    time, values = time[::stride], values[::stride]
     interval = max(interval, float(np.median(np.diff(time))))
     stamps_on_run = [alignment.on_run(time) for alignment in (better, worse)]
     inside = np.logical_and.reduce([(stamps >= base[0]) & (stamps <= base[-1]) for stamps in stamps_on_run])
@@ -223,17 +254,17 @@ def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better:
     excess = residual_of(levelled(stamps_on_run[1][inside]), observed) ** 2 - squared_residual
     half = 0.5 * interval
     step = (levelled(stamps_on_run[0][inside] + half) - levelled(stamps_on_run[0][inside] - half)) @ gain
-    # the noise of two samples is in that step, too, and makes no edge
-    unseen = max(float(step @ step) - 2.0 * float(squared_residual.sum()), 0.0)
+    # the step also contains the noise of two samples, which is no edge
+    edge_excess = max(float(step @ step) - 2.0 * float(squared_residual.sum()), 0.0)
     sd = math.sqrt(2.0 * autocorrelated_variance(squared_residual, least=1.0))
-    return (float(excess.sum()) - unseen) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
+    return (float(excess.sum()) - edge_excess) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
 
 
 def align_by_similarity(
     channel: tuple[Array, Array],
     reference: tuple[Array, Array],
     within: float,
-    what: str,
+    channels_text: str,
     near: float = 0.0,
     drift_within: float = 0.0,
     systematic: float = 0.0,
@@ -242,12 +273,15 @@ def align_by_similarity(
 
     Parameters
     ----------
-    near, within : the offsets near - within to near + within are searched [s].
+    near, within : the offsets from near - within to near + within are searched [s].
+    channels_text : names of both channels, for messages.
     drift_within : bound of the drift; 0 gives one offset for the whole record.
+    systematic : constant delay between the two channels (95 %) [s].
 
     Raises
     ------
-    InputError : they do not correlate, change too little beside their noise, or correlate as well at another offset.
+    InputError : the channels do not correlate, change too little relative to their noise, or correlate as well at
+        another offset.
     """
     finite, reference_finite = np.isfinite(channel[1]), np.isfinite(reference[1])
     channel, reference = (
@@ -255,31 +289,34 @@ def align_by_similarity(
         (reference[0][reference_finite], reference[1][reference_finite]),
     )
     candidates = peaks(*channel, *reference, within, near)
-    likeness = max((peak.likeness for peak in candidates), default=0.0)
-    if likeness < LEAST_CORRELATION:
+    highest_correlation = max((peak.likeness for peak in candidates), default=0.0)
+    if highest_correlation < LEAST_CORRELATION:
         raise InputError(
-            f"{what} correlate by {likeness:.2f} at best; expected {LEAST_CORRELATION} within {within:g} s"
+            f"{channels_text} correlate by {highest_correlation:.2f} at best; expected {LEAST_CORRELATION} within"
+            f" {within:g} s"
         )
-    # a short part of a record may fit by chance; where it fits better than the whole, neither is sure
-    most = max(peak.explained for peak in candidates if peak.likeness >= LEAST_CORRELATION)
-    best = next(peak for peak in candidates if peak.explained >= LEAST_PART * most)
-    method = f"likeness of {what} ({best.likeness:.3f})"
+    # a short part of a record may fit by chance; if it fits better than the whole record, neither is certain
+    most_explained = max(peak.explained for peak in candidates if peak.likeness >= LEAST_CORRELATION)
+    best = next(peak for peak in candidates if peak.explained >= LEAST_EXPLAINED_SHARE * most_explained)
+    method = f"likeness of {channels_text} ({best.likeness:.3f})"
     alignment = align_near(channel, reference, best.shift, method, drift_within, systematic)
     for rival in candidates:
-        whole = rival.explained >= LEAST_PART * most
-        if rival is best or ends_search(rival, within, near) or not (whole or rival.likeness >= LEAST_CORRELATION):
+        is_long = rival.explained >= LEAST_EXPLAINED_SHARE * most_explained
+        if rival is best or ends_search(rival, within, near) or not (is_long or rival.likeness >= LEAST_CORRELATION):
             continue
-        other = align_near(channel, reference, rival.shift, method, drift_within, systematic)
-        doubtful = misfit(channel, reference, alignment, other) <= FAR_APART
-        if doubtful if whole else misfit(channel, reference, other, alignment) > FAR_APART:
+        alternative = align_near(channel, reference, rival.shift, method, drift_within, systematic)
+        fits_as_well = misfit(channel, reference, alignment, alternative) <= FAR_APART
+        if fits_as_well if is_long else misfit(channel, reference, alternative, alignment) > FAR_APART:
             raise InputError(
-                f"{what} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s around the"
-                " true one (near_s), or another signal, decides"
+                f"{channels_text} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s"
+                " around the true one (near_s), or another signal, decides"
             )
     if ends_search(best, within, near):
-        raise InputError(f"{what} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that")
+        raise InputError(
+            f"{channels_text} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that"
+        )
     if not alignment.ties:
-        raise InputError(f"{what} change too little beside their noise to tell when")
+        raise InputError(f"{channels_text} change too little beside their noise to tell when")
     return alignment
 
 
@@ -291,7 +328,7 @@ def align_near(
     drift_within: float,
     systematic: float,
 ) -> Alignment:
-    """Refine an alignment from a first shift [s]; where no tie can be fitted, return the shift with zero ties."""
+    """Refine an alignment from a first shift [s]; if no tie can be fitted, return the shift with zero ties."""
     alignment = Alignment(method, shift, 1.0, (0.0, 0.0, 0.0), systematic, NORMAL_95, 0)
     for _ in range(2):
         ties = ties_by_similarity(*channel, *reference, alignment.offset, alignment.rate)

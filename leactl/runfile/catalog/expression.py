@@ -18,11 +18,11 @@ from typing import Any, Final, get_type_hints
 from leactl.errors import InputError
 from leactl.runfile.summary import Summary
 
-MOST_CHARACTERS: Final = 2000  # characters, which bounds how deeply it is nested, too
-MOST_CHARACTERS_SHOWN: Final = 80  # characters of it in a message
+MOST_CHARACTERS: Final = 2000  # of an expression; bounds its nesting as well
+MOST_CHARACTERS_SHOWN: Final = 80  # characters of the expression in a message
 MOST_NAMES_SHOWN: Final = 30  # names of parameters in a message
 TEXT, NUMBER, MOMENT, TEXTS = "a text", "a number", "a date", "a list of texts"
-# what a name stands for; whatever else a run has is a parameter of its protocol
+# kind of the values of each attribute of a run; any other name is that of a protocol parameter
 KINDS: Final = {
     name: {str: TEXT}.get(hint, NUMBER)
     for name, hint in get_type_hints(Summary).items()
@@ -48,7 +48,7 @@ class NamedValue:
     """A name in an expression, the kind of its values, and the function that reads a run's value or None."""
 
     text: str
-    kind: str  # empty for a parameter, which may be anything
+    kind: str  # empty for a parameter, which may have values of any kind
     of: Value
 
 
@@ -67,7 +67,7 @@ def read_expression(text: str, parameters: Collection[str]) -> Test:
 
 
 def span_of(text: str) -> tuple[datetime, datetime]:
-    """Start and end of a day, or a moment twice; a text without a zone is taken as UTC.
+    """Return start and end of a day, or a moment twice; a text without a zone is taken as UTC.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def span_of(text: str) -> tuple[datetime, datetime]:
     try:
         if len(text) == len("2026-01-31"):
             day = date.fromisoformat(text)
-            first = datetime(day.year, day.month, day.day, tzinfo=UTC)
-            return first, first + timedelta(days=1)
+            start = datetime(day.year, day.month, day.day, tzinfo=UTC)
+            return start, start + timedelta(days=1)
         moment = _utc(datetime.fromisoformat(text))
     except OverflowError:
         raise ValueError(text) from None
@@ -85,7 +85,7 @@ def span_of(text: str) -> tuple[datetime, datetime]:
 
 
 def moment_of(created: str) -> datetime | None:
-    """When a run was created (UTC); None if its file has no ISO 8601 text."""
+    """Return the time of a run's creation (UTC); None if the text is not an ISO 8601 moment."""
     try:
         return _utc(datetime.fromisoformat(created))
     except (ValueError, OverflowError):
@@ -107,7 +107,7 @@ class _Reader:
             raise InputError(f"--where: {len(self._text)} characters; at most {MOST_CHARACTERS} were expected")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what Python thinks of '\d'
+                warnings.simplefilter("ignore")  # such as that '\d' is no escape sequence
                 tree = ast.parse(self._text.strip(), mode="eval")
             return self._test(tree.body)
         except SyntaxError as fault:
@@ -155,39 +155,39 @@ class _Reader:
             return self._relation(right_value, MIRRORED.get(type(relation), type(relation)), left_value, left_node)
         return self._relation(left_value, type(relation), right_value, right_node)
 
-    def _relation(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
-        """Compare a run's value with another value of the run, or with a constant of the expression."""
+    def _relation(self, name: NamedValue, relation: type[ast.cmpop], operand: Any, node: ast.expr) -> Test:
+        """Return the test that compares a run's value with another value of the run, or with a constant."""
         compare, value = RELATIONS[relation], name.of
-        if isinstance(other, NamedValue):
-            second = other.of
-            return lambda run: _compares(compare, value(run), second(run))
+        if isinstance(operand, NamedValue):
+            other_value = operand.of
+            return lambda run: _compared(compare, value(run), other_value(run))
         if name.kind == MOMENT:
-            return self._in_time(name, relation, other, node)
-        self._refuse_kind(name, other, node)
-        return lambda run: _compares(compare, value(run), other)
+            return self._in_time(name, relation, operand, node)
+        self._refuse_kind(name, operand, node)
+        return lambda run: _compared(compare, value(run), operand)
 
-    def _in_time(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
-        """Compare the time of a run with a constant; a date stands for the whole day."""
+    def _in_time(self, name: NamedValue, relation: type[ast.cmpop], constant: Any, node: ast.expr) -> Test:
+        """Return the test that compares the time of a run with a constant; a date stands for the whole day."""
         try:
-            first, after = span_of(other)
+            day_start, day_end = span_of(constant)
         except (ValueError, TypeError):
             expected = f"{name.text} is {MOMENT}, such as '2026-01-31' or '2026-01-31T13:00'"
             raise self._fault(f"{expected}; {self._source(node)} is none") from None
         value = name.of
-        inside: Callable[[datetime], bool] = lambda moment: moment == first or first <= moment < after  # noqa: E731
+        inside: Callable[[datetime], bool] = lambda moment: moment == day_start or day_start <= moment < day_end  # noqa: E731
         tests: dict[type[ast.cmpop], Callable[[datetime], bool]] = {
             ast.Eq: inside,
             ast.NotEq: lambda moment: not inside(moment),
-            ast.Lt: lambda moment: moment < first,
-            ast.LtE: lambda moment: moment < first or inside(moment),
-            ast.Gt: lambda moment: moment > first and not inside(moment),
-            ast.GtE: lambda moment: moment >= first,
+            ast.Lt: lambda moment: moment < day_start,
+            ast.LtE: lambda moment: moment < day_start or inside(moment),
+            ast.Gt: lambda moment: moment > day_start and not inside(moment),
+            ast.GtE: lambda moment: moment >= day_start,
         }
         test = tests[relation]
         return lambda run: (moment := value(run)) is not None and test(moment)
 
     def _membership(self, member: Any, container: Any, node: ast.expr) -> Test:
-        """Test for `in`: a name in a list of constants, or a constant in a text or list of the run."""
+        """Return the test of `in`: a name in a list of constants, or a constant in a text or list of the run."""
         if isinstance(container, list) and isinstance(member, NamedValue):
             tests = [self._relation(member, ast.Eq, item, node) for item in container]
             return lambda run: any(test(run) for test in tests)
@@ -221,7 +221,7 @@ class _Reader:
         return test
 
     def _operand(self, node: ast.expr) -> Any:
-        """The operand of a node: a NamedValue, a text, a number, None, or a list of constants."""
+        """Return the operand of a node: a NamedValue, a text, a number, None, or a list of constants."""
         match node:
             case ast.Name(name):
                 return self._name(name, node)
@@ -261,22 +261,22 @@ class _Reader:
         more = f" and {len(names) - MOST_NAMES_SHOWN} more" if len(names) > MOST_NAMES_SHOWN else ""
         return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}; a text stands in quotes"
 
-    def _refuse_kind(self, name: NamedValue, other: Any, node: ast.expr) -> None:
+    def _refuse_kind(self, name: NamedValue, constant: Any, node: ast.expr) -> None:
         expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
-        if other is None:
+        if constant is None:
             raise self._fault(f"{name.text} is compared with None; is None was expected")
-        if not isinstance(other, expected):  # type: ignore[arg-type]
+        if not isinstance(constant, expected):  # type: ignore[arg-type]
             member = f"; {self._source(node)} in {name.text} asks for a member" if name.kind == TEXTS else ""
             raise self._fault(f"{name.text} is {name.kind}; {self._source(node)} is none{member}")
 
     def _source(self, node: ast.expr) -> str:
-        return _cut(ast.get_source_segment(self._text.strip(), node) or "it")
+        return _shortened(ast.get_source_segment(self._text.strip(), node) or "it")
 
     def _fault(self, why: str) -> InputError:
-        return InputError(f"--where {_cut(self._text)}: {why}")
+        return InputError(f"--where {_shortened(self._text)}: {why}")
 
 
-def _cut(text: str) -> str:
+def _shortened(text: str) -> str:
     line = " ".join(text.split())
     return line if len(line) <= MOST_CHARACTERS_SHOWN else f"{line[:MOST_CHARACTERS_SHOWN]} ..."
 
@@ -285,19 +285,19 @@ def _parameter(name: str) -> NamedValue:
     return NamedValue(name, "", lambda run: run.parameters.get(name))
 
 
-def _compares(compare: Callable[[Any, Any], bool], value: Any, other: Any) -> bool:
+def _compared(compare: Callable[[Any, Any], bool], value: Any, other_value: Any) -> bool:
     """Apply a comparison; values of different kinds (text, number, list) are unequal and have no order."""
-    if value is None or other is None:
+    if value is None or other_value is None:
         return False
-    numbers = isinstance(value, int | float), isinstance(other, int | float)
+    numbers = isinstance(value, int | float), isinstance(other_value, int | float)
     if all(numbers) or (
-        type(value) is type(other) and (isinstance(value, str) or compare in (operator.eq, operator.ne))
+        type(value) is type(other_value) and (isinstance(value, str) or compare in (operator.eq, operator.ne))
     ):
-        return bool(compare(value, other))
+        return bool(compare(value, other_value))
     return compare is operator.ne
 
 
-def _contains(value: Any, whole: Any) -> bool:
-    if isinstance(whole, str):
-        return isinstance(value, str) and value in whole
-    return isinstance(whole, list | tuple) and value in whole
+def _contains(value: Any, container: Any) -> bool:
+    if isinstance(container, str):
+        return isinstance(value, str) and value in container
+    return isinstance(container, list | tuple) and value in container

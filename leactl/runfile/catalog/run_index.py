@@ -1,4 +1,4 @@
-"""Index of a folder of runs: the summaries of its files, kept so that unchanged files are not opened again.
+"""Index the runs of a folder: store the summaries of its files, so that unchanged files are not opened again.
 
 The index is a SQLite file and can be rebuilt from the run files at any time. A row is valid only if the size, times
 and inode of its file have not changed since it was read. The whole index is read into memory and written as a new
@@ -26,25 +26,25 @@ from leactl.runfile.summary import RECORDING, Summary, is_run_name
 
 NAME: Final = ".leactl-index.sqlite"
 APPLICATION: Final = 0x6C656178  # "leax"
-VERSION: Final = 1  # raised where what a column means has changed
-# SQLite file format, 1.3: what the file begins with, the version of its user, the application that it is of
+VERSION: Final = 1  # increases if the meaning of a column changes
+# SQLite file format, 1.3: the file's first bytes, the user version and the application identifier
 MAGIC, VERSION_AT, APPLICATION_AT = b"SQLite format 3\0", slice(60, 64), slice(68, 72)
 MOST_BYTES: Final = 1 << 30  # some million runs
-# what was changed less than this before it was read may change again within one tick of its file system's clock, which
-# is 2 s on FAT
+# a file that was changed less than this before it was read may change again within one tick of its file system's
+# clock, which is 2 s on FAT
 YOUNG_NS: Final = 2 * 10**9
 DIGITS: Final = 64  # of a SHA-256
-BATCH: Final = 32  # runs that are read at a time, some 0.2 s
-TOLD_EVERY: Final = 10 * BATCH
-MANY: Final = 1000  # files, which take some seconds to open
+BATCH: Final = 32  # runs that are read at a time, in some 0.2 s
+TOLD_EVERY: Final = 10 * BATCH  # runs between two lines of progress
+MANY: Final = 1000  # number of files that takes some seconds to open
 
-KNOWN: Final = Summary._fields[1:-1]  # all but the folder, which is where the index is asked about, and the tags
+KNOWN: Final = Summary._fields[1:-1]  # columns of the index: all fields but the folder and the tags
 STAMP: Final = ("mtime_ns", "ctime_ns", "inode")
 TYPES: Final = {
     **{name: {float: "REAL", int: "INTEGER"}.get(kind, "TEXT") for name, kind in get_type_hints(Summary).items()},
     **dict.fromkeys(("seed", *STAMP), "INTEGER"),
 }
-# SQLite holds any type in any column
+# condition for a row with a value of a wrong type, since SQLite accepts any type in any column
 MISTYPED: Final = " OR ".join(
     f"typeof({name}) NOT IN ('{TYPES[name].lower()}'{', ' + repr('null') if name == 'seed' else ''})"
     for name in (*KNOWN, *STAMP)
@@ -66,8 +66,8 @@ class FileStamp(NamedTuple):
     inode: int
 
 
-UNSETTLED: Final = FileStamp(0, 0, 0, 0)  # of a file that is read again next time
-NOT_THERE: Final = FileStamp(-1, -1, -1, -1)  # of a link that leads nowhere
+UNSETTLED: Final = FileStamp(0, 0, 0, 0)  # status of a file that has to be read again next time
+NOT_THERE: Final = FileStamp(-1, -1, -1, -1)  # status of a link without target
 
 
 class IndexedRun(NamedTuple):
@@ -78,7 +78,7 @@ class IndexedRun(NamedTuple):
 
 
 class UnusableIndex(Exception):
-    """The index file cannot be used and is built anew; the message says why."""
+    """The index file cannot be used and has to be built again; the message says why."""
 
 
 @dataclass
@@ -86,7 +86,7 @@ class Catalogue:
     """The runs of a folder, with counts of the files that were opened or are gone."""
 
     directory: Path
-    rows: dict[str, IndexedRun] = field(default_factory=dict)  # by file, as the names sort
+    rows: dict[str, IndexedRun] = field(default_factory=dict)  # by file name, sorted
     read: int = 0  # number of files that were opened
     gone: int = 0  # number of files of the index that no longer exist
     changed: bool = False  # whether the index has to be written
@@ -94,7 +94,7 @@ class Catalogue:
 
     @property
     def runs(self) -> list[Summary]:
-        """The runs sorted by file name, which puts the oldest first."""
+        """Runs sorted by file name, which puts the oldest first."""
         return [row.run for row in self.rows.values()]
 
     def refresh(self, workers: Workers = HERE, tell: Tell = ignore) -> None:
@@ -134,15 +134,16 @@ class Catalogue:
 
 
 def is_settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
-    """Whether an unchanged file status will mean unchanged content.
+    """Return whether an unchanged file status will mean unchanged content.
 
-    Not for an unreadable file, since the reason may lie outside it, nor for one still recorded or changed just before.
+    It does not for an unreadable file, since the reason may be outside the file, nor for a file that is still being
+    recorded or that was changed just before it was read.
     """
     return not run.fault and run.status != RECORDING and stamp.mtime_ns < read_ns - YOUNG_NS
 
 
 def stamps_of(directory: Path) -> dict[str, FileStamp]:
-    """File status of each run file of a folder, sorted by name; no file is opened.
+    """Return the file status of each run file of a folder, sorted by name, without opening a file.
 
     Raises
     ------
@@ -150,7 +151,7 @@ def stamps_of(directory: Path) -> dict[str, FileStamp]:
     """
     try:
         with os.scandir(directory) as entries:
-            stamps = {entry.name: _stamp(entry) for entry in entries if is_run_name(entry.name)}
+            stamps = {entry.name: _file_stamp(entry) for entry in entries if is_run_name(entry.name)}
     except NotADirectoryError:
         raise InputError(f"{directory}: not a directory") from None
     except OSError as fault:
@@ -158,12 +159,12 @@ def stamps_of(directory: Path) -> dict[str, FileStamp]:
     return {name: stamps[name] for name in sorted(stamps)}
 
 
-def _stamp(entry: "os.DirEntry[str]") -> FileStamp:
+def _file_stamp(entry: "os.DirEntry[str]") -> FileStamp:
     try:
         about = entry.stat()
     except OSError:
         return NOT_THERE
-    # SQLite's numbers have 63 bits and a sign, inodes of some file systems 64
+    # SQLite's integers have 63 bits and a sign, the inodes of some file systems 64 bits
     return FileStamp(about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino & (1 << 63) - 1)
 
 
@@ -176,7 +177,7 @@ def _summaries(directory: Path, names: Sequence[str]) -> list[Summary]:
 
 
 def list_runs(directory: Path, index: Path | None = None, remark: Tell = ignore) -> list[Summary]:
-    """Summaries of all run files of a folder with their tags, sorted by file name.
+    """Return the summaries of all run files of a folder with their tags, sorted by file name.
 
     An existing index is used and brought up to date.
 
@@ -247,11 +248,11 @@ def update(
 
 
 def load_catalogue(directory: Path, path: Path, remark: Tell) -> Catalogue:
-    """Load the index of a folder; empty if there is none, or if it is unusable, which `remark` is told.
+    """Load the index of a folder; empty if there is none, or if it is unusable, with the reason as a remark.
 
     Raises
     ------
-    InputError : the file is no index of runs.
+    InputError : the file is not an index of runs.
     """
     catalogue = Catalogue(directory)
     refuse_foreign_file(path)
@@ -265,11 +266,11 @@ def load_catalogue(directory: Path, path: Path, remark: Tell) -> Catalogue:
 
 
 def refuse_foreign_file(path: Path) -> None:
-    """Refuse to replace a file that is no index, for example one whose name was given by mistake.
+    """Refuse to replace a file that is not an index, for example one whose name was given by mistake.
 
     Raises
     ------
-    InputError : the file exists and is no index.
+    InputError : the file exists and is not an index.
     """
     if path.name == NAME or not os.path.lexists(path):
         return
@@ -281,7 +282,7 @@ def refuse_foreign_file(path: Path) -> None:
 
 
 def is_index(data: bytes) -> bool:
-    """Whether bytes begin like an index of any version."""
+    """Return whether bytes begin like an index of any version."""
     return data.startswith(MAGIC) and data[APPLICATION_AT] == APPLICATION.to_bytes(4, "big")
 
 
@@ -290,7 +291,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
 
     Raises
     ------
-    UnusableIndex : it is damaged, of another version, or no index.
+    UnusableIndex : the file is damaged, of another version, or not an index.
     """
     try:
         with open_regular(path, MOST_BYTES) as file:
@@ -301,7 +302,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
         raise UnusableIndex("is no index of runs")
     if (version := int.from_bytes(data[VERSION_AT], "big")) != VERSION:
         raise UnusableIndex(f"is of version {version}, this program's is {VERSION}")
-    # from memory: no journal that lies beside the file counts, and no lock is asked for
+    # from memory, so that SQLite neither reads a journal in the same folder nor locks the file
     with closing(sqlite3.connect(":memory:")) as base:
         try:
             base.deserialize(data)
@@ -319,7 +320,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
 
 
 def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, IndexedRun]:
-    """Records of the table as rows; parameters that many runs share are one mapping."""
+    """Convert records of the table to rows by file name; equal parameters of several runs become one mapping object."""
     parameters: dict[str, Mapping[str, Any]] = {}
     rows = {}
     for record in records:
@@ -349,7 +350,7 @@ def save(catalogue: Catalogue, path: Path) -> None:
         base.execute("INSERT INTO digest VALUES (?)", (mark,))
         insert = f"INSERT INTO runs VALUES ({', '.join('?' * (len(KNOWN) + len(STAMP)))})"
         for row in catalogue.rows.values():
-            # a name that is no UTF-8, or a number beyond 63 bits: SQLite holds neither, and the file is read each time
+            # SQLite stores neither names that are not UTF-8 nor numbers beyond 63 bits: such files are read each time
             with suppress(UnicodeEncodeError, OverflowError):
                 base.execute(insert, record_of(row))
         base.commit()
@@ -360,18 +361,18 @@ def save(catalogue: Catalogue, path: Path) -> None:
 
 def record_of(row: IndexedRun) -> tuple[Any, ...]:
     """Convert a row to a record of the SQLite table."""
-    # the folder may go by another name next time
+    # the folder may have another path next time
     run = row.run._replace(fault=row.run.fault.removeprefix(f"{row.run.path}: "))
     _, *known, parameters, _ = run
     return *known, json.dumps(dict(parameters)), *row.stamp[1:]
 
 
 def tables() -> list[str]:
-    """SQL statements that create the tables."""
+    """Return the SQL statements that create the tables."""
     columns = ", ".join(f"{name} {TYPES[name]}" for name in (*KNOWN, *STAMP))
     return [f"CREATE TABLE runs ({columns})", "CREATE TABLE digest (sha256 TEXT)"]
 
 
 def digest_of(data: bytes, stored: str) -> str:
-    """SHA-256 of an index in which the stored digest is replaced by zeros."""
+    """Return the SHA-256 of an index in which the stored digest is replaced by zeros."""
     return sha256(data.replace(stored.encode(), b"0" * len(stored))).hexdigest()

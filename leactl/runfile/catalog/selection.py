@@ -12,7 +12,7 @@ from leactl.runfile.catalog.expression import Test, moment_of, read_expression, 
 from leactl.runfile.summary import STATUSES, Summary
 
 KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
-ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run, where no parameter has the name
+ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run; a parameter of the same name has priority
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Selection:
     status: str = ""
     since: datetime | None = None
     until: datetime | None = None  # not included
-    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # of parameters and attributes, what will do
-    tests: Sequence[Test] = ()  # expressions, all of which a run has to pass
+    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # accepted values by parameter or attribute
+    tests: Sequence[Test] = ()  # expressions; a run has to pass all of them
 
     @property
     def empty(self) -> bool:
@@ -34,7 +34,7 @@ class Selection:
         return self == Selection()
 
     def fits(self, run: Summary) -> bool:
-        """Whether a run meets all criteria; an unreadable run never does."""
+        """Return whether a run meets all criteria; an unreadable run never does."""
         texts = all(
             getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
         )
@@ -70,7 +70,7 @@ def selection_of(
     faults: list[str] = []
     if status and status not in STATUSES:
         faults.append(f"--status {status}: one of {', '.join(STATUSES)} was expected")
-    asked: dict[str, Sequence[Any]] = {}
+    wanted_values: dict[str, Sequence[Any]] = {}
     tests: list[Test] = []
     parameters = parameters_of(runs)
     known = [*sorted(parameters - {*ATTRIBUTES}), *ATTRIBUTES]
@@ -84,22 +84,22 @@ def selection_of(
         elif name not in known:
             faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known)}")
         else:
-            asked[name] = _values(word, text, faults)
-    first, last = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
+            wanted_values[name] = _values(word, text, faults)
+    since_moment, until_moment = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
     if faults:
         raise InputError(faults)
-    return Selection(protocol, actuator, condition, status, first, last, asked, tuple(tests))
+    return Selection(protocol, actuator, condition, status, since_moment, until_moment, wanted_values, tuple(tests))
 
 
 def is_pair(word: str) -> bool:
-    """Whether a word has the short form NAME=VALUE of the expression NAME == VALUE."""
+    """Return whether a word has the short form NAME=VALUE of the expression NAME == VALUE."""
     name, equals, text = word.partition("=")
     return bool(name and equals) and not text.startswith("=") and not re.search(r"[!<>()'\"\s]", name)
 
 
 def parameters_of(runs: Iterable[Summary]) -> set[str]:
-    """Names of all parameters of all runs."""
-    return {name for _, parameters in _alike(runs) for name in parameters}
+    """Return the names of all parameters of all runs."""
+    return {name for _, parameters in _distinct_parameters(runs) for name in parameters}
 
 
 def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
@@ -119,34 +119,35 @@ def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
 
 
 def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
-    """Pairs (protocol, parameter) whose value differs between runs of the protocol."""
+    """Return the pairs (protocol, parameter) whose value differs between runs of the protocol."""
     seen: dict[tuple[str, str], list[Any]] = {}
-    for protocol, parameters in _alike(runs):
+    for protocol, parameters in _distinct_parameters(runs):
         for name, value in parameters.items():
             values = seen.setdefault((protocol, name), [])
-            if value not in values[:2]:  # two tell that it differs
+            if value not in values[:2]:  # two different values suffice
                 values.append(value)
     return {key for key, values in seen.items() if len(values) > 1}
 
 
-def _alike(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
-    """(protocol, parameters) of the runs, once for runs that share one mapping object, as those of an index do."""
+def _distinct_parameters(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
+    """Return (protocol, parameters) of the runs, once for runs that share one mapping object, as in an index."""
     return {(run.protocol, id(run.parameters)): (run.protocol, run.parameters) for run in runs}.values()
 
 
 def _value(run: Summary, name: str) -> Any:
-    """A parameter of a run, else its attribute of this name."""
+    """Return a parameter of a run, else its attribute of this name, else None."""
     return run.parameters.get(name, getattr(run, name) if name in ATTRIBUTES else None)
 
 
 def _rank(value: Any) -> tuple[int, float, str]:
+    """Return the sort key of a parameter: numbers first, then texts, then missing values."""
     if value is None:
         return 2, 0.0, ""
     return (0, float(value), "") if isinstance(value, int | float) else (1, 0.0, str(value))
 
 
 def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
-    """Values that match a word: as `--set` reads it and as text; for a list of one, also its only item."""
+    """Return the values that match a word: as `--set` reads it and as text; for a list of one, also its only item."""
     if not text.startswith("["):
         return yamlfile.scalar(text), text
     try:
@@ -158,7 +159,7 @@ def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
 
 
 def _moment(option: str, text: str, end: int, faults: list[str]) -> datetime | None:
-    """The moment of a date or a date with time; `end` 0 gives its start, `end` 1 the first moment after it."""
+    """Return the start of a date or moment for `end` 0, and the first moment after it for `end` 1; None if invalid."""
     if not text:
         return None
     try:

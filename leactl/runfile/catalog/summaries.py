@@ -30,15 +30,15 @@ TEXTS = (
 
 
 def files_of(directory: Path) -> list[Path]:
-    """Paths of the run files of a directory, sorted by name; no file is opened."""
+    """Return the paths of the run files of a directory, sorted by name, without opening a file."""
     return [directory / name for name in sorted(path.name for path in directory.iterdir() if is_run_name(path.name))]
 
 
 def summary(path: Path) -> Summary:
-    """Summary of one run file; its `fault` is not empty if the file cannot be read."""
+    """Summarise one run file; `fault` of the summary is not empty if the file cannot be read."""
     try:
         size = path.stat().st_size
-    except OSError:  # a link that leads nowhere, or removed meanwhile: the door says so
+    except OSError:  # a link without target, or a removed file, which `open_run_file` reports
         size = 0
     try:
         root: dict[str, Any] = {}
@@ -66,16 +66,16 @@ def summary(path: Path) -> Summary:
 
 
 def protocol_text(file: Any) -> str:
-    """YAML text of the protocol that the run used; empty if the file has no such scalar text."""
+    """Return the YAML text of the protocol that the run used; empty if the file has no such scalar text."""
     source = file.get("protocol/source")
     if not isinstance(source, h5py.Dataset) or source.shape != () or not layout.is_text(source):
-        return ""  # an array may be packed, and nobody has looked at what it unpacks to
+        return ""  # an array may be compressed, and its decompressed size has not been checked
     return str(layout.to_python(source[()]))
 
 
 @lru_cache(maxsize=64)  # a folder of thousands has runs of a few protocols
 def analysis_in(protocol: str) -> str:
-    """The key `analysis` of a protocol's YAML text; empty if it is absent or the text is no YAML.
+    """Return the key `analysis` of a protocol's YAML text; empty if it is absent or the text is no YAML.
 
     Faults are ignored because the run may have been written by another program.
     """
@@ -88,37 +88,37 @@ def analysis_in(protocol: str) -> str:
 
 
 def duration(times: Sequence[Any]) -> float:
-    """Largest finite last stamp of any stream [s]; 0 if there is none."""
+    """Return the largest finite last stamp of any stream [s]; 0 if there is none."""
     stamps = np.concatenate([*(last_value(time) for time in times if is_column(time)), np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
 
 
 def is_column(item: Any) -> bool:
-    """Whether an HDF5 object is a one-dimensional dataset of numbers."""
+    """Return whether an HDF5 object is a one-dimensional dataset of numbers."""
     return isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim == 1
 
 
-def run_files(given: Sequence[Path]) -> list[Path]:
+def run_files(paths: Sequence[Path]) -> list[Path]:
     """Return run files in the order given; a folder stands for the run files in it.
 
     Raises
     ------
     InputError : one line for each path without a run file, or no path was given.
     """
-    faults, paths = [], []
-    for path in given:
+    faults, files = [], []
+    for path in paths:
         try:
             members = files_of(path) if path.is_dir() else [path]
         except OSError as fault:
             faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
             continue
-        paths += members
+        files += members
         if not path.exists():
             faults.append(f"{path}: no such file or folder")
         elif not members:
             faults.append(f"{path}: no run files in this folder")
-    if not given:
+    if not paths:
         faults.append("no runs; give run files, or folders of them")
     if faults:
         raise InputError(faults)
-    return paths
+    return files

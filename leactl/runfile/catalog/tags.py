@@ -1,4 +1,4 @@
-"""Tags of runs: words that people give to runs to find them again, stored in `tags.json` beside the run files.
+"""Read and change tags, the words by which people mark runs, in `tags.json` in the folder of the run files.
 
 Run files are not changed: tags change often and say nothing about the measurement (docs/decisions/0018).
 """
@@ -34,7 +34,7 @@ class TagFile(Block):
     tags: dict[Tag, tuple[str, ...]] = {}
 
     def by_run(self) -> dict[str, tuple[str, ...]]:
-        """The tags of each run in alphabetical order."""
+        """Return the tags of each run in alphabetical order."""
         tags_by_run: dict[str, tuple[str, ...]] = {}
         for tag in sorted(self.tags):
             for run in self.tags[tag]:
@@ -42,11 +42,11 @@ class TagFile(Block):
         return tags_by_run
 
     def changed(self, tag: str, runs: Sequence[str], remove: bool) -> "TagFile":
-        """A copy in which `tag` was added to runs, or removed from them."""
+        """Return a copy in which `tag` was added to runs, or removed from them."""
         before = self.tags.get(tag, ())
         after = sorted({*before} - {*runs} if remove else {*before, *runs})
-        kept = {name: members for name, members in self.tags.items() if name != tag}
-        return self.model_copy(update={"tags": kept | ({tag: tuple(after)} if after else {})})
+        other_tags = {name: members for name, members in self.tags.items() if name != tag}
+        return self.model_copy(update={"tags": other_tags | ({tag: tuple(after)} if after else {})})
 
 
 def with_tags(directory: Path, runs: Sequence[Summary], remark: Callable[[str], None]) -> list[Summary]:
@@ -64,11 +64,11 @@ def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
 
     Raises
     ------
-    InputError : the tag is no allowed word, a run cannot be read, or the file of tags is damaged or cannot be
-        written; nothing is changed then.
+    InputError : the tag is not an allowed word, a run cannot be read, or the file of tags is damaged or cannot be
+        written.
     """
     refuse_bad_tag(tag)
-    from leactl.runfile.catalog.summaries import summary  # h5py, which a list that has an index does without
+    from leactl.runfile.catalog.summaries import summary  # imports h5py, which a list from an index does not need
 
     runs = [summary(path) for path in paths]
     if faults := [run.fault for run in runs if run.fault]:
@@ -95,7 +95,7 @@ def refuse_bad_tag(tag: str) -> None:
 
 
 def tag_key_of(run: Summary) -> str:
-    """Key of a run in the file of tags: its `run_id`, else its file name."""
+    """Return the key of a run in the file of tags: its `run_id`, else its file name."""
     return run.run_id or run.file
 
 
@@ -115,9 +115,9 @@ def read_tags(directory: Path) -> TagFile:
     except OSError as fault:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from None
     except ValidationError as fault:
-        first = fault.errors(include_url=False)[0]
-        key_path = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: {f'{key_path}: ' if key_path else ''}{first['msg']}") from None
+        first_error = fault.errors(include_url=False)[0]
+        key_path = ".".join(map(str, first_error["loc"]))
+        raise InputError(f"{path}: {f'{key_path}: ' if key_path else ''}{first_error['msg']}") from None
     except (ValueError, RecursionError) as fault:
         raise InputError(f"{path}: is damaged: {' '.join(str(fault).split())}") from None
 
@@ -126,7 +126,7 @@ def read_tags(directory: Path) -> TagFile:
 def locked(folder: Path) -> Iterator[None]:
     """Lock a folder while the block runs, so that no other process changes its tags.
 
-    Some network folders and systems without POSIX cannot lock: of two changes at the same time the later one remains.
+    Some network folders and systems without POSIX cannot lock; there, the later of two simultaneous changes remains.
     """
     try:
         import fcntl

@@ -1,9 +1,9 @@
 """Check B-trees of version 1, which index groups and chunks in HDF5's oldest format, before HDF5 walks them.
 
-No checksum covers their nodes, and HDF5 follows their addresses unchecked: a node that is its own child ends the
-process, and one that is its own sibling is looked at for ever. So is a list of free blocks, in the heap of a group's
-names, that begins anew. The trees of newer formats are checked by `newer_btrees`. An object's header tells where its
-tree begins (HDF5 file format 3.0: III.A.1 the tree, III.D the heap, IV.A the header and its messages).
+No checksum covers their nodes, and HDF5 follows their addresses without a check: a node that is its own child crashes
+the process, and a node that is its own sibling makes HDF5 loop for ever. So does a cyclic list of free blocks in the
+heap of a group's names. `newer_btrees` checks the trees of newer formats. An object's header has the address of its
+tree (HDF5 file format 3.0: III.A.1 the tree, III.D the heap, IV.A the header and its messages).
 """
 
 import struct
@@ -17,17 +17,17 @@ from leactl.runfile.hdf5.text_heaps import bytes_at
 LAYOUT, CONTINUATION, SYMBOL_TABLE = 0x08, 0x10, 0x11  # types of messages in a header
 LINK_INFO, ATTRIBUTE_INFO = 0x02, 0x15
 SIZE_OF_LAST_NUMBER: Final = {LINK_INFO: 8, ATTRIBUTE_INFO: 2}  # bytes, where links or attributes are numbered
-INDEX_SETTINGS: Final = {3: 1, 4: 5, 5: 6}  # bytes before the address, by kind of a newer layout's index of chunks
+INDEX_SETTINGS: Final = {3: 1, 4: 5, 5: 6}  # bytes of settings before the address, by the type of a chunk index
 CHUNKED: Final = 2  # class of a dataset's layout
 OF_GROUP, OF_CHUNKS = 0, 1  # types of trees
 NOWHERE: Final = (1 << 64) - 1
-FURTHEST: Final = 1 << 62  # byte of a file that a system can seek
+FURTHEST: Final = 1 << 62  # largest byte offset to which the system can seek
 HEAP: Final = struct.Struct("<4s4xQQQ")  # signature, size of the names, first free block in them, their address
 NODE: Final = struct.Struct("<4sBBHQQ")  # signature, type, level, children, left and right sibling
 ADDRESS: Final = struct.Struct("<Q")
-MOST_MESSAGES: Final = 1 << 19  # of all headers: 50 for each of 10,000 objects
-MOST_BYTES: Final = 1 << 26  # of all headers, which hold attributes and the smallest datasets
-MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chunks, which makes four million
+MOST_MESSAGES: Final = 1 << 19  # in all headers: 50 for each of 10,000 objects
+MOST_BYTES: Final = 1 << 26  # of all headers, which contain attributes and the smallest datasets
+MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chunks, four million in all
 
 
 class HeaderMessage(NamedTuple):
@@ -38,7 +38,7 @@ class HeaderMessage(NamedTuple):
 
 
 class Root(NamedTuple):
-    """Where a tree begins."""
+    """Type and root address of a tree of version 1."""
 
     kind: int
     address: int
@@ -46,16 +46,16 @@ class Root(NamedTuple):
 
 
 class TreeNode(NamedTuple):
-    """What a tree's node says of itself and of others."""
+    """Header of a tree's node."""
 
-    level: int
-    children: int
-    left: int
-    right: int
+    level: int  # 0 for a leaf
+    children: int  # number of children
+    left: int  # address of the left sibling
+    right: int  # address of the right sibling
 
 
 class BTrees:
-    """The B-trees of version 1 of a file whose first byte is at `base`, each node of which may be met once."""
+    """Check of the B-trees of a file whose first byte is at `base`; no node may be reached twice."""
 
     def __init__(self, raw: BinaryIO, base: int) -> None:
         self._raw, self._base = raw, base
@@ -65,7 +65,7 @@ class BTrees:
         self._newer = NewerBTrees(self._bytes)
 
     def check(self, header: int, hdf5_path: str) -> None:
-        """Check the trees that the object header at an address refers to; what is no tree is left to HDF5.
+        """Check the trees to which the object header at an address refers; HDF5 itself reports an address of no tree.
 
         Raises
         ------
@@ -85,73 +85,91 @@ class BTrees:
                 self._newer.check_chunks(index, hdf5_path)
 
     def _check_heap(self, heap: int, hdf5_path: str) -> None:
-        """Follow the free blocks of a group's names, from each of which HDF5 makes an entry of a list."""
+        """Follow the list of free blocks in the heap of a group's names.
+
+        Raises
+        ------
+        InputError : the list is cyclic or too long.
+        """
         if len(head := self._bytes(heap, HEAP.size)) < HEAP.size:
             return
         signature, size, free, names = HEAP.unpack(head)
-        met: set[int] = set()
+        seen: set[int] = set()
         while signature == b"HEAP" and free + ADDRESS.size <= size:
-            if free in met or len(met) > MOST_NODES:
+            if free in seen or len(seen) > MOST_NODES:
                 raise InputError(f"{hdf5_path}: damaged: the free space among the names of its members has no end")
-            met.add(free)
+            seen.add(free)
             block = self._bytes(names + free, ADDRESS.size)
             free = ADDRESS.unpack(block)[0] if len(block) == ADDRESS.size else size
 
     def _check_tree(self, root: Root, hdf5_path: str) -> None:
-        """Meet the nodes of a tree level by level, from the root down."""
+        """Check the nodes of a tree level by level, from the root down.
+
+        Raises
+        ------
+        InputError : a node is reached twice, siblings are out of order, levels differ, or there are too many nodes.
+        """
         damaged = InputError(f"{hdf5_path}: damaged: the index of its members or chunks is no tree")
-        row, level = [root.address], None
+        level_addresses, level = [root.address], None
         nodes = 0
-        while row:
-            if (nodes := nodes + len(row)) > MOST_NODES:
+        while level_addresses:
+            if (nodes := nodes + len(level_addresses)) > MOST_NODES:
                 raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
-            order = {address: number for number, address in enumerate(row)}
-            if len(order) < len(row) or not self._met.isdisjoint(order):
+            positions = {address: position for position, address in enumerate(level_addresses)}
+            if len(positions) < len(level_addresses) or not self._met.isdisjoint(positions):
                 raise damaged
-            self._met |= order.keys()
-            below: list[int] = []
-            for number, address in enumerate(row):
+            self._met |= positions.keys()
+            next_addresses: list[int] = []
+            for position, address in enumerate(level_addresses):
                 if (node := self._node(address, root.kind)) is None:
                     continue
                 level = node.level if level is None else level
-                left = -1 if node.left == NOWHERE else order.get(node.left, number)
-                right = len(row) if node.right == NOWHERE else order.get(node.right, number)
-                if node.level != level or not left < number < right:
+                left_position = -1 if node.left == NOWHERE else positions.get(node.left, position)
+                right_position = len(level_addresses) if node.right == NOWHERE else positions.get(node.right, position)
+                if node.level != level or not left_position < position < right_position:
                     raise damaged
-                if level and len(below) + node.children <= MOST_NODES:
-                    below += self._children(address, node.children, root.key_size)
+                if level and len(next_addresses) + node.children <= MOST_NODES:
+                    next_addresses += self._children(address, node.children, root.key_size)
                 elif level:
                     raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
-            row, level = below, (level or 0) - 1
+            level_addresses, level = next_addresses, (level or 0) - 1
 
     def _node(self, address: int, kind: int) -> TreeNode | None:
-        """The node at an address; None if there is none of this kind, which HDF5 reports itself."""
+        """Return the node at an address; None if there is none of this kind, which HDF5 itself reports."""
         head = self._bytes(address, NODE.size)
         if len(head) < NODE.size:
             return None
-        signature, found_kind, level, children, left, right = NODE.unpack(head)
-        return TreeNode(level, children, left, right) if (signature, found_kind) == (b"TREE", kind) else None
+        signature, node_kind, level, children, left, right = NODE.unpack(head)
+        return TreeNode(level, children, left, right) if (signature, node_kind) == (b"TREE", kind) else None
 
     def _children(self, address: int, count: int, key_size: int) -> Iterator[int]:
-        """Addresses of the nodes below one."""
+        """Yield the addresses of the `count` children of the node at an address."""
         entry = key_size + ADDRESS.size
         entries = self._bytes(address + NODE.size, count * entry)
         for at in range(key_size, len(entries) - ADDRESS.size + 1, entry):
             yield ADDRESS.unpack_from(entries, at)[0]
 
     def _bytes(self, address: int, count: int) -> bytes:
-        """`count` bytes from an address; fewer where the file ends before."""
+        """Read `count` bytes from an address; fewer if the file ends before."""
         return bytes_at(self._raw, self._base + address, count) if address < FURTHEST else b""
 
     def _messages(self, header: int) -> Iterator[HeaderMessage]:
-        """Messages of an object header of version 1 or 2, those of its further blocks included."""
+        """Yield the messages of an object header of version 1 or 2, including those of its continuation blocks.
+
+        Raises
+        ------
+        InputError : the headers of the file have too many messages or bytes.
+        """
         prefix = self._bytes(header, 64)
         if prefix.startswith(b"OHDR\x02"):
             flags = prefix[5]
-            at = 6 + (16 if flags & 0x20 else 0) + (4 if flags & 0x10 else 0)  # with times, with limits of attributes
-            width = 1 << (flags & 3)
-            blocks = [(header + at + width, int.from_bytes(prefix[at : at + width], "little"))]
-            head = struct.Struct("<BHB2x" if flags & 0x04 else "<BHB")  # with the order of creation
+            # flag 0x20: times are stored; flag 0x10: limits of attributes are stored
+            position = 6 + (16 if flags & 0x20 else 0) + (4 if flags & 0x10 else 0)
+            length_size = 1 << (flags & 3)
+            blocks = [
+                (header + position + length_size, int.from_bytes(prefix[position : position + length_size], "little"))
+            ]
+            head = struct.Struct("<BHB2x" if flags & 0x04 else "<BHB")  # flag 0x04: the order of creation is stored
             signature = checksum = 4
         elif prefix.startswith(b"\x01"):
             blocks = [(header + 16, int.from_bytes(prefix[8:12], "little"))]
@@ -159,9 +177,9 @@ class BTrees:
             signature = checksum = 0
         else:
             return
-        for at, length in blocks:  # which grow in number while they are read
+        for position, length in blocks:  # the loop appends further blocks
             self._bytes_met += length
-            block = self._bytes(at, length) if self._bytes_met <= MOST_BYTES else b""
+            block = self._bytes(position, length) if self._bytes_met <= MOST_BYTES else b""
             begin = 0
             while begin + head.size <= len(block):
                 kind, body_size, _flags = head.unpack_from(block, begin)
@@ -169,8 +187,8 @@ class BTrees:
                 body = block[begin : begin + body_size]
                 begin += body_size
                 if kind == CONTINUATION and len(body) >= 16:
-                    further, further_length = struct.unpack_from("<QQ", body)
-                    blocks.append((further + signature, max(0, further_length - signature - checksum)))
+                    next_block, next_length = struct.unpack_from("<QQ", body)
+                    blocks.append((next_block + signature, max(0, next_length - signature - checksum)))
                 self._messages_met += 1
                 yield HeaderMessage(kind, body)
             if self._messages_met > MOST_MESSAGES or self._bytes_met > MOST_BYTES:
@@ -178,7 +196,7 @@ class BTrees:
 
 
 def root_in(message: HeaderMessage) -> Root | None:
-    """Where the tree begins that a message refers to; None if it refers to none of version 1."""
+    """Return the root of the tree of version 1 to which a message refers; None if it refers to none."""
     body = message.body
     if message.kind == SYMBOL_TABLE and len(body) >= 16:
         return Root(OF_GROUP, ADDRESS.unpack_from(body)[0], 8)
@@ -190,26 +208,29 @@ def root_in(message: HeaderMessage) -> Root | None:
         dimensions, at = body[1], 8
     else:
         return None
-    # a key: a chunk's size, the filters that it went without, and its place in each dimension and in the value
+    # a key has a chunk's size, the mask of skipped filters, and its offset in each dimension and in the value
     return Root(OF_CHUNKS, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
 
 
 def index_in(message: HeaderMessage) -> list[int]:
-    """Addresses of the heap of links or attributes and of the trees of version 2 that index it; empty if none."""
+    """Return the addresses of a heap of links or attributes and of the trees of version 2 that index it.
+
+    Empty if the message refers to no such heap.
+    """
     body = message.body
     if message.kind not in SIZE_OF_LAST_NUMBER or len(body) < 2:
         return []
     begin = 2 + (SIZE_OF_LAST_NUMBER[message.kind] if body[1] & 1 else 0)
-    count = 3 if body[1] & 2 else 2  # with a tree by the order of creation
+    count = 3 if body[1] & 2 else 2  # flag 2: there is also a tree by the order of creation
     end = begin + count * ADDRESS.size
     return [address for (address,) in ADDRESS.iter_unpack(body[begin:end])] if end <= len(body) else []
 
 
 def chunk_index_in(message: HeaderMessage) -> int | None:
-    """Address of the array or the tree of version 2 that indexes chunks; None if the message refers to none."""
+    """Return the address of the array or the tree of version 2 that indexes chunks; None if there is none."""
     body = message.body
     if message.kind != LAYOUT or len(body) < 5 or body[0] < 4 or body[1] != CHUNKED:
         return None
-    at = 5 + body[3] * body[4]  # after the lengths of a chunk
+    at = 5 + body[3] * body[4]  # after the chunk's length in each dimension
     begin = at + 1 + INDEX_SETTINGS.get(body[at], len(body)) if at < len(body) else at
     return int(ADDRESS.unpack_from(body, begin)[0]) if begin + ADDRESS.size <= len(body) else None

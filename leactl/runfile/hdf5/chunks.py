@@ -1,4 +1,4 @@
-"""Sizes of compressed chunks: HDF5 decompresses a chunk to its end, whatever size its header announces.
+"""Check the decompressed sizes of chunks, since HDF5 decompresses a chunk to its end, whatever size is announced.
 
 A chunk announced with 8 KiB may decompress to a thousand times its size in the file, and HDF5 keeps all of it in memory
 as long as the dataset is open.
@@ -10,21 +10,21 @@ from typing import Any, Final
 import h5py
 import numpy as np
 
-DEFLATE_AT_MOST: Final = 1032  # values packed into one byte by deflate (zlib's technical details)
-CHECKSUM: Final = 4  # bytes of Fletcher's, behind the values
-MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what it cannot pack
+DEFLATE_AT_MOST: Final = 1032  # largest compression ratio of deflate (zlib's technical details)
+CHECKSUM: Final = 4  # bytes of Fletcher's checksum, after the values
+DEFLATE_OVERHEAD: Final = 1 << 12  # bytes, besides a thousandth, that deflate may add to incompressible values
 
 
 def chunks(dataset: Any) -> list[Any]:
-    """Chunk infos of a dataset's written chunks: offset in the dataset, offset in the file, and stored size."""
+    """Return the chunk info of each written chunk: offset in the dataset, offset in the file, and stored size."""
     infos: list[Any] = []
     dataset.chunk_iter(infos.append)
     return infos
 
 
 def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
-    """Whether a compressed chunk takes or decompresses to more than `most` bytes; False if it is damaged."""
-    if chunk.size > most + most // 1000 + MORE:
+    """Return whether a compressed chunk takes or decompresses to more than `most` bytes; False if it is damaged."""
+    if chunk.size > most + most // 1000 + DEFLATE_OVERHEAD:
         return True
     _, packed = dataset.read_direct_chunk(chunk.chunk_offset)
     try:
@@ -34,11 +34,13 @@ def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
 
 
 def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
-    """Decompressed bytes of a chunk; None if it is damaged or decompresses to more than `most` bytes."""
+    """Decompress a chunk; None if it is damaged or decompresses to more than `most` bytes."""
     data: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
-    used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
-    most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
-    for code in reversed(used):
+    applied_filters = [
+        code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1
+    ]
+    most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in applied_filters)
+    for code in reversed(applied_filters):
         if code == h5py.h5z.FILTER_FLETCHER32:
             data = data[:-CHECKSUM]
         elif code == h5py.h5z.FILTER_SHUFFLE:  # first bytes of all values, second bytes of all values ...
@@ -55,11 +57,11 @@ def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | No
 
 
 def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
-    """The last value of a one-dimensional dataset, as an array of length 1; of length 0 if the dataset is empty.
+    """Return the last value of a one-dimensional dataset, as an array of length 1, or 0 if the dataset is empty.
 
     Raises
     ------
-    OSError : its last chunk decompresses to more than it announces.
+    OSError : the last chunk decompresses to more bytes than announced.
     """
     rows = len(dataset)
     if rows and dataset.chunks and h5py.h5z.FILTER_DEFLATE in filters(dataset.id.get_create_plist()):
@@ -72,5 +74,5 @@ def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
 
 
 def filters(plist: Any) -> tuple[int, ...]:
-    """HDF5 filter codes of a dataset's chunks, in the order in which they were applied."""
+    """Return the HDF5 filter codes of a dataset's chunks, in the order in which they were applied."""
     return tuple(plist.get_filter(index)[0] for index in range(plist.get_nfilters()))

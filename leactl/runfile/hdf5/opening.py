@@ -1,6 +1,6 @@
-"""Open a run file safely: return an open HDF5 file, or raise one line that says why it is no run file.
+"""Open run files and other HDF5 files safely; a file that cannot be read safely is refused with its faults.
 
-A recording that was killed or is still being written opens too (see `swmr`); foreign or truncated files are refused.
+A recording that is still being written, or whose writer was killed, can be opened too (see `swmr`).
 """
 
 from collections.abc import Iterator
@@ -33,19 +33,19 @@ TOO_NEW = (
     f"written in a newer HDF5 format than h5py {h5py.__version__} with HDF5 {h5py.version.hdf5_version} reads; where it"
     " opens, `leactl runs convert` makes it old again"
 )
-# h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
+# h5py raises any of these for a damaged header: TypeError for a type without NumPy type, ValueError for a wrong length
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
-GROWING = 3  # times that a live file is reopened because it grew while it was checked
-BEYOND_ITS_END = "addr overflow"  # HDF5's error for an address beyond the size that the file had when it was opened
+GROWING = 3  # number of times that a live file is reopened because it grew while it was checked
+BEYOND_ITS_END = "addr overflow"  # text of HDF5's error for an address beyond the file's size when it was opened
 USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
 def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool = True) -> tuple[Any, bool]:
-    """Open a run file for reading; the second result says whether a writer has it open or was killed.
+    """Open a run file for reading; the second result is whether a writer has it open or was killed.
 
     Parameters
     ----------
-    root : receives the attributes of the root group.
+    root : dictionary to which the attributes of the root group are added.
     values : whether more than the last value of each stream will be read, so that compressed chunks are checked too.
 
     Raises
@@ -84,7 +84,7 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
 
 
 def open_foreign(path: Path) -> Any:
-    """Open an HDF5 file that is no run, such as a MAT file of version 7.3, for reading.
+    """Open an HDF5 file that is not a run file, such as a MAT file of version 7.3, for reading.
 
     Raises
     ------
@@ -112,26 +112,26 @@ def open_foreign(path: Path) -> Any:
 
 
 def is_hdf5(head: bytes) -> bool:
-    """Whether the first bytes of a file are the HDF5 signature."""
+    """Return whether the first bytes of a file are the HDF5 signature."""
     return head.startswith(SIGNATURE)
 
 
 def faults_of_form(file: Any, head: bytes) -> list[str]:
-    """A line if the file does not begin with HDF5's signature, or its addresses have an unusual size."""
+    """Return a line if the file does not begin with HDF5's signature, or its addresses have an unusual size."""
     if not is_hdf5(head):
         return ["begins with bytes that are not HDF5's; none were expected before its part"]
     return faults_of_sizes(file)
 
 
 def faults_of_sizes(file: Any) -> list[str]:
-    """A line if addresses or lengths have an unusual size, for which the text heaps cannot be checked."""
+    """Return a line if addresses or lengths have an unusual size, for which the text heaps cannot be checked."""
     if (sizes := file.id.get_create_plist().get_sizes()) != USUAL_SIZES:
         return [f"its addresses and lengths have {sizes[0]} and {sizes[1]} bytes; 8 were expected"]
     return []
 
 
 def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool) -> list[str]:
-    """One line for each reason why the file is no readable run; adds the root attributes to `root`."""
+    """Return one line for each reason why the file is no readable run, and add its root attributes to `root`."""
     try:
         longest = longest_text(raw)
         return faults_of_root(file, longest, root) or faults_of_tree(file, raw, longest, values)
@@ -150,7 +150,7 @@ def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
 
 
 def damage_text(fault: Exception) -> str:
-    """One line, in words a person can act on, for an error while HDF5 reads data."""
+    """Return one line that a person can act on, for an error while HDF5 reads data."""
     if isinstance(fault, MemoryError):
         return "holds more than fits into the memory of this computer"
     text = " ".join(str(fault).split())
@@ -160,7 +160,7 @@ def damage_text(fault: Exception) -> str:
 
 
 def open_failure(fault: Exception) -> str:
-    """One line, in words a person can act on, for an error while HDF5 opens a file."""
+    """Return one line that a person can act on, for an error while HDF5 opens a file."""
     text = str(fault)
     if "signature not found" in text:
         return "not an HDF5 file"
@@ -170,7 +170,10 @@ def open_failure(fault: Exception) -> str:
 
 
 def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
-    """A line if the root attributes are not those of a run of a supported version; adds them to `root`."""
+    """Return a line if the root attributes are not those of a run of a supported version; else add them to `root`.
+
+    `longest` is the length of the longest text in the file's heaps [bytes].
+    """
     try:
         if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_NAMES:
             return [f"/: {names} attributes; at most {MOST_NAMES} were expected"]

@@ -10,8 +10,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-RESERVE = 1 << 20  # bytes beside the data, for HDF5's own tables of some kB per column
-# where each version of the superblock keeps the end of the file (HDF5 file format 3.0, II.A)
+RESERVE = 1 << 20  # bytes in addition to the data, for HDF5's internal tables of some kB per column
+# byte range of the end-of-file address in each version of the superblock (HDF5 file format 3.0, II.A)
 END_OF_FILE = {0: slice(40, 48), 2: slice(28, 36), 3: slice(28, 36)}
 VERSION_AT, OFFSET_SIZE_AT = 8, {0: 13, 2: 9, 3: 9}
 
@@ -19,30 +19,30 @@ VERSION_AT, OFFSET_SIZE_AT = 8, {0: 13, 2: 9, 3: 9}
 def reserve(file: Any, size: int) -> None:
     """Reserve disk space for `size` more bytes; raises OSError and leaves the file as it was if there is none."""
     descriptor = file.id.get_vfd_handle()
-    have = os.fstat(descriptor).st_size
-    lacking = file.id.get_filesize() + size + RESERVE - have
+    present = os.fstat(descriptor).st_size
+    lacking = file.id.get_filesize() + size + RESERVE - present
     if lacking <= 0:
         return
     try:
         if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(descriptor, have, lacking)
+            os.posix_fallocate(descriptor, present, lacking)
             return
     except OSError as fault:
         if fault.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
             raise OSError(fault.errno, f"no room for {lacking} bytes more: {fault.strerror}") from fault
-    # a file system that cannot reserve can at least count
+    # a file system that cannot reserve space can at least report the free space
     free = shutil.disk_usage(Path(file.filename).parent).free
     if free < lacking:
         raise OSError(errno.ENOSPC, f"no room for {lacking} bytes more: {free} are free")
 
 
 def trim(path: Path) -> None:
-    """Release reserved space that was not used; call it after the file is closed."""
+    """Release reserved space that was not used, after the file is closed."""
     with path.open("r+b") as raw:
         head = raw.read(48)
         version = head[VERSION_AT]
         if version not in END_OF_FILE or head[OFFSET_SIZE_AT[version]] != 8:
-            return  # the reserve stays: wasted, not wrong
+            return  # the reserved space stays, which wastes space and does no other harm
         end = int.from_bytes(head[END_OF_FILE[version]], "little")
         if 0 < end < os.fstat(raw.fileno()).st_size:
             raw.truncate(end)

@@ -1,9 +1,9 @@
-"""Read a recording that is still being written, or was killed, as if it had been closed at this moment.
+"""Read a recording that is still being written, or whose writer was killed, as if it had been closed just now.
 
-HDF5 opens such a file only in its SWMR mode. There it takes a wrong checksum for an unfinished write and waits for the
-writer to finish, twice as long each time, for ever if a disk has damaged one byte. If the superblock says "closed", a
-damaged byte is an error at once, and flushed data are read just as well: the writer never stores a reference before
-the data that it refers to (HDF5, single-writer/multiple-reader mode).
+HDF5 opens such a file only in its SWMR mode. In that mode, HDF5 takes a wrong checksum for an unfinished write and
+waits for the writer to finish, twice as long each time, and for ever if the disk has damaged one byte. If the
+superblock says "closed", a damaged byte is an error at once, and flushed data can still be read: the writer never
+stores a reference before the data to which it refers (HDF5, single-writer/multiple-reader mode).
 """
 
 import io
@@ -14,8 +14,8 @@ from typing import Any, BinaryIO, Final
 from leactl.regular_files import read_at
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
-# superblock of version 3 (HDF5 file format 3.0, II.A): at byte 11 bit 0, a writer has the file open, and bit 2, it
-# writes in SWMR mode; where the file ends, as the writer last said; and a checksum of all before it
+# superblock of version 3 (HDF5 file format 3.0, II.A): flags at byte 11, bit 0 for a file that is open for writing and
+# bit 2 for SWMR mode; the end of the file that the writer stored last; and a checksum of all bytes before it
 VERSION_AT, FLAGS_AT, END_AT, CHECKSUM_AT, LENGTH = 8, 11, slice(28, 36), slice(44, 48), 48
 OPEN_FOR_WRITE, SWMR_WRITE = 0x01, 0x04
 WORD: Final = 0xFFFFFFFF
@@ -30,11 +30,11 @@ class AsClosed(io.RawIOBase):
         self._at = 0
 
     def seekable(self) -> bool:
-        """True: HDF5 seeks."""
+        """Return True, since HDF5 seeks."""
         return True
 
     def readable(self) -> bool:
-        """True: HDF5 reads."""
+        """Return True, since HDF5 reads."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -47,11 +47,11 @@ class AsClosed(io.RawIOBase):
         return self._at
 
     def tell(self) -> int:
-        """Position of the next byte."""
+        """Return the position of the next byte."""
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Read bytes; those of the superblock are replaced by the superblock of a closed file."""
+        """Read bytes into a buffer; the superblock is that of a closed file."""
         view = memoryview(buffer).cast("B")
         data = read_at(self._descriptor, len(view), self._at)
         count = len(data)
@@ -71,7 +71,7 @@ class AsClosed(io.RawIOBase):
 
 
 def as_closed(head: bytes, size: int) -> bytes:
-    """Superblock of a closed file of `size` bytes, made from that of a live one; a wrong checksum stays wrong."""
+    """Convert the superblock of a live file to that of a closed file of `size` bytes; a wrong checksum stays wrong."""
     superblock = bytearray(head)
     superblock[FLAGS_AT] = 0
     superblock[END_AT] = size.to_bytes(8, "little")
@@ -81,7 +81,7 @@ def as_closed(head: bytes, size: int) -> bytes:
 
 
 def checksum(data: bytes) -> int:
-    """HDF5's checksum of metadata: Bob Jenkins' lookup3 (public domain), `hashlittle` with an initial value of 0."""
+    """Return HDF5's checksum of metadata: Bob Jenkins' lookup3 (public domain), `hashlittle` with initial value 0."""
     a = b = c = (0xDEADBEEF + len(data)) & WORD
     for at in range(0, len(data), BLOCK.size):
         if at:
@@ -95,5 +95,5 @@ def checksum(data: bytes) -> int:
 
 
 def rotated_left(word: int, bits: int) -> int:
-    """A word of 32 bits rotated to the left."""
+    """Rotate a word of 32 bits to the left."""
     return (word << bits | word >> (32 - bits)) & WORD

@@ -1,9 +1,9 @@
-"""Check the heaps that hold a file's texts before HDF5 reads them: a length of 0 in a heap keeps HDF5 busy for ever.
+"""Check the heaps with a file's texts before HDF5 reads them, since a length of 0 in a heap makes HDF5 loop for ever.
 
-A heap is a sequence of objects, each with its length. The last one, number 0, is the free space; its length includes
-its header and so is never 0. HDF5 steps by these lengths unchecked, and no checksum covers a heap (HDF5 file format
-3.0, III.E). Other faults of a heap are found by HDF5 itself. The length of the longest text bounds the memory that
-many references to one text can take.
+A heap is a sequence of objects, each with its length. The last object, number 0, is the free space; its length includes
+its header and is therefore never 0. HDF5 steps by these lengths without a check, and no checksum covers a heap (HDF5
+file format 3.0, III.E). HDF5 itself reports other faults of a heap. The length of the longest text bounds the memory
+that many references to one text can take.
 """
 
 import struct
@@ -12,28 +12,28 @@ from typing import BinaryIO, Final
 
 from leactl.errors import InputError
 
-HEAD: Final = b"GCOL\x01\0\0\0"  # signature, version and what is reserved; the heap's length follows
-HEADER: Final = struct.Struct("<8sQ")
-OBJECT: Final = struct.Struct("<HHLQ")  # number, references, reserved, length of what follows
+HEAD: Final = b"GCOL\x01\0\0\0"  # signature, version and reserved bytes; the heap's length follows
+HEADER: Final = struct.Struct("<8sQ")  # head and length of the heap
+OBJECT: Final = struct.Struct("<HHLQ")  # number, references, reserved, length of the value after this header
 ALIGNMENT: Final = 8  # bytes, of the objects in a heap
-BLOCK: Final = 1 << 22  # bytes, that are looked through at once
-MOST_BYTES: Final = 1 << 24  # of one text; HDF5 and Python hold five copies of it for a moment
+BLOCK: Final = 1 << 22  # bytes that are searched at once
+MOST_BYTES: Final = 1 << 24  # of one text; HDF5 and Python briefly hold five copies of it
 MOST_STEPS: Final = 1 << 19  # heaps and the objects in them; a run has some hundred texts, and three for each event
 
 
 def longest_text(stream: BinaryIO) -> int:
-    """Length [bytes] of the longest text in the heaps of an HDF5 file with 8-byte lengths.
+    """Return the length [bytes] of the longest text in the heaps of an HDF5 file with 8-byte lengths.
 
     Raises
     ------
     InputError : HDF5 would never reach the end of a heap, or there are more or longer texts than a run can have.
     """
     longest = steps = 0
-    for at in heaps(stream):
-        for number, length in objects(stream, at):
+    for heap_at in heaps(stream):
+        for number, length in objects(stream, heap_at):
             steps += 1
             if not number and not length:
-                raise InputError(f"damaged: the texts that begin at byte {at} are not whole")
+                raise InputError(f"damaged: the texts that begin at byte {heap_at} are not whole")
             if steps > MOST_STEPS:
                 raise InputError(f"more than {MOST_STEPS} texts; fewer were expected of a run")
             longest = max(longest, length if number else 0)
@@ -43,7 +43,7 @@ def longest_text(stream: BinaryIO) -> int:
 
 
 def heaps(stream: BinaryIO) -> Iterator[int]:
-    """Byte offsets of the heaps of a file; read block by block, since the file may be larger than the memory."""
+    """Yield the byte offsets of the heaps of a file, read block by block, since it may be larger than the memory."""
     begin, block = 0, bytes_at(stream, 0, BLOCK)
     while len(block) >= len(HEAD):
         at = block.find(HEAD)
@@ -55,7 +55,7 @@ def heaps(stream: BinaryIO) -> Iterator[int]:
 
 
 def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
-    """Number and length of each object of a heap, preceded by (1, 0) for the heap itself."""
+    """Yield number and length [bytes] of each object of the heap at byte `at`, after (1, 0) for the heap itself."""
     yield 1, 0
     head = bytes_at(stream, at, HEADER.size)
     if len(head) < HEADER.size:
@@ -69,6 +69,6 @@ def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
 
 
 def bytes_at(stream: BinaryIO, at: int, count: int) -> bytes:
-    """`count` bytes of a file from byte `at`; fewer at its end."""
+    """Read `count` bytes of a file from byte `at`; fewer at the end of the file."""
     stream.seek(at)
     return stream.read(count)

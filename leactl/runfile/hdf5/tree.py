@@ -1,8 +1,8 @@
 """Check the object tree of an HDF5 file before its values are read: names, sizes, depth and kinds of its objects.
 
 A file of a few kB may announce a channel of 1e12 values that were never written, attributes that fill the memory, a
-text that is referred to a million times, chunks that decompress without end, or groups that contain themselves. All of
-these are refused by object headers, references and compressed bytes alone; HDF5 reads no value.
+text with a million references to it, chunks that decompress to any size, or groups that contain themselves. The checks
+need object headers, references and compressed bytes only; HDF5 reads no value.
 """
 
 import math
@@ -19,34 +19,34 @@ from leactl.runfile.hdf5.btrees import BTrees
 from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
 from leactl.runfile.hdf5.value_types import (
     attribute_names,
+    description_of_type,
     faults_of_attribute_types,
     is_shallow,
     is_text_of_any_length,
-    what_is_not_plain,
 )
 from leactl.yamlfile import shown
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-DEEPEST: Final = 8  # groups in one another; the layout has 3
-DEEPEST_FOREIGN: Final = 32  # structs and cells of other programs in one another
+DEEPEST: Final = 8  # nested groups; the layout has 3
+DEEPEST_FOREIGN: Final = 32  # nested structs and cells in files of other programs
 MOST_OBJECTS: Final = 10_000  # groups and datasets; a run of the largest bench has about 100
-LONGEST_NAME: Final = 1 << 10  # bytes, of one object or link; MATLAB's have at most 63
+LONGEST_NAME: Final = 1 << 10  # bytes, of one object or link; MATLAB's names have at most 63
 MOST_PATHS: Final = 1 << 22  # bytes of the paths of all objects: 400 for each of 10,000
 MOST_ROWS_OF_TABLE: Final = 1 << 17  # of steps, events and notes
-MOST_TEXTS: Final = 1 << 19  # in all datasets
-MOST_TEXT: Final = 1 << 26  # bytes of them
-MOST_NAMES: Final = 1 << 13  # of attributes; to read one by its name, HDF5 looks at all others of its object
-MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; what is written here shares 64 KiB
+MOST_TEXTS: Final = 1 << 19  # number of texts in all datasets
+MOST_TEXT: Final = 1 << 26  # bytes of all texts
+MOST_NAMES: Final = 1 << 13  # attributes; to read one by its name, HDF5 searches all attributes of its object
+MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; in run files, those of one object share 64 KiB
 MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
-MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as a kill leaves them
-ATTRIBUTE_HEADER: Final = 64  # bytes, about, of an attribute beside its value
+MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as after a kill
+ATTRIBUTE_HEADER: Final = 64  # approximate bytes of an attribute without its value
 MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the file's size plus 256 MiB
-TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
+TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # reference to a text in a heap
 MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
 LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
 
 NEITHER: Final = ("values that are neither numbers nor text", "values that are neither numbers nor references")
-READ_OF_MAT: Final = (b"MATLAB_class", b"MATLAB_empty")  # of others, such as the names of fields, no value is read
+READ_OF_MAT: Final = (b"MATLAB_class", b"MATLAB_empty")  # attributes of MAT files whose values are read
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
 TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": layout.NOTES}
@@ -56,22 +56,22 @@ class Node(NamedTuple):
     """A group, dataset or link with its path in the file."""
 
     path: str
-    item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`; None: a link
+    item: Any  # identifier of h5py's low-level API, three times as fast as a `Group` or `Dataset`; None for a link
 
 
 class Storage(NamedTuple):
     """Type, shape and storage of a dataset's values, from its object header."""
 
     dtype: "np.dtype[Any]"
-    shape: tuple[int, ...] | None  # None where it has no values
-    elsewhere: bool  # in another file
-    in_header: bool  # in the object's header instead of a block of their own
-    filters: tuple[int, ...]
-    chunk_values: int  # 0 where it is not chunked
+    shape: tuple[int, ...] | None  # None for a dataset without values
+    elsewhere: bool  # whether the values are in another file
+    in_header: bool  # whether the values are in the object's header instead of a separate block
+    filters: tuple[int, ...]  # HDF5 filter codes, in the order of application
+    chunk_values: int  # values in a chunk; 0 if the dataset is not chunked
 
     @classmethod
     def of(cls, dataset: Any) -> Self:
-        """Read the header once, because each access to a dataset's shape or properties copies all of them."""
+        """Read a dataset's header once, because each access to its shape or properties copies all of them."""
         plist = dataset.get_create_plist()
         form = plist.get_layout()
         return cls(
@@ -85,7 +85,7 @@ class Storage(NamedTuple):
 
     @property
     def announced(self) -> int:
-        """Number of values, written or not."""
+        """Number of announced values, whether written or not."""
         return 0 if self.shape is None else math.prod(self.shape)
 
     @property
@@ -121,12 +121,12 @@ class Storage(NamedTuple):
         return len(self.shape or ())
 
     def holds(self, text: bool) -> bool:
-        """Whether the values are texts (`text` True) or numbers (`text` False)."""
+        """Return whether the values are texts (`text` True) or numbers (`text` False)."""
         return self.is_text if text else self.dtype.kind in "fiu"
 
 
 def faults_of_tree(file: Any, raw: BinaryIO, longest: int, values: bool = True) -> list[str]:
-    """One line for each reason why a run file cannot be read safely.
+    """Return one line for each reason why a run file cannot be read safely.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def faults_of_tree(file: Any, raw: BinaryIO, longest: int, values: bool = True) 
 
 
 def faults_of_foreign_tree(file: Any, raw: BinaryIO, longest: int) -> list[str]:
-    """One line for each reason why an HDF5 file that is no run, such as a MAT file, cannot be read safely."""
+    """Return one line for each reason why an HDF5 file of another program, such as MATLAB, cannot be read safely."""
     tree = Tree(raw, longest, foreign=True)
     try:
         return tree.faults_of_nodes(file) or tree.faults_of_packing()
@@ -155,18 +155,18 @@ class Tree:
     """The objects of a file, with sums of their sizes that are updated while the tree is walked."""
 
     def __init__(self, raw: BinaryIO, longest: int, foreign: bool = False) -> None:
-        self.items: dict[str, Any] = {}  # by path: of a dataset its storage
-        self._foreign = foreign  # not a run: deeper, with references, and no text but in arrays of numbers
+        self.items: dict[str, Any] = {}  # by path: the storage of a dataset, or the identifier of another object
+        self._foreign = foreign  # a file of another program: deeper, with references, and text as arrays of numbers
         self._raw, self._longest, self._file_size = raw, longest, os.fstat(raw.fileno()).st_size
         self._datasets: list[tuple[str, Any, Storage]] = []
 
     def faults_of_nodes(self, file: Any) -> list[str]:
-        """Faults of single objects and of their sums, one line each, with the object's path."""
+        """Return the faults of single objects and of their sums, one line each, with the object's path."""
         faults: list[str] = []
         nodes: list[Node] = []
         attributes = names = paths = 0
         btrees = BTrees(self._raw, file.id.get_create_plist().get_userblock())
-        btrees.check(h5py.h5g.get_objinfo(file.id, b"/").objno[0], "/")  # `h5o.get_info` would look at the tree
+        btrees.check(h5py.h5g.get_objinfo(file.id, b"/").objno[0], "/")  # `h5o.get_info` would walk the tree
         deepest = DEEPEST_FOREIGN if self._foreign else DEEPEST
         for count, (path, item) in enumerate(walk(file.id, btrees, deepest), 1):
             paths += len(path)
@@ -187,8 +187,8 @@ class Tree:
             is_read = is_read_of_mat if self._foreign else is_read_of_run
             faults += faults_of_attributes(size, path) or faults_of_attribute_types(item, path, is_read)
             if isinstance(item, h5py.h5d.DatasetID) and not is_shallow(item.get_type()):
-                other = "references" if self._foreign else "text"
-                faults.append(f"{path}: values that are {what_is_not_plain(item.get_type(), other)}")
+                expected = "references" if self._foreign else "text"
+                faults.append(f"{path}: values that are {description_of_type(item.get_type(), expected)}")
             elif isinstance(item, h5py.h5d.DatasetID):
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))
@@ -203,31 +203,31 @@ class Tree:
         )
 
     def _faults_of_sizes(self) -> list[str]:
-        """A line if values were never written, overlap one another, or exceed what is read."""
-        unwritten, largest = 0, ("", 0)
-        stored: dict[int, int] = {}  # by address: an object may have two names
+        """Return a line if too many values were never written, overlap one another, or exceed `MOST_UNPACKED`."""
+        unwritten_bytes, largest = 0, ("", 0)
+        stored: dict[int, int] = {}  # bytes by address, since an object may have two names
         for path, item, storage in self._datasets:
-            if storage.size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of so little stays below
+            if storage.size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of such small values stays below the limit
                 continue
-            taken = int(item.get_storage_size())
-            stored[h5py.h5o.get_info(item).addr] = taken
-            size = max(0, storage.size - (DEFLATE_AT_MOST if storage.is_packed else 1) * taken)
-            unwritten += size
+            stored_bytes = int(item.get_storage_size())
+            stored[h5py.h5o.get_info(item).addr] = stored_bytes
+            size = max(0, storage.size - (DEFLATE_AT_MOST if storage.is_packed else 1) * stored_bytes)
+            unwritten_bytes += size
             largest = max(largest, (path, size), key=lambda candidate: candidate[1])
-        if unwritten > MOST_UNWRITTEN:
+        if unwritten_bytes > MOST_UNWRITTEN:
             return [
                 f"{largest[0]}: announces {largest[1]} bytes of values that were never written; at most"
                 f" {MOST_UNWRITTEN} were expected, as a recording that was cut off may leave them"
             ]
         if (size := sum(stored.values())) > self._file_size:
             return [f"damaged: its values take {size} bytes in a file of {self._file_size}"]
-        most = MOST_UNPACKED[0] * self._file_size + MOST_UNPACKED[1]
-        if (size := sum(storage.size for _, _, storage in self._datasets)) > most:
-            return [f"{size} bytes of values in a file of {self._file_size}; at most {most} were expected"]
+        most_bytes = MOST_UNPACKED[0] * self._file_size + MOST_UNPACKED[1]
+        if (size := sum(storage.size for _, _, storage in self._datasets)) > most_bytes:
+            return [f"{size} bytes of values in a file of {self._file_size}; at most {most_bytes} were expected"]
         return []
 
     def _faults_of_texts(self) -> list[str]:
-        """A line if the texts are too many or too long, repeated references included."""
+        """Return a line if the texts are too many or too long; a text counts once for each reference to it."""
         count = size = 0
         for path, item, storage in self._datasets:
             if not storage.is_text:
@@ -249,9 +249,9 @@ class Tree:
         return [] if size <= MOST_TEXT else [f"{size} bytes of text; at most {MOST_TEXT} were expected"]
 
     def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any] | None":
-        """Lengths of a dataset's texts [bytes], from its references; empty if these are in the object header.
+        """Return the lengths of a dataset's texts [bytes], from its references.
 
-        None if the references cannot be read.
+        Empty if the references are in the object header, None if they cannot be read.
         """
         size = TEXT_IN_HEAP.itemsize
         if storage.is_packed:
@@ -274,7 +274,7 @@ class Tree:
         )
 
     def faults_of_packing(self) -> list[str]:
-        """A line for each dataset with a chunk that decompresses to more than it announces.
+        """Return a line for each dataset with a chunk that decompresses to more bytes than announced.
 
         No chunk is decompressed if all of them together cannot exceed `MOST_UNSEEN`.
         """
@@ -289,13 +289,13 @@ class Tree:
 
 
 def walk(group: Any, btrees: BTrees, deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
-    """Every group and dataset below a group, and every soft and external link, which is not followed."""
+    """Yield every group and dataset below a group, and every soft and external link, which is not followed."""
     for name, kind, header in links(group):
         text = name.decode("utf-8", "surrogateescape")
         if len(name) > LONGEST_NAME:
             raise InputError(f"{path}/{shown(text)}: a name of {len(name)} bytes; at most {LONGEST_NAME} were expected")
         node_path = f"{path}/{text}"
-        if depth == deepest:  # as where a group holds itself: what else is in it does not count
+        if depth == deepest:  # for example if a group contains itself
             raise InputError(f"{node_path}: lies in more than {deepest} groups; fewer were expected")
         if kind != h5py.h5l.TYPE_HARD:
             yield Node(node_path, None)
@@ -308,25 +308,25 @@ def walk(group: Any, btrees: BTrees, deepest: int, path: str = "", depth: int = 
 
 
 def links(group: Any) -> list[tuple[bytes, int, int]]:
-    """Name and type of each link of a group, and the address of the object that a hard link leads to.
+    """Return name and type of each link of a group, and the object's address for a hard link, sorted by name.
 
-    At most one more than a file may have objects, and none behind a name that is too long.
+    The list ends after `MOST_OBJECTS` + 1 links, or after a name that is too long.
     """
-    named: list[tuple[bytes, int, int]] = []
+    entries: list[tuple[bytes, int, int]] = []
 
-    def take(name: bytes, link: Any) -> bool | None:
-        named.append((name, link.type, link.u))
-        # anything but None ends the iteration; a few bytes in the file may give every link the same long name
-        return len(named) > MOST_OBJECTS or len(name) > LONGEST_NAME or None
+    def add(name: bytes, link: Any) -> bool | None:
+        entries.append((name, link.type, link.u))
+        # any value but None ends the iteration; a few bytes in the file may give every link the same long name
+        return len(entries) > MOST_OBJECTS or len(name) > LONGEST_NAME or None
 
-    group.links.iterate(take, info=True, order=h5py.h5.ITER_NATIVE)  # in another order HDF5 first copies all names
-    return sorted(named)
+    group.links.iterate(add, info=True, order=h5py.h5.ITER_NATIVE)  # in another order HDF5 first copies all names
+    return sorted(entries)
 
 
 def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -> list[str]:
-    """One line for each reason why a dataset's values cannot be read.
+    """Return one line for each reason why a dataset's values cannot be read.
 
-    Besides numbers, a run may have texts; a foreign file may have references to its own objects.
+    Besides numbers, a run may have texts; a foreign file may have references to objects of the same file.
     """
     faults = []
     if storage.elsewhere:
@@ -346,40 +346,40 @@ def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -
 
 
 def is_reference(storage: Storage) -> bool:
-    """Whether the values are references to objects of the file."""
+    """Return whether the values are references to objects of the file."""
     return h5py.check_ref_dtype(storage.dtype) is h5py.Reference
 
 
 def is_read_of_run(name: bytes) -> bool:
-    """Whether the value of this attribute is read, as all are but those of HDF5's dimension scales."""
+    """Return whether the value of an attribute of a run file is read: all but those of HDF5's dimension scales."""
     return name.decode("utf-8", "surrogateescape") not in layout.OF_SCALES
 
 
 def is_read_of_mat(name: bytes) -> bool:
-    """Whether the value of this attribute of a MAT file is read."""
+    """Return whether the value of an attribute of a MAT file is read."""
     return name in READ_OF_MAT
 
 
 def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
-    """A line if the attributes of one object exceed `MOST_ATTRIBUTES` bytes."""
+    """Return a line if the attributes of one object exceed `MOST_ATTRIBUTES` bytes."""
     if size <= MOST_ATTRIBUTES:
         return []
     return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
 
 
 def attribute_bytes(item: Any) -> int:
-    """Size of an object's attributes [bytes], by their headers."""
+    """Return the size of an object's attributes [bytes], by their headers."""
     least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
     if not 0 < least <= MOST_ATTRIBUTES:
         return least
     sizes: list[int] = []
-    # in one pass: to open each by its number, HDF5 begins anew every time
+    # in one pass, since HDF5 searches from the beginning for each attribute that is opened by its number
     h5py.h5a.iterate(item, lambda _name, attribute: sizes.append(attribute.data_size), info=True)
     return least + sum(sizes)
 
 
 def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int, most: int) -> list[str]:
-    """A line if texts in attributes exceed the limits.
+    """Return a line if texts in attributes exceed the limits.
 
     Parameters
     ----------
@@ -390,9 +390,9 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
     """
     if size // TEXT_IN_HEAP.itemsize * longest <= most:
         return []
-    total = 0
+    total_bytes = 0
     for path, item in nodes:
-        of_item = 0
+        item_bytes = 0
         for name in attribute_names(item):
             attribute = h5py.h5a.open(item, name)
             if not is_text_of_any_length(attribute.get_type()):
@@ -402,15 +402,15 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
                 return [f"{path}: an attribute of {count} texts in a file that has one of {longest} bytes"]
             texts = np.empty(attribute.shape, attribute.dtype)
             attribute.read(texts)
-            of_item += sum(len(text) for text in texts.flat)
-            if (more := faults_of_attributes(of_item, path)) or total + of_item > most:
-                return more or [f"more than {most} bytes of texts in attributes; fewer were expected"]
-        total += of_item
+            item_bytes += sum(len(text) for text in texts.flat)
+            if (item_faults := faults_of_attributes(item_bytes, path)) or total_bytes + item_bytes > most:
+                return item_faults or [f"more than {most} bytes of texts in attributes; fewer were expected"]
+        total_bytes += item_bytes
     return []
 
 
 def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
-    """One line for each object of the run format that is not the group, table column or text that it should be."""
+    """Return one line for each object of the run format that is not the expected group, table column or text."""
     faults = [
         f"/{name}: a dataset where a group was expected"
         for name in GROUPS

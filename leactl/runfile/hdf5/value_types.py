@@ -1,7 +1,7 @@
-"""Types of stored values, looked at before h5py makes NumPy types or values of them.
+"""Check the types of stored values before h5py creates NumPy types or values from them.
 
-h5py needs 0.9 GB for the NumPy type of 2000 arrays in one another, whose header has 50 kB. An attribute whose values
-have any length may refer to one of 16 MB as often as it likes. HDF5's own class of a type costs nothing.
+h5py needs 0.9 GB for the NumPy type of 2000 nested arrays, whose header has 50 kB. An attribute with values of variable
+length may refer to one value of 16 MB any number of times. The HDF5 class of a type can be read without such costs.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import h5py
 from leactl.yamlfile import shown
 
 NUMBERS_AND_TEXTS: Final = {h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM}
-MOST_MEMBERS: Final = 256  # of an enumeration or a compound; a truth value has 2, a complex number 2
+MOST_MEMBERS: Final = 256  # of an enumeration or a compound; a boolean has 2, a complex number 2
 NUMBERS_OF_OTHER_TYPES: Final = {
     h5py.h5t.ARRAY: "arrays as single values",
     h5py.h5t.BITFIELD: "bit fields",
@@ -28,13 +28,13 @@ NEITHER_NUMBERS_NOR_TEXTS: Final = {
 
 
 def is_plain(type_id: Any) -> bool:
-    """Whether values of a type are numbers, texts or members of a short enumeration."""
+    """Return whether values of a type are numbers, texts or members of a short enumeration."""
     kind = type_id.get_class()
     return kind in NUMBERS_AND_TEXTS and (kind != h5py.h5t.ENUM or type_id.get_nmembers() <= MOST_MEMBERS)
 
 
 def is_shallow(type_id: Any) -> bool:
-    """Whether a type is plain, a compound of plain ones, or of a class without members, such as a reference."""
+    """Return whether a type is plain, a compound of plain types, or a class without members, such as a reference."""
     kind = type_id.get_class()
     if kind == h5py.h5t.COMPOUND:
         members = type_id.get_nmembers()
@@ -42,20 +42,22 @@ def is_shallow(type_id: Any) -> bool:
     return is_plain(type_id) or kind not in (*NUMBERS_AND_TEXTS, h5py.h5t.ARRAY, h5py.h5t.VLEN, h5py.h5t.TIME)
 
 
-def what_is_not_plain(type_id: Any, other: str = "text") -> str:
-    """What values of a type are, where numbers or `other` were expected and the type is neither."""
+def description_of_type(type_id: Any, expected: str = "text") -> str:
+    """Describe a type that is not plain, for a message: what its values are, and what was expected.
+
+    `expected` names the values besides numbers that were expected.
+    """
     kind = type_id.get_class()
     if is_complex(type_id):
-        return f"complex numbers; real ones or {other} were expected"
+        return f"complex numbers; real ones or {expected} were expected"
     if kind in NUMBERS_OF_OTHER_TYPES:
-        return f"{NUMBERS_OF_OTHER_TYPES[kind]}; numbers or {other} were expected"
-    return (
-        f"neither numbers nor {other} but {NEITHER_NUMBERS_NOR_TEXTS.get(kind, 'values of a type that is not known')}"
-    )
+        return f"{NUMBERS_OF_OTHER_TYPES[kind]}; numbers or {expected} were expected"
+    actual = NEITHER_NUMBERS_NOR_TEXTS.get(kind, "values of a type that is not known")
+    return f"neither numbers nor {expected} but {actual}"
 
 
 def is_complex(type_id: Any) -> bool:
-    """Whether values of a type are complex numbers; h5py stores them as compounds of `r` and `i`."""
+    """Return whether values of a type are complex numbers; h5py stores them as compounds of `r` and `i`."""
     kind = type_id.get_class()
     if kind != h5py.h5t.COMPOUND:
         return bool(kind == getattr(h5py.h5t, "COMPLEX", None))  # a class of its own from HDF5 2.0 on
@@ -64,22 +66,25 @@ def is_complex(type_id: Any) -> bool:
 
 
 def is_text_of_any_length(type_id: Any) -> bool:
-    """Whether values of a type are references to texts in the file's heaps."""
+    """Return whether values of a type are references to texts in the file's heaps."""
     return type_id.get_class() == h5py.h5t.STRING and bool(type_id.is_variable_str())
 
 
 def faults_of_attribute_types(item: Any, hdf5_path: str, is_read: Callable[[bytes], bool]) -> list[str]:
-    """One line for each attribute of an object that is read and of a type that is not plain."""
+    """Return one line for each attribute of an object whose value is read and whose type is not plain.
+
+    `is_read` tells by the name whether the value of an attribute is read.
+    """
     faults = []
     for name in filter(is_read, attribute_names(item)):
         if not is_plain(type_id := h5py.h5a.open(item, name).get_type()):
             text = shown(name.decode("utf-8", "replace"))
-            faults.append(f"{hdf5_path}: attribute {text} holds {what_is_not_plain(type_id)}")
+            faults.append(f"{hdf5_path}: attribute {text} holds {description_of_type(type_id)}")
     return faults
 
 
 def attribute_names(item: Any) -> list[bytes]:
-    """Names of an object's attributes."""
+    """Return the names of an object's attributes."""
     names: list[bytes] = []
     h5py.h5a.iterate(item, names.append)
     return names

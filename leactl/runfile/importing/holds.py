@@ -1,4 +1,4 @@
-"""Find the stretches in which a channel holds a level: those between changes that exceed its noise.
+"""Find the stretches in which a channel holds a level, between changes that exceed its noise.
 
 A setpoint repeats its level exactly, so that every change ends a stretch. In a reading, a level changes where the means
 of the rows before and after differ by more than the scatter of such means (moving sums, MOSUM: Eichinger and Kirch,
@@ -31,10 +31,10 @@ WANDERS = 0.25  # share of the smallest step between levels that a level may dri
 class LevelHold(NamedTuple):
     """A stretch of rows at one level."""
 
-    first: int
-    after: int  # the row after the last
+    first: int  # index of the first row
+    after: int  # index of the row after the last
     level: float
-    before: float  # value of the channel before it came to this level; NaN if no row tells
+    before: float  # value of the channel before the stretch; NaN if not known
 
 
 class NotDistinct(Exception):
@@ -42,7 +42,7 @@ class NotDistinct(Exception):
 
 
 def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
-    """Stretches of at least `least_s` in which a channel stays at one level.
+    """Find the stretches of at least `least_s` in which a channel stays at one level.
 
     A single deviating row of a setpoint is ignored, two in sequence end a stretch; a stretch of a reading ends where
     its mean changes. Missing rows end a stretch if they last a quarter of `least_s` or more.
@@ -57,17 +57,17 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
     stamps, levels = time[finite_rows], median_of_three(values[finite_rows])
     rounded = ROUNDED * float(np.abs(levels).max())
     window = round(len(finite_rows) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
-    # rows behind which a channel is silent for long, as a setpoint is in another mode of its drive
+    # rows after which a channel has no value for long, for example a setpoint while its drive is in another mode
     silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
 
     def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
-        """Parts of holds that last `least_s`: key in finite rows, value in all rows."""
+        """Return the parts of holds that last `least_s`, in indices of all rows by those in indices of finite rows."""
         parts = {
             part: rows_among_all(part, finite_rows, silences, len(values))
             for part in split_at_silences(holds, silences)
         }
-        ends = {part: float(time[min(whole.after, len(time) - 1)]) for part, whole in parts.items()}
-        return {part: whole for part, whole in parts.items() if ends[part] - time[whole.first] >= least_s}
+        ends = {part: float(time[min(hold.after, len(time) - 1)]) for part, hold in parts.items()}
+        return {part: hold for part, hold in parts.items() if ends[part] - time[hold.first] >= least_s}
 
     holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST else {}
     if not holds and window >= FEWEST:
@@ -78,7 +78,7 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
 
 
 def median_of_three(values: Array) -> Array:
-    """Median of each row and its two neighbours, which removes single deviating rows and keeps edges."""
+    """Return the median of each row and its two neighbours, which removes single deviating rows and keeps edges."""
     if len(values) < 3:
         return values
     middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
@@ -86,7 +86,7 @@ def median_of_three(values: Array) -> Array:
 
 
 def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
-    """Split holds at silences; the value before a part after a silence is NaN."""
+    """Split holds at rows that follow a silence; `before` of a part after a silence is NaN."""
     for hold in holds:
         inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
         for first, after in pairwise([hold.first, *inside, hold.after]):
@@ -103,7 +103,7 @@ def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> L
 
 
 def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
-    """Stretches of constant value, up to `rounded`."""
+    """Return the stretches of constant value, up to the rounding error `rounded`."""
     changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
     edges = [0, *changes.tolist(), len(values)]
     return [
@@ -119,16 +119,16 @@ class WindowMeans:
         rows = np.arange(len(values)) - 0.5 * (len(values) - 1)
         centred = values - values.mean()
         mean, square, moment = (window_means(column, window) for column in (centred, centred**2, rows * centred))
-        # without a slope, which is no noise: what a ramp leaves beside it is
+        # without the slope of a ramp, which is not noise
         middle = rows[: len(mean)] + 0.5 * (window - 1)
         sloping = (moment - middle * mean) ** 2 / ((window**2 - 1) / 12.0)
         variance = np.maximum(square - mean**2 - sloping, 0.0)
         self.window = window
         self.mean = mean  # of the window that begins at each row
-        self.change = mean[window:] - mean[:-window]  # from `window` rows before each row, the first of which is that
+        self.change = mean[window:] - mean[:-window]  # at row `window` and later: mean after the row minus mean before
         self.scatter = np.sqrt(0.5 * (variance[window:] + variance[:-window]))
         self.least_step = float(np.ptp(mean))  # from one level to the next
-        self.colour = 0.0  # by how much means scatter, of the scatter of the rows in them
+        self.colour = 0.0  # scatter of the means over the scatter of the rows in them
 
     def estimate_colour(self, rounded: float) -> None:
         """Estimate `colour`, the scatter of window means relative to that of rows, where no level changes."""
@@ -144,26 +144,31 @@ class WindowMeans:
             calm = ratios[noisy & (changes[high] == changes[low])]  # no change within a window of these
             windows = max(len(calm) / self.window, 1.0)
             before, colour = colour, math.sqrt(float(np.mean(calm**2))) if len(calm) else 0.0
-            colour *= 1.0 + UNSURE / math.sqrt(2.0 * windows)  # it is known from few windows
+            colour *= 1.0 + UNSURE / math.sqrt(2.0 * windows)  # an upper bound, since the windows are few
             if colour == before:
                 break
         self.colour = colour
 
 
 def window_means(values: Array, window: int) -> Array:
-    """Mean of each window of `window` rows, indexed by its first row."""
+    """Return the mean of each window of `window` rows, indexed by its first row."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
 
 
 def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[LevelHold]:
-    """Holds between changes of level, extended to all rows at the level."""
+    """Find the holds between changes of level, and extend them to all rows at the level.
+
+    Raises
+    ------
+    NotDistinct : the channel varies without a change that exceeds its noise.
+    """
     window = means.window
     if len(values) < 2 * window:
         return []
     means.estimate_colour(rounded)
     steps = np.abs(np.diff(values))
-    # a reading that flickers by a count now and then has no noise to go by: half a count is no change
+    # the noise of a reading that rarely changes by a count cannot be estimated: half a count is no change
     count = float(steps[steps > rounded].min(initial=np.ptp(values))) + rounded
     calm = np.abs(means.change) <= np.maximum(CHANGE * means.colour * means.scatter, 0.5 * count)
     if calm.all() and np.ptp(values) > rounded:
@@ -186,44 +191,48 @@ def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[L
 def hold_around(
     values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float
 ) -> LevelHold | None:
-    """Extend a run of rows without change to the neighbouring rows at its level; None if no row is at it."""
+    """Extend a run of rows without change to the neighbouring rows at its level; None if no row is at that level."""
     first, after = run
     level = float(np.median(values[first:after]))
-    # without the rows whose windows reach into a change, where enough are left
+    # without the rows whose windows reach into a change, if enough rows remain
     inner = values[first + window // 2 : after - window // 2]
-    off = (inner if len(inner) >= window else values[first:after]) - level
-    near = max(BEYOND * float(np.quantile(np.abs(off), TAIL)), count)
-    sway = max(CHANGE * float(np.std(moving_mean(off, window // WINDOWS))), 0.5 * count)
-    by_row = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= near)
-    if not len(by_row):
+    deviations = (inner if len(inner) >= window else values[first:after]) - level
+    row_tolerance = max(BEYOND * float(np.quantile(np.abs(deviations), TAIL)), count)
+    mean_tolerance = max(CHANGE * float(np.std(moving_mean(deviations, window // WINDOWS))), 0.5 * count)
+    rows_at_level = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= row_tolerance)
+    if not len(rows_at_level):
         return None
-    begin, end = int(by_row[0]), int(by_row[-1]) + 1
-    by_mean = begin + np.flatnonzero(np.abs(moving_mean(values[begin:end] - level, window // WINDOWS)) <= sway)
-    if not len(by_mean):
+    begin, end = int(rows_at_level[0]), int(rows_at_level[-1]) + 1
+    means_at_level = begin + np.flatnonzero(
+        np.abs(moving_mean(values[begin:end] - level, window // WINDOWS)) <= mean_tolerance
+    )
+    if not len(means_at_level):
         return None
-    start = int(by_mean[0])
-    return LevelHold(start, int(by_mean[-1]) + 1, level, level_before(values, start, level, near, window))
+    start = int(means_at_level[0])
+    return LevelHold(
+        start, int(means_at_level[-1]) + 1, level, level_before(values, start, level, row_tolerance, window)
+    )
 
 
 def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """First row and row after the last of each run of True."""
+    """Yield the first row and the row after the last of each run of True."""
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def moving_mean(values: Array, rows: int) -> Array:
-    """Moving mean over `rows` rows, centred."""
+    """Return the centred moving mean over `rows` rows."""
     from scipy.ndimage import uniform_filter1d
 
     return np.asarray(uniform_filter1d(values, rows, mode="nearest"), np.float64)
 
 
-def level_before(values: Array, first: int, level: float, near: float, window: int) -> float:
-    """Value before a level: the last row off it, else the mean of the rows before; NaN if there are none."""
+def level_before(values: Array, first: int, level: float, tolerance: float, window: int) -> float:
+    """Return the value before a level: of the last row off it, else the mean of the rows before; NaN without any."""
     before = values[max(first - window, 0) : first]
-    off = before[np.abs(before - level) > near]
-    if len(off):
-        return float(off[-1])
+    rows_off_level = before[np.abs(before - level) > tolerance]
+    if len(rows_off_level):
+        return float(rows_off_level[-1])
     return float(before.mean()) if len(before) else math.nan
 
 
@@ -234,7 +243,7 @@ def refuse_wandering(
 
     Raises
     ------
-    NotDistinct : a level drifts too much; with its start.
+    NotDistinct : a level drifts too much; the message has the start of its hold.
     """
     for hold in holds:
         first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))

@@ -39,7 +39,7 @@ class ImportedRun:
     streams: dict[str, Stream]
     steps: list[ImportedStep]
     origin: str  # the source and the mapping
-    notes: list[str]  # doubts for a person to check, with the source's name
+    notes: list[str]  # possible errors that a person should check, each with the source's name
 
 
 def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: Sequence[str] = ()) -> list[Path]:
@@ -96,7 +96,7 @@ def read_by_mapping(
 
 
 def duplicates(names: Sequence[str]) -> list[str]:
-    """Names that occur more than once, sorted."""
+    """Return the names that occur more than once, sorted."""
     return sorted({name for name in names if names.count(name) > 1})
 
 
@@ -130,14 +130,14 @@ def read_source(path: Path, mapping: Mapping, document: yamlfile.Document) -> li
     InputError : all faults of the source, one line each.
     """
     mappings = mappings_by_joint(path, mapping, document)
-    columns = [column for each, _ in mappings.values() for column in wanted_columns(each)]
-    labels = [column for each, _ in mappings.values() for column in label_columns(each)]
+    columns = [column for joint_mapping, _ in mappings.values() for column in wanted_columns(joint_mapping)]
+    labels = [column for joint_mapping, _ in mappings.values() for column in label_columns(joint_mapping)]
     source = open_source(path, mapping.format, SourceRequest(columns, labels, mapping.csv))
     runs: list[ImportedRun] = []
     faults: list[str] = []
-    for joint, (each, its_document) in mappings.items():
+    for joint, (joint_mapping, joint_document) in mappings.items():
         try:
-            runs += read_joint(source, joint, each, its_document)
+            runs += read_joint(source, joint, joint_mapping, joint_document)
         except InputError as error:
             faults += [line for line in error.faults if line not in faults]
     if faults:
@@ -148,11 +148,11 @@ def read_source(path: Path, mapping: Mapping, document: yamlfile.Document) -> li
 def mappings_by_joint(
     path: Path, mapping: Mapping, document: yamlfile.Document
 ) -> dict[str, tuple[Mapping, yamlfile.Document]]:
-    """Mapping and document of each joint by its name; one entry with the name "" if `{joint}` is not used.
+    """Return mapping and document of each joint by its name; one entry with the name "" if `{joint}` is not used.
 
     Raises
     ------
-    InputError : joints are given and no path has `{joint}`, or the other way round.
+    InputError : joints are given and no path has `{joint}`, or a path has it and no joints are given.
     """
     if not asks_for_joints(document):
         if mapping.joints:
@@ -173,7 +173,12 @@ def mappings_by_joint(
 
 
 def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[ImportedRun]:
-    """The runs of one joint, or of a source without joints."""
+    """Read the runs of one joint, or of a source without joints.
+
+    Raises
+    ------
+    InputError : all faults of the joint's streams, parts and descriptions.
+    """
     streams = build_streams(source, mapping, document)
     doubtful = [
         f"{source.path}: {line}" for name, stream in streams.items() for line in implausible_values(name, stream)
@@ -193,7 +198,7 @@ def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfi
 
 
 def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
-    """Every column and field that a mapping refers to."""
+    """Return every column and field to which a mapping refers."""
     columns: list[WantedColumn] = []
     fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
     for stream in mapping.streams.values():
@@ -201,21 +206,25 @@ def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
         for channel in stream.channels.values():
             columns.append(WantedColumn(channel.column, stream.records))
             fields += [channel.scale, channel.offset]
-    by_column = mapping.steps_by_column
+    label_settings = mapping.steps_by_column
     columns += (
-        [WantedColumn(by_column.time.column)]
-        if by_column and by_column.time and by_column.time.column is not None
+        [WantedColumn(label_settings.time.column)]
+        if label_settings and label_settings.time and label_settings.time.column is not None
         else []
     )
     return columns + [WantedColumn(value.field) for value in fields if isinstance(value, FieldOf)]
 
 
 def label_columns(mapping: Mapping) -> list[WantedColumn]:
-    """The column whose labels name the steps; empty if the mapping has none."""
-    by_column = mapping.steps_by_column
+    """Return the column whose labels name the steps; empty if the mapping has none."""
+    label_settings = mapping.steps_by_column
     return (
-        [WantedColumn(by_column.column, None if by_column.time else mapping.streams[by_column.stream].records)]
-        if by_column
+        [
+            WantedColumn(
+                label_settings.column, None if label_settings.time else mapping.streams[label_settings.stream].records
+            )
+        ]
+        if label_settings
         else []
     )
 
@@ -229,7 +238,7 @@ def describe_run(
     notes: list[str],
 ) -> ImportedRun:
     """Build one run: description, streams, steps, origin and notes."""
-    about = {
+    attributes = {
         name: text_value(source, value, ("run", name), document)
         for name, value in mapping.run
         if name not in ("created", "simulated")
@@ -251,11 +260,11 @@ def describe_run(
         setup=setup,
         parameters=parameters,
         instruments={name: instrument.facts for name, instrument in mapping.instruments.items()},
-        protocol=about["protocol"],
-        bench=about["bench"],
-        actuator=about["actuator"],
-        condition=about["condition"],
-        operator=about["operator"],
+        protocol=attributes["protocol"],
+        bench=attributes["bench"],
+        actuator=attributes["actuator"],
+        condition=attributes["condition"],
+        operator=attributes["operator"],
     )
     steps = steps_of(streams, mapping, document, str(source.path))
     origin = f"{source.path.name} (SHA-256 {digest_of(source.path)}) by {Path(document.name).name}"
@@ -263,7 +272,7 @@ def describe_run(
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file; of a folder, over the digests of its files in the order of their names."""
+    """Return the SHA-256 of a file, or for a folder that of the digests of its files in the order of their names."""
     if path.is_dir():
         parts = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
         return hashlib.sha256("".join(parts).encode()).hexdigest()
@@ -272,7 +281,7 @@ def digest_of(path: Path) -> str:
 
 
 def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], document: yamlfile.Document) -> str:
-    """A text of the mapping, or the value of the source's field that the mapping names."""
+    """Return a text of the mapping, or the value of the source's field that the mapping names."""
     if isinstance(value, str):
         return value
     try:
@@ -283,7 +292,7 @@ def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], d
 
 
 def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
-    """Time of the recording, `2026-01-31T10:15:30Z`: by the mapping, else by the source, else by its file."""
+    """Return the time of the recording, `2026-01-31T10:15:30Z`, of the mapping, else the source, else its file."""
     if mapping.run.created is None:
         moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
     else:
@@ -296,7 +305,7 @@ def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Documen
 
 
 def targets_of(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
-    """Path of the file of each run.
+    """Return the path of the file of each run.
 
     Raises
     ------
@@ -313,13 +322,13 @@ def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
     targets = targets_of(runs, out)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+        temporary = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
     except OSError as error:
         raise InputError(f"{out}: {error.strerror or error}") from None
-    moved: list[Path] = []
+    published: list[Path] = []
     try:
         for run in runs:
-            with RunWriter(aside, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
+            with RunWriter(temporary, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
                 for name, stream in run.streams.items():
                     writer.append(name, stream.time, np.stack(stream.values, axis=1))
                 for step in run.steps:
@@ -333,12 +342,12 @@ def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
                     if stream.aligned:
                         writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")
         for target in targets:
-            move_without_overwriting(aside / target.name, target)
-            moved.append(target)
+            move_without_overwriting(temporary / target.name, target)
+            published.append(target)
     except BaseException:
-        for target in moved:
+        for target in published:
             target.unlink()
         raise
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     return targets

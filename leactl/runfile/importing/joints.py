@@ -14,33 +14,35 @@ ALL: Final[Literal["all"]] = "all"
 
 
 def asks_for_joints(document: Document) -> bool:
-    """Whether any text of a mapping contains `{joint}`."""
+    """Return whether any text of a mapping contains `{joint}`."""
     return any(PLACEHOLDER in text for text in _texts(document.data))
 
 
 def for_joint(document: Document, joint: str) -> tuple[Mapping, Document]:
-    """Mapping and document with `{joint}` replaced by a joint's name; faults keep the file's lines."""
-    of_joint = replace(document, data=_filled(document.data, joint))
-    return of_joint.validate(Mapping), of_joint
+    """Return mapping and document with `{joint}` replaced by a joint's name; faults keep the file's lines."""
+    joint_document = replace(document, data=_filled(document.data, joint))
+    return joint_document.validate(Mapping), joint_document
 
 
 def joints_of(path: Path, mapping: Mapping, tables: Sequence[ListedTable], document: Document) -> list[str]:
-    """Names of a source's joints, in the records that the mapping addresses by `{joint}`.
+    """Return the names of a source's joints, in the records that the mapping addresses by `{joint}`.
 
     Raises
     ------
     InputError : the source lists no joints there.
     """
-    asked = {stream.records for stream in mapping.streams.values() if PLACEHOLDER in (stream.records or "")}
-    joints = [joint for table in tables if not asked or table.records in asked for joint in table.joints]
+    joint_records = {stream.records for stream in mapping.streams.values() if PLACEHOLDER in (stream.records or "")}
+    joints = [
+        joint for table in tables if not joint_records or table.records in joint_records for joint in table.joints
+    ]
     if not joints:
-        where = ", ".join(sorted(map(str, asked))) or "its columns"
+        where = ", ".join(sorted(map(str, joint_records))) or "its columns"
         raise InputError(document.fault(("joints",), f"{path}: lists no joints in {where}; give their names"))
     return list(dict.fromkeys(joints))
 
 
 def _texts(data: Any) -> Iterator[str]:
-    """Every text of a document."""
+    """Yield every text of a document."""
     if isinstance(data, str):
         yield data
     elif isinstance(data, dict):
@@ -52,7 +54,7 @@ def _texts(data: Any) -> Iterator[str]:
 
 
 def _filled(data: Any, joint: str) -> Any:
-    """The same data with a joint's name in place of `{joint}`."""
+    """Return the same data with a joint's name in place of `{joint}`."""
     if isinstance(data, str):
         return data.replace(PLACEHOLDER, joint)
     if isinstance(data, dict):

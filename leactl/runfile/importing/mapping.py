@@ -1,4 +1,4 @@
-"""The mapping file of an import: which column of a source is which channel of the run.
+"""Define the mapping file of an import, which assigns columns of a source to channels of the run.
 
 A column is named by its header, by its index from 0, or by a dotted path (`log.entries.position`, `cells[2].t`). The
 values of a channel are `sign * (scale * column + offset)` in `units`, converted to the units of its quantity.
@@ -26,22 +26,22 @@ Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Z
 Joint = Annotated[str, StringConstraints(strict=True, pattern=r"^[^\[\]{}]+$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
-SCALED = ("A", "V", "N*m")  # units of quantities whose calibration analyses count; a clock and an encoder are exact
-PLACE = r"^[^/]+/[^/]+$"  # stream/channel
+SCALED = ("A", "V", "N*m")  # units of quantities whose calibration uncertainty analyses use; clocks, encoders are exact
+CHANNEL_PATH = r"^[^/]+/[^/]+$"  # stream/channel
 PLACEHOLDER: Final = "{joint}"  # in paths: stands for each joint in turn
 
 
 def as_label(cell: str | float) -> str:
-    """A cell as label of a step: numbers in their shortest form, so that `1` and `1.0` agree, other text unchanged."""
+    """Convert a cell to a label: a number in its shortest form, so that `1` and `1.0` agree, other text unchanged."""
     try:
         return f"{float(cell) + 0.0:.15g}"  # 0 for -0
     except ValueError:
         return str(cell)
 
 
-def is_place(value: float | str) -> TypeGuard[str]:
-    """Whether a parameter of a step names a channel as `stream/channel`."""
-    return isinstance(value, str) and re.match(PLACE, value) is not None
+def is_channel_path(value: float | str) -> TypeGuard[str]:
+    """Return whether a parameter of a step names a channel as `stream/channel`."""
+    return isinstance(value, str) and re.match(CHANNEL_PATH, value) is not None
 
 
 class FieldOf(Block):
@@ -60,13 +60,13 @@ class TimeBase(Block):
     rate_Hz: Above | None = None
     start_s: Number = 0.0
     step_s: Above | None = None
-    repeated: Literal["refuse", "drop"] = "refuse"  # a stamp that stands twice: the later row may be dropped
+    repeated: Literal["refuse", "drop"] = "refuse"  # treatment of a row with the stamp of the row before
 
     @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        given = [n for n in ("column", "rate_Hz", "step_s") if getattr(self, n) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give one of column, rate_Hz, step_s; {' and '.join(given) or 'none'} is given")
+    def _one_source(self) -> Self:
+        given_keys = [key for key in ("column", "rate_Hz", "step_s") if getattr(self, key) is not None]
+        if len(given_keys) != 1:
+            raise ValueError(f"give one of column, rate_Hz, step_s; {' and '.join(given_keys) or 'none'} is given")
         if self.column is not None and self.start_s:
             raise ValueError("start_s goes with rate_Hz or step_s; use clock.offset_s to shift a column of stamps")
         return self
@@ -79,7 +79,7 @@ class StreamClock(Block):
     estimate: OffsetEstimate | None = None
 
     @model_validator(mode="after")
-    def _one_way(self) -> Self:
+    def _one_source(self) -> Self:
         if (self.offset_s is None) == (self.estimate is None):
             raise ValueError("give either offset_s or estimate")
         return self
@@ -109,7 +109,7 @@ class ChannelMapping(Block):
         return value
 
     @model_validator(mode="after")
-    def _counted(self) -> Self:
+    def _scale_std_is_used(self) -> Self:
         if self.scale_std and UNITS.get(self.quantity) not in SCALED:
             raise self.faulty(
                 [(("scale_std",), f"counts for {', '.join(SCALED)}; nothing reads that of {self.quantity}")]
@@ -117,7 +117,7 @@ class ChannelMapping(Block):
         return self
 
     @model_validator(mode="after")
-    def _convertible(self) -> Self:
+    def _units_fit_quantity(self) -> Self:
         if self.units is not None and converter(self.units, self.quantity) is None:
             raise ValueError(f"units {self.units!r} are none of {', '.join(known_units(self.quantity))}")
         return self
@@ -140,7 +140,7 @@ class PartMapping(Block):
     time_s: tuple[Number, Number] | None = None  # on the run's clock
 
     @model_validator(mode="after")
-    def _one_way(self) -> Self:
+    def _one_range(self) -> Self:
         if (self.rows is None) == (self.time_s is None):
             raise ValueError("give either rows or time_s")
         first, last = self.rows or self.time_s or (0, 0)
@@ -152,7 +152,7 @@ class PartMapping(Block):
 class ByDirection(Block):
     """Each sweep in one direction becomes a run: `-forward`, `-reverse`, numbered from the second on."""
 
-    channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
+    channel: Annotated[str, StringConstraints(strict=True, pattern=CHANNEL_PATH)]
     least: Above  # least travel of a sweep, in the channel's units
 
 
@@ -184,19 +184,19 @@ class StepsByColumn(Block):
 
     @field_validator("names")
     @classmethod
-    def _unlike(cls, names: dict[str, str]) -> dict[str, str]:
-        by_label: dict[str, str] = {}
+    def _labels_differ(cls, names: dict[str, str]) -> dict[str, str]:
+        names_by_label: dict[str, str] = {}
         for text, name in names.items():
-            if (label := as_label(text)) in by_label:
+            if (label := as_label(text)) in names_by_label:
                 raise ValueError(f"label {label} stands twice")
-            by_label[label] = name
-        return by_label
+            names_by_label[label] = name
+        return names_by_label
 
 
 class StepsByHolds(Block):
     """Steps named `hold`, one for each stretch in which a channel, preferably a setpoint, keeps its level."""
 
-    channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
+    channel: Annotated[str, StringConstraints(strict=True, pattern=CHANNEL_PATH)]
     parameter: Name  # name of the level in the step's parameters, such as current_A
     least_s: Above  # least duration of a hold
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
@@ -256,47 +256,52 @@ class Mapping(Block):
                 yield ("parts", index, "rows"), "rows mean nothing to several streams; time_s was expected"
 
     def _faults_of_steps(self) -> Iterator[tuple[Location, str]]:
-        given = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
-        for name in given[1:]:
-            yield (name,), f"stands beside {given[0]}; one way to find steps was expected"
+        given_keys = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
+        for name in given_keys[1:]:
+            yield (name,), f"stands beside {given_keys[0]}; one way to find steps was expected"
         if self.steps and (self.parts or self.by_direction):
             yield (
                 ("steps",),
                 "instants of the whole mean nothing to its parts; steps_by_column or _by_holds was expected",
             )
-        by = self.steps_by_column
-        if by and by.time and by.time.column is None:
+        label_settings = self.steps_by_column
+        if label_settings and label_settings.time and label_settings.time.column is None:
             yield ("steps_by_column", "time"), "column was expected: labels that hold until the next have their stamps"
-        if by and by.stream not in self.streams:
+        if label_settings and label_settings.stream not in self.streams:
             mapped = ", ".join(self.streams)
-            yield ("steps_by_column", "stream"), f"no stream {by.stream!r} is mapped; {mapped} are"
+            yield ("steps_by_column", "stream"), f"no stream {label_settings.stream!r} is mapped; {mapped} are"
 
     def _faults_of_channels(self) -> Iterator[tuple[Location, str]]:
-        named: list[tuple[Location, str]] = []
+        references: list[tuple[Location, str]] = []
         if self.by_direction:
-            named.append((("by_direction", "channel"), self.by_direction.channel))
+            references.append((("by_direction", "channel"), self.by_direction.channel))
         if self.steps_by_holds:
-            named.append((("steps_by_holds", "channel"), self.steps_by_holds.channel))
+            references.append((("steps_by_holds", "channel"), self.steps_by_holds.channel))
         if self.steps_by_column:
             parameters = self.steps_by_column.parameters.items()
-            named += [(("steps_by_column", "parameters", name), value) for name, value in parameters if is_place(value)]
+            references += [
+                (("steps_by_column", "parameters", name), value) for name, value in parameters if is_channel_path(value)
+            ]
         for name, stream in self.streams.items():
             if stream.clock and (estimate := stream.clock.estimate):
                 keys: Location = ("streams", name, "clock", "estimate")
-                named += [((*keys, "channel"), f"{name}/{estimate.channel}"), ((*keys, "against"), estimate.against)]
+                references += [
+                    ((*keys, "channel"), f"{name}/{estimate.channel}"),
+                    ((*keys, "against"), estimate.against),
+                ]
                 if estimate.against.split("/")[0] == name:
                     yield (*keys, "against"), "is a channel of the same stream"
         mapped: list[str] = []
-        alike: dict[tuple[str, str, str], str] = {}
+        paths_by_key: dict[tuple[str, str, str], str] = {}
         for name, stream in self.streams.items():
-            for channel, about in stream.channels.items():
+            for channel, settings in stream.channels.items():
                 mapped.append(f"{name}/{channel}")
                 keys = ("streams", name, "channels", channel)
-                other = alike.setdefault((about.quantity, about.role, about.location), mapped[-1])
-                if other != mapped[-1]:
-                    yield keys, f"same quantity, role and location as {other}; give each a location"
+                first_path = paths_by_key.setdefault((settings.quantity, settings.role, settings.location), mapped[-1])
+                if first_path != mapped[-1]:
+                    yield keys, f"same quantity, role and location as {first_path}; give each a location"
                 if channel == "time":
                     yield keys, "'time' is the name of a stream's stamps; another was expected"
-        for keys, channel in named:
+        for keys, channel in references:
             if channel not in mapped:
                 yield keys, f"no channel {channel!r} is mapped; {', '.join(mapped)} are"

@@ -47,7 +47,7 @@ def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Do
 
 
 def by_direction(path: Path, streams: Streams, settings: ByDirection, document: Document) -> list[tuple[str, Streams]]:
-    """One run for each sweep, with suffix `forward`, `reverse`, `forward-2` and so on."""
+    """Return one run for each sweep, with suffix `forward`, `reverse`, `forward-2` and so on."""
     name, channel = settings.channel.split("/")
     stream = streams[name]
     runs: list[tuple[str, Streams]] = []
@@ -65,7 +65,7 @@ def by_direction(path: Path, streams: Streams, settings: ByDirection, document: 
 
 
 def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
-    """Stretches (first row, row after the last, ahead) between turning points that travel at least `least`.
+    """Find the stretches (first row, row after the last, ahead) between turning points that travel at least `least`.
 
     A turning point is an extreme from which the channel then returns by `least`; jitter around a value is no turn.
     """
@@ -95,12 +95,12 @@ def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
 
 
 def travel(values: Array) -> float:
-    """Highest minus lowest value."""
+    """Return the highest minus lowest value."""
     return float(np.nanmax(values) - np.nanmin(values))
 
 
 def cut_to(streams: Streams, begin: float, end: float) -> Streams:
-    """Rows of every stream from time `begin` to before `end` [s]."""
+    """Return the rows of every stream from time `begin` to before `end` [s]."""
     return {
         name: stream.rows(int(np.searchsorted(stream.time, begin)), int(np.searchsorted(stream.time, end)))
         for name, stream in streams.items()

@@ -11,7 +11,7 @@ from leactl.runfile.importing.streams import Stream
 
 
 def preview(run: ImportedRun, target: Path) -> dict[str, Any]:
-    """One run as a JSON object."""
+    """Return one run as a JSON object."""
     return {
         "file": str(target),
         "created": run.info.created,
@@ -30,7 +30,7 @@ def preview(run: ImportedRun, target: Path) -> dict[str, Any]:
 
 
 def stream_preview(stream: Stream) -> dict[str, Any]:
-    """One stream as a JSON object."""
+    """Return one stream as a JSON object."""
     channels = []
     for spec, values in zip(stream.specs, stream.values, strict=True):
         known = values[np.isfinite(values)]
@@ -48,7 +48,7 @@ def stream_preview(stream: Stream) -> dict[str, Any]:
 
 
 def preview_lines(run: dict[str, Any]) -> Iterator[str]:
-    """One run as lines for people, from its JSON object."""
+    """Yield one run as lines for people, from its JSON object."""
     yield f"{run['file']}: {run['mechanical']}, created {run['created']}; not written"
     for name in ("protocol", "actuator"):
         if run[name]:

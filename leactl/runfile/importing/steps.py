@@ -1,4 +1,4 @@
-"""Steps of an imported recording: by times, by a column of labels, or where a channel holds its level."""
+"""Find the steps of an imported recording: by times, by a column of labels, or by the holds of a channel."""
 
 import math
 from itertools import pairwise
@@ -8,7 +8,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile.importing.holds import NotDistinct, find_holds
-from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHolds, is_place
+from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHolds, is_channel_path
 from leactl.runfile.importing.streams import Stream
 from leactl.yamlfile import Document
 
@@ -16,7 +16,7 @@ MOST_SEEN = 10  # labels listed in a message
 
 
 class ImportedStep(NamedTuple):
-    """A step as the run file has it, times on the run's clock [s]."""
+    """A step of the run file, with times on the run's clock [s]."""
 
     name: str
     start: float
@@ -26,7 +26,7 @@ class ImportedStep(NamedTuple):
 
 
 def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, source: str) -> list[ImportedStep]:
-    """Steps of one run by its mapping; empty if the mapping defines none.
+    """Find the steps of one run by its mapping; empty if the mapping defines none.
 
     Raises
     ------
@@ -43,78 +43,88 @@ def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, s
 
 
 def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[ImportedStep]:
-    """Steps whose times the mapping gives."""
-    faults, before = [], 0.0
+    """Return the steps whose times the mapping states."""
+    faults, earliest = [], 0.0
     for index, step in enumerate(mapping.steps):
-        if not before <= step.start_s:
-            why = f"start_s {step.start_s:g}: after {before:g} s was expected, where the step before it ends"
-            faults.append(document.fault(("steps", index), why))
+        if not earliest <= step.start_s:
+            message = f"start_s {step.start_s:g}: after {earliest:g} s was expected, where the step before it ends"
+            faults.append(document.fault(("steps", index), message))
         if step.stop_s > end:
             faults.append(document.fault(("steps", index), f"{source}: stop_s {step.stop_s:g}; it ends at {end:.6g} s"))
-        before = step.stop_s
+        earliest = step.stop_s
     if faults:
         raise InputError(faults)
     return [ImportedStep(s.name, s.start_s, s.stop_s, s.settle_s, dict(s.parameters)) for s in mapping.steps]
 
 
-def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document, source: str) -> list[ImportedStep]:
-    """A step for each stretch of rows with one label."""
-    stream = streams[by.stream]
+def by_column(
+    streams: dict[str, Stream], settings: StepsByColumn, document: Document, source: str
+) -> list[ImportedStep]:
+    """Return a step for each stretch of rows with one label."""
+    stream = streams[settings.stream]
     labels = stream.labels or []
     changes = [row for row, (label, next_label) in enumerate(pairwise(labels), start=1) if label != next_label]
     steps = []
     for first, after in pairwise([0, *changes, len(labels)]):
-        if labels[first] in by.names:
+        if labels[first] in settings.names:
             start, stop = instants_of(stream, first, after)
-            steps.append(ImportedStep(by.names[labels[first]], start, stop, by.settle_s, {}))
-            for name, value in by.parameters.items():
-                parameter = median_level(streams, value, start, stop, by.settle_s) if is_place(value) else value
+            steps.append(ImportedStep(settings.names[labels[first]], start, stop, settings.settle_s, {}))
+            for name, value in settings.parameters.items():
+                parameter = (
+                    median_level(streams, value, start, stop, settings.settle_s) if is_channel_path(value) else value
+                )
                 if parameter is None:
-                    reason = f"{source}: {value} has no reading from {start + by.settle_s:g} s to {stop:g} s"
+                    reason = f"{source}: {value} has no reading from {start + settings.settle_s:g} s to {stop:g} s"
                     raise InputError(document.fault(("steps_by_column", "settle_s"), f"{reason}; a shorter one has"))
                 if not (isinstance(parameter, float) and math.isnan(parameter)):
                     steps[-1].parameters[name] = parameter
     if not steps:
         present = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
-        message = f"{source}: none of {', '.join(by.names)} stands in column {by.column!r}, which has {present}"
+        message = (
+            f"{source}: none of {', '.join(settings.names)} stands in column {settings.column!r}, which has {present}"
+        )
         raise InputError(document.fault(("steps_by_column", "names"), message))
     return steps
 
 
-def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[ImportedStep]:
-    """A step for each stretch in which a channel holds a level."""
-    name, channel = by.channel.split("/")
+def by_holds(streams: dict[str, Stream], settings: StepsByHolds, document: Document, source: str) -> list[ImportedStep]:
+    """Find a step for each stretch in which a channel holds a level."""
+    name, channel = settings.channel.split("/")
     stream, values = streams[name], streams[name].channel(channel)
     is_setpoint = stream.spec(channel).quantity.endswith("_reference")
     try:
-        holds = find_holds(stream.time, values, by.least_s, by.settle_s, is_setpoint)
+        holds = find_holds(stream.time, values, settings.least_s, settings.settle_s, is_setpoint)
     except NotDistinct as why:
-        message = f"{source}: levels of {by.channel} are not distinct from noise: {why}; a setpoint, steps or"
+        message = f"{source}: levels of {settings.channel} are not distinct from noise: {why}; a setpoint, steps or"
         raise InputError(document.fault(("steps_by_holds", "channel"), f"{message} steps_by_column can tell")) from None
     steps = []
     for hold in holds:
         start, stop = instants_of(stream, hold.first, hold.after)
-        settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + by.settle_s]
+        settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + settings.settle_s]
         level = float(np.nanmedian(settled))
-        came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < level else "falling"}
-        steps.append(ImportedStep("hold", start, stop, by.settle_s, {by.parameter: level, **came, **by.parameters}))
+        direction = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < level else "falling"}
+        steps.append(
+            ImportedStep(
+                "hold", start, stop, settings.settle_s, {settings.parameter: level, **direction, **settings.parameters}
+            )
+        )
     if not steps:
-        message = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
+        message = f"{source}: {settings.channel} holds no level for least_s {settings.least_s:g}"
         raise InputError(document.fault(("steps_by_holds", "least_s"), message))
     return steps
 
 
 def instants_of(stream: Stream, first: int, after: int) -> tuple[float, float]:
-    """Start and stop [s] of a stretch of rows: stamps of its first row and of the row after it, or of the last row."""
+    """Return start and stop [s] of a stretch of rows: stamps of its first row and of row `after`, or the last."""
     return float(stream.time[first]), float(stream.time[min(after, len(stream.time) - 1)])
 
 
 def median_level(
     streams: dict[str, Stream], channel_path: str, start: float, stop: float, settle: float
 ) -> float | None:
-    """Median of a channel in the settled part of a step.
+    """Return the median of a channel in the settled part of a step.
 
-    NaN if the channel has no sample in the whole step, None if it has none in the settled part only.
+    NaN if the channel has no sample in the whole step, None if it has samples in the step but not in the settled part.
     """
     name, channel = channel_path.split("/")
     stream = streams[name]

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class Stream:
-    """Channels with common stamps, not yet in a file."""
+    """Channels with common stamps, in memory."""
 
     time: Array
     specs: list[ChannelSpec]
@@ -35,15 +35,15 @@ class Stream:
     labels: list[str] | None = None  # label of each row, by which steps are named
 
     def channel(self, name: str) -> Array:
-        """Values of one channel."""
+        """Return the values of one channel."""
         return self.values[self.specs.index(self.spec(name))]
 
     def spec(self, name: str) -> ChannelSpec:
-        """Specification of one channel."""
+        """Return the specification of one channel."""
         return next(spec for spec in self.specs if spec.name == name)
 
     def rows(self, first: int, last: int) -> "Stream":
-        """Rows `first` to `last` (excluded)."""
+        """Return the rows `first` to `last` (excluded)."""
         labels = self.labels[first:last] if self.labels is not None else None
         columns = [column[first:last] for column in self.values]
         return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
@@ -58,18 +58,21 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
     """
     faults: list[str] = []
     streams: dict[str, Stream] = {}
-    for name, wanted in mapping.streams.items():
+    for name, settings in mapping.streams.items():
         try:
-            by = mapping.steps_by_column
-            streams[name] = build_stream(source, name, wanted, by if by and by.stream == name else None, document)
+            steps_by_column = mapping.steps_by_column
+            has_labels = steps_by_column is not None and steps_by_column.stream == name
+            streams[name] = build_stream(source, name, settings, steps_by_column if has_labels else None, document)
         except InputError as error:
             faults += error.faults
     if faults:
         raise InputError(faults)
-    for name, wanted in mapping.streams.items():
-        if wanted.clock is not None:
-            alignment = alignment_of(streams, name, wanted, document)
-            streams[name].time = streams[name].time + (alignment.offset if alignment else wanted.clock.offset_s or 0.0)
+    for name, settings in mapping.streams.items():
+        if settings.clock is not None:
+            alignment = alignment_of(streams, name, settings, document)
+            streams[name].time = streams[name].time + (
+                alignment.offset if alignment else settings.clock.offset_s or 0.0
+            )
             streams[name].aligned = alignment.describe() if alignment else ""
     begins = {name: float(s.time[0]) for name, s in streams.items()}
     ends = {name: float(s.time[-1]) for name, s in streams.items()}
@@ -86,9 +89,9 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
 
 
 def build_stream(
-    source: LogSource, name: str, settings: StreamMapping, by: StepsByColumn | None, document: Document
+    source: LogSource, name: str, settings: StreamMapping, label_settings: StepsByColumn | None, document: Document
 ) -> Stream:
-    """Read one stream on its own clock, with the labels that name its steps if `by` is given."""
+    """Read one stream with the stamps of its source, and the labels of its rows if `label_settings` is given."""
     faults: list[str] = []
     specs, values, columns = [], [], []
     for channel, mapped in settings.channels.items():
@@ -107,32 +110,39 @@ def build_stream(
         counts = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
         raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {counts}"))
     time, keep = stamps(source, settings.time, settings.records, ("streams", name, "time"), lengths.pop(), document)
-    labels = labels_of(source, by, settings.records, time, keep, document) if by is not None else None
+    labels = (
+        labels_of(source, label_settings, settings.records, time, keep, document)
+        if label_settings is not None
+        else None
+    )
     return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
 
 
 def labels_of(
     source: LogSource,
-    by: StepsByColumn,
+    label_settings: StepsByColumn,
     records: str | None,
     time: Array,
     keep: npt.NDArray[np.bool_],
     document: Document,
 ) -> list[str]:
-    """Label of each kept row: its own, or the latest label at its stamp; empty before the first label."""
+    """Return the label of each row that is kept: the label of the row, or the latest one if labels have own stamps.
+
+    `keep` is the mask of the rows that are kept. The label is empty before the first one.
+    """
     try:
-        raw = source.labels(by.column, None if by.time else records)
+        raw = source.labels(label_settings.column, None if label_settings.time else records)
     except MissingColumn as lacking:
         raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
-    if by.time is None:
+    if label_settings.time is None:
         if len(raw) != len(keep):
             message = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
             hint = "; give steps_by_column.time where labels have stamps of their own"
             raise InputError(document.fault(("steps_by_column", "column"), message + hint))
-        return [label for label, kept in zip(raw, keep, strict=True) if kept]
-    since, kept = stamps(source, by.time, None, ("steps_by_column", "time"), len(raw), document)
-    in_force = ["", *(label for label, is_kept in zip(raw, kept, strict=True) if is_kept)]
-    return [in_force[row] for row in np.searchsorted(since[kept], time[keep], side="right")]
+        return [label for label, is_kept in zip(raw, keep, strict=True) if is_kept]
+    since, keep_label = stamps(source, label_settings.time, None, ("steps_by_column", "time"), len(raw), document)
+    in_force = ["", *(label for label, is_kept in zip(raw, keep_label, strict=True) if is_kept)]
+    return [in_force[row] for row in np.searchsorted(since[keep_label], time[keep], side="right")]
 
 
 def build_channel(
@@ -176,7 +186,12 @@ def build_channel(
 
 
 def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | int, ...], document: Document) -> float:
-    """A number of the mapping, or the value of the source's field that the mapping names."""
+    """Return a number of the mapping, or the scaled value of the source's field that the mapping names.
+
+    Raises
+    ------
+    InputError : the source has no such field, or its value is not a finite number.
+    """
     if not isinstance(value, FieldOf):
         return value
     try:
@@ -191,11 +206,16 @@ def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | in
 def stamps(
     source: LogSource, base: TimeBase, records: str | None, keys: tuple[str, ...], rows: int, document: Document
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Stamps of all rows [s], and a mask of the rows that are kept; the kept stamps increase strictly."""
-    every_row: npt.NDArray[np.bool_] = np.ones(rows, bool)
+    """Return the stamps of all rows [s] and a mask of the rows that are kept, whose stamps increase strictly.
+
+    Raises
+    ------
+    InputError : no such column, a row without a stamp, or stamps that do not increase.
+    """
+    all_rows: npt.NDArray[np.bool_] = np.ones(rows, bool)
     if base.column is None:
         step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
-        return np.asarray(base.start_s + step * np.arange(rows), np.float64), every_row
+        return np.asarray(base.start_s + step * np.arange(rows), np.float64), all_rows
     try:
         raw = source.column(base.column, records)
     except MissingColumn as lacking:
@@ -206,12 +226,12 @@ def stamps(
     missing = np.flatnonzero(~np.isfinite(time))
     if len(missing):
         raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
-    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else every_row
-    kept = np.flatnonzero(keep)
-    wrong = np.flatnonzero(np.diff(time[kept]) <= 0)
+    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else all_rows
+    kept_rows = np.flatnonzero(keep)
+    wrong = np.flatnonzero(np.diff(time[kept_rows]) <= 0)
     if len(wrong):
-        row = int(kept[wrong[0] + 1])
-        before, here = time[kept[wrong[0]]], time[row]
+        row = int(kept_rows[wrong[0] + 1])
+        before, here = time[kept_rows[wrong[0]]], time[row]
         finding = "stands twice" if here == before else f"goes back from {before:.9g} s"
         hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
         more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
@@ -236,20 +256,27 @@ def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
     return out
 
 
-def alignment_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
-    """Estimate the alignment of a stream's clock with the run's; None if the mapping asks for no estimate."""
-    clock = wanted.clock
+def alignment_of(
+    streams: dict[str, Stream], name: str, settings: StreamMapping, document: Document
+) -> Alignment | None:
+    """Estimate the alignment of a stream's clock with the run's; None if the mapping asks for no estimate.
+
+    Raises
+    ------
+    InputError : the two channels that the mapping names cannot be aligned.
+    """
+    clock = settings.clock
     if clock is None or clock.estimate is None:
         return None
-    other, channel = clock.estimate.against.split("/")
-    stream, reference = streams[name], streams[other]
-    what = f"{clock.estimate.channel} and {clock.estimate.against}"
+    reference_stream, channel = clock.estimate.against.split("/")
+    stream, reference = streams[name], streams[reference_stream]
+    channels_text = f"{clock.estimate.channel} and {clock.estimate.against}"
     try:
         return align_by_similarity(
             (stream.time, stream.channel(clock.estimate.channel)),
             (reference.time, reference.channel(channel)),
             within=clock.estimate.within_s,
-            what=what,
+            channels_text=channels_text,
         )
     except InputError as fault:
         hint = "clock.offset_s or another within_s decides"

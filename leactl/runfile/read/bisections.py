@@ -24,7 +24,7 @@ class Searched:
 
 
 def searches(steps: Sequence[Step]) -> Iterator[Searched]:
-    """Results of the finished bisections, in the order of the steps."""
+    """Yield the results of the finished bisections, in the order of the steps."""
     for step in steps:
         parameters = step.parameters
         key = next((key for key in parameters if key.startswith("resolution_")), "")

@@ -31,9 +31,9 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Channel:
-    """One measured quantity over time; numpy takes it as the array of its values."""
+    """One measured quantity over time; numpy converts it to the array of its values."""
 
-    time: Array  # s since the run's start, of this channel's own samples: the stream's stamps and its skew
+    time: Array  # s since the run's start, of this channel's samples: the stream's stamps plus the channel's skew
     values: Array
     quantity: str
     role: str
@@ -70,9 +70,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened during the run."""
+    """A logged event of the run, such as a warning or a stop."""
 
-    time: float
+    time: float  # s since the run's start
     level: str
     source: str
     message: str
@@ -80,7 +80,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Note:
-    """Something a person added after the run."""
+    """A note that a person added after the run."""
 
     time: str
     author: str
@@ -153,30 +153,30 @@ class Run:
 
     @property
     def events(self) -> list[Event]:
-        """What happened during the run."""
+        """The events of the run, in the order of recording."""
         return [Event(*row) for row in self._table("events", layout.TABLES["events"])]
 
     @property
     def notes(self) -> list[Note]:
-        """What people added after the run."""
+        """The notes that people added after the run."""
         return [Note(*row) for row in self._table("notes", layout.NOTES)]
 
     def source(self, name: str) -> str | None:
-        """YAML text of the `protocol`, the `bench` or the `model` of the run; None if the file has none."""
+        """Return the YAML text of the `protocol`, the `bench` or the `model` of the run; None if the file has none."""
         hdf5_path = f"{name}/source"
         with reading(self.path, hdf5_path):
             return str(layout.to_python(self._file[hdf5_path][()])) if hdf5_path in self._file else None
 
     def has(self, quantity: str, role: str = "test") -> bool:
-        """Whether the run has a channel of this quantity and role."""
+        """Return whether the run has a channel of this quantity and role."""
         return bool(self._find(quantity, role))
 
     def channels(self, quantity: str, role: str = "test") -> list[Channel]:
-        """Every channel of this quantity and role, one for each location; empty if there is none."""
+        """Return every channel of this quantity and role, one for each location; empty if there is none."""
         return [self._read(stream, spec) for stream, spec in self._find(quantity, role)]
 
     def channel(self, quantity: str, role: str = "test", location: str | None = None) -> Channel:
-        """The one channel of this quantity and role.
+        """Return the one channel of this quantity and role.
 
         Raises
         ------
@@ -202,10 +202,10 @@ class Run:
         return f"<Run {self.path.name}, {self.status}: {self._contents()}>"
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Every channel as a variable over its stream's time, all in memory (the extra `xarray`).
+        """Convert the run to a dataset with every channel as a variable over its stream's time, all in memory.
 
-        Dimensions are the streams, coordinates their stamps in s; variables are named by role, quantity and location,
-        and carry units and what else the file says of them.
+        Needs the extra `xarray`. Dimensions are the streams, coordinates their stamps in s; variables are named by
+        role, quantity and location, and have units and the other attributes of the file.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class Run:
         return dataset(self)
 
     def channel_at(self, channel_path: str) -> Channel:
-        """The channel with the path `stream/name`.
+        """Return the channel with the path `stream/name`.
 
         Raises
         ------
@@ -230,7 +230,7 @@ class Run:
         raise MissingChannel(f"{self.path}: no channel {channel_path}; the run has {known or 'none'}")
 
     def attached(self, stream: str) -> dict[str, Any]:
-        """Provenance and clock alignment of a stream that was attached later; empty for a recorded stream."""
+        """Return provenance and clock alignment of a stream that was attached later; empty for a recorded one."""
         attributes = layout.attributes(self._streams[stream])
         return {name: value for name, value in attributes.items() if name.startswith(("record_", "alignment_"))}
 
@@ -245,15 +245,15 @@ class Run:
         return seal.SEAL in self._file.attrs
 
     def time(self, stream: str) -> Array:
-        """Stamps of one stream."""
+        """Return the stamps of one stream."""
         return self.values(stream, "time", 0, self.rows[stream])
 
     def values(self, stream: str, name: str, start: int, stop: int) -> Array:
-        """Rows `start` to `stop` (excluded) of a channel of one stream, or of its `time`, as float64."""
+        """Return the rows `start` to `stop` (excluded) of a channel of one stream, or of its `time`, as float64."""
         return np.asarray(self._column(stream, name, start, stop), np.float64)
 
     def blocks(self, stream: str, rows: int = layout.BLOCK_ROWS) -> Iterator[dict[str, npt.NDArray[Any]]]:
-        """The stream's columns in their stored types, `time` first, in blocks of `rows` rows.
+        """Yield the stream's columns in their stored types, `time` first, in blocks of `rows` rows.
 
         Raises
         ------
@@ -281,8 +281,8 @@ class Run:
         self.close()
 
     def _find(self, quantity: str, role: str) -> list[tuple[str, ChannelSpec]]:
-        every = ((stream, spec) for stream, specs in self.streams.items() for spec in specs)
-        return [(stream, spec) for stream, spec in every if (spec.quantity, spec.role) == (quantity, role)]
+        all_specs = ((stream, spec) for stream, specs in self.streams.items() for spec in specs)
+        return [(stream, spec) for stream, spec in all_specs if (spec.quantity, spec.role) == (quantity, role)]
 
     def _contents(self) -> str:
         named = {
@@ -294,7 +294,7 @@ class Run:
         return self.section(stream, spec, 0, self.rows[stream])
 
     def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
-        """Rows `start` to `stop` (excluded) of a channel.
+        """Return the rows `start` to `stop` (excluded) of a channel.
 
         Raises
         ------
@@ -331,7 +331,7 @@ class Run:
         return parameters
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
-        """Rows of a table of parallel arrays; cut to the shortest in an unfinished run, empty if there is none."""
+        """Return the rows of a table of parallel arrays; empty if it is absent, cut to the shortest if unfinished."""
         if name not in self._file:
             return []
         with reading(self.path, f"/{name}"):
@@ -345,7 +345,7 @@ class Run:
 
 
 def channel_specs(group: Any) -> list[ChannelSpec]:
-    """Specifications of a stream's channels, from their attributes."""
+    """Return the specifications of a stream's channels, from their attributes."""
     specs = []
     for name in group:
         if name != "time":

@@ -12,7 +12,10 @@ from leactl.yamlfile import shown
 
 
 def faults_of_streams(streams: Any, unfinished: bool) -> list[str]:
-    """One line for each fault of the streams, with its HDF5 path; columns of an unfinished file may be uneven."""
+    """Return one line for each fault of the streams, with its HDF5 path.
+
+    The columns of an unfinished file may differ in length.
+    """
     faults = []
     for name, group in streams.items():
         hdf5_path = f"/streams/{name}"
@@ -27,7 +30,7 @@ def faults_of_streams(streams: Any, unfinished: bool) -> list[str]:
 
 
 def faults_of_shape(hdf5_path: str, group: Any) -> list[str]:
-    """One line for each column that is not a one-dimensional dataset of numbers."""
+    """Return one line for each column that is not a one-dimensional dataset of numbers."""
     faults = []
     for name, column in group.items():
         if not isinstance(column, h5py.Dataset):
@@ -40,7 +43,7 @@ def faults_of_shape(hdf5_path: str, group: Any) -> list[str]:
 
 
 def faults_of_columns(hdf5_path: str, group: Any, unfinished: bool) -> list[str]:
-    """One line for each fault in lengths, units, numeric attributes and stamps of one stream."""
+    """Return one line for each fault in lengths, units, numeric attributes and stamps of one stream."""
     faults = []
     for name, column in group.items():
         if name != "time":
@@ -55,7 +58,7 @@ def faults_of_columns(hdf5_path: str, group: Any, unfinished: bool) -> list[str]
 
 
 def faults_of_units(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
-    """A line if the units are not those of the quantity; a quantity outside the vocabulary may have any units."""
+    """Return a line if the units are not those of the quantity; one outside the vocabulary may have any units."""
     expected = accepted_units(str(attributes.get("quantity", "")))
     if not expected or attributes.get("units") in expected:
         return []
@@ -66,7 +69,7 @@ def faults_of_units(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
 
 
 def faults_of_numbers(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
-    """A line for `skew` [s] if it is no finite number, and for `scale_std` if it is no number from 0 to 1."""
+    """Return a line for `skew` [s] if it is no finite number, and for `scale_std` if it is no number from 0 to 1."""
     faults = []
     for name, least, most in (("skew", -math.inf, math.inf), ("scale_std", 0.0, 1.0)):
         value = attributes.get(name, 0.0)
@@ -77,7 +80,7 @@ def faults_of_numbers(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
 
 
 def faults_of_time(hdf5_path: str, time: Any) -> list[str]:
-    """A line with the first row at which the stamps are not finite or do not increase; empty if there is none."""
+    """Return a line with the first row at which the stamps are not finite or do not increase, if there is one."""
     good_rows = increasing_rows(time, len(time))
     if good_rows == len(time):
         return []
@@ -86,7 +89,7 @@ def faults_of_time(hdf5_path: str, time: Any) -> list[str]:
 
 
 def increasing_rows(time: Any, rows: int) -> int:
-    """Number of leading stamps, out of `rows`, that are finite and strictly increasing; read block by block."""
+    """Return the number of leading stamps, out of `rows`, that are finite and strictly increasing."""
     before = -math.inf
     for start in range(0, rows, layout.BLOCK_ROWS):
         stamps = time[start : min(start + layout.BLOCK_ROWS, rows)]
@@ -100,17 +103,20 @@ def increasing_rows(time: Any, rows: int) -> int:
 
 
 def whole_rows(group: Any) -> int:
-    """Number of rows that all columns of a stream have and whose stamps increase; a killed recording is cut there."""
+    """Return the number of leading rows that all columns of a stream have and whose stamps increase.
+
+    A recording whose writer was killed is cut to these rows.
+    """
     shortest = min(len(column) for column in group.values())
     return increasing_rows(group["time"], shortest)
 
 
 def uneven_tables(file: Any) -> list[str]:
-    """One line for each table whose columns are missing or differ in length."""
+    """Return one line for each table whose columns are missing or differ in length."""
     return [fault for name in layout.TABLES if name in file for fault in faults_of_table(file[name], name)]
 
 
 def faults_of_table(group: Any, name: str) -> list[str]:
-    """A line if columns of one table are missing or differ in length; empty otherwise."""
+    """Return a line if columns of one table are missing or differ in length; empty otherwise."""
     lengths = {column: len(group[column]) if column in group else None for column in layout.TABLES[name]}
     return [f"/{name}: columns of different lengths: {lengths}"] if len(set(lengths.values())) > 1 else []

@@ -1,4 +1,4 @@
-"""The last rows of a run, and those that its writer adds while it is followed."""
+"""Read the last rows of a run, and the rows that its writer adds later."""
 
 import math
 import time
@@ -39,20 +39,19 @@ class StreamRows:
 
 
 class RunTail:
-    """A run file that is read from its end on, as often as asked.
+    """Reader of the last rows of a run file and of those added since the last call of `read`.
 
-    The file is opened anew each time, so that a run that is being written, has been closed since or was left by a kill
-    reads alike.
+    Each call opens the file again, so that it makes no difference whether the run is still being written, has been
+    closed, or was left by a kill.
     """
 
     def __init__(self, path: Path, words: Sequence[str], rows: int) -> None:
-        """Take a run file.
+        """Open a run file, choose its channels and note its number of rows.
 
         Parameters
         ----------
-        words : choose channels as in `channel_names`; without any, those of the stream with most channels are read,
-            which stays the same while rows are added.
-        rows : how many of each stream are read first.
+        words : choose channels as in `channel_names`; without any, those of the stream with most channels are read.
+        rows : number of rows of each stream that the first call of `read` returns.
 
         Raises
         ------
@@ -75,7 +74,7 @@ class RunTail:
 
     @property
     def is_recording(self) -> bool:
-        """Whether the run had not been closed when it was read last: its writer goes on, or was killed."""
+        """Whether the run was not closed when it was read last: it is still being written, or its writer was killed."""
         return self._status == RECORDING
 
     @property
@@ -84,18 +83,18 @@ class RunTail:
         return f"{self._status}: {self._reason}" if self._reason else self._status
 
     def unwritten_s(self) -> float:
-        """Time since the file was written last [s], by this computer's clock; 0 if it is gone."""
+        """Return the time since the file was written last [s], by this computer's clock; 0 if it is gone."""
         try:
             return max(time.time() - self._path.stat().st_mtime, 0.0)
         except OSError:
             return 0.0
 
     def read(self) -> list[StreamRows]:
-        """Read the rows that were added since the last call, stream by stream; the last `rows` of each at the first.
+        """Read the rows that were added since the last call, stream by stream; at first, the last `rows` of each.
 
         Raises
         ------
-        InputError : the file has become none of a run or one of another run, or is gone.
+        InputError : the file is gone, is no longer a run file, or is that of another run.
         """
         with Run.open(self._path) as run:
             if not all(self._is_continued(run, stream) for stream in self._channels):
@@ -109,30 +108,30 @@ class RunTail:
         self._reason = " ".join(str(run.attributes.get("status_reason", "")).split())
 
     def _is_continued(self, run: Run, stream: str) -> bool:
-        """Whether a stream has the channels that were chosen, and the rows that were read."""
+        """Return whether a stream still has the channels that were chosen, and the rows that were read."""
         names = {spec.name for spec in run.streams.get(stream, ())}
         return names.issuperset(spec.name for spec in self._channels[stream]) and run.rows[stream] >= self._next[stream]
 
     def _rows_of(self, run: Run, stream: str) -> StreamRows:
-        first, last = self._next[stream], run.rows[stream]
-        self._next[stream] = last
+        start, stop = self._next[stream], run.rows[stream]
+        self._next[stream] = stop
         channels = self._channels[stream]
         return StreamRows(
             stream,
             tuple(channel.name for channel in channels),
             tuple(channel.units for channel in channels),
-            run.values(stream, "time", first, last),
-            np.column_stack([run.values(stream, channel.name, first, last) for channel in channels]),
+            run.values(stream, "time", start, stop),
+            np.column_stack([run.values(stream, channel.name, start, stop) for channel in channels]),
         )
 
 
-def thinned(rows: StreamRows, every: float, shown_until: dict[str, float]) -> StreamRows:
-    """Rows at least `every` seconds apart, also from the last one kept before, which `shown_until` holds by stream."""
-    kept = []
-    last = shown_until.get(rows.stream, -math.inf)
+def thinned(rows: StreamRows, interval_s: float, shown_until: dict[str, float]) -> StreamRows:
+    """Return rows at least `interval_s` apart [s]; `shown_until` has the last stamp returned before, by stream."""
+    kept_indices = []
+    last_shown = shown_until.get(rows.stream, -math.inf)
     for index, stamp in enumerate(rows.time.tolist()):
-        if stamp - last >= every:
-            kept.append(index)
-            last = stamp
-    shown_until[rows.stream] = last
-    return replace(rows, time=rows.time[kept], values=rows.values[kept])
+        if stamp - last_shown >= interval_s:
+            kept_indices.append(index)
+            last_shown = stamp
+    shown_until[rows.stream] = last_shown
+    return replace(rows, time=rows.time[kept_indices], values=rows.values[kept_indices])

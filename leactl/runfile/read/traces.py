@@ -55,13 +55,13 @@ def channel_names(run: Run, words: list[str]) -> list[str]:
 
 
 def chosen_channels(
-    streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str], place: str, owner: str
+    streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str], message_prefix: str, owner: str
 ) -> list[str]:
     """Return `stream/channel` of the channels that `words` choose, as `channel_names`.
 
     Parameters
     ----------
-    place, owner : begin of the message of an error, and whose channels these are.
+    message_prefix, owner : beginning of an error's message, and name of the object that has the channels.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def chosen_channels(
         if not matches:
             nearest = difflib.get_close_matches(word, [spec.name for spec in known.values()], 1)
             hint = f"; did you mean {nearest[0]!r}" if nearest else ""
-            raise MissingChannel(f"{place}no channel {word!r}{hint}; {owner} has {', '.join(known) or 'none'}")
+            raise MissingChannel(f"{message_prefix}no channel {word!r}{hint}; {owner} has {', '.join(known) or 'none'}")
         chosen += [name for name in matches if name not in chosen]
     return chosen if words else list(known)
 

@@ -1,1 +1,1 @@
-"""Check that run files are as they were when they were closed, and repair, annotate or convert them."""
+"""Check that run files have not changed since they were closed, and recover, annotate or convert them."""

@@ -49,20 +49,20 @@ def copy_group(source: Any, target: Any) -> None:
 
 def copy_dataset(source: Any, target: Any) -> None:
     """Copy a dataset block by block, with its shape, chunks and compression."""
-    kept = ("dtype", "maxshape", "chunks", "compression", "compression_opts", "shuffle", "fillvalue")
-    kinds = {key: getattr(source, key) for key in kept} if source.chunks else {"dtype": source.dtype}
-    dataset = target.create_dataset(source.name.rsplit("/", 1)[-1], source.shape, **kinds)
+    storage_keys = ("dtype", "maxshape", "chunks", "compression", "compression_opts", "shuffle", "fillvalue")
+    storage = {key: getattr(source, key) for key in storage_keys} if source.chunks else {"dtype": source.dtype}
+    dataset = target.create_dataset(source.name.rsplit("/", 1)[-1], source.shape, **storage)
     starts = range(0, len(source), layout.BLOCK_ROWS) if source.shape else ()
     blocks = [slice(start, start + layout.BLOCK_ROWS) for start in starts] if source.shape else [()]
     for block in blocks:
         values = source[block]
-        reserve(dataset.file, bytes_of(values))
+        reserve(dataset.file, stored_bytes(values))
         dataset[block] = values
     layout.copy_attributes(source, dataset)
 
 
-def bytes_of(values: Any) -> int:
-    """Bytes that values take in a file; 64 are added for each string of variable length, for HDF5's reference to it."""
+def stored_bytes(values: Any) -> int:
+    """Return the bytes that values take in a file, with 64 for HDF5's reference to each string of variable length."""
     array = np.asarray(values)
     return sum(len(text) + 64 for text in array.flat) if array.dtype == object else array.nbytes
 

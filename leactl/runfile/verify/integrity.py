@@ -33,11 +33,11 @@ class Examination:
     path: Path
     findings: list[str]  # what is wrong with it, one line each
     status: str = ""
-    covered: str = ""  # "values", or "values, names and attributes"; empty where nothing tells of changes
+    covered: str = ""  # "values", or "values, names and attributes"; empty for a file without checksums
 
     @property
     def summary(self) -> str:
-        """One line for people: how a sound run ended, and which parts of the file are known to be unchanged."""
+        """One line for people: the status of a sound run, and which parts of the file are known to be unchanged."""
         how = self.status or "no status"
         if not self.covered:
             return f"{how}; no checksums: nothing tells whether it was changed"
@@ -45,7 +45,7 @@ class Examination:
         return f"{how}; {self.covered} are as they were closed{names}"
 
     def as_json(self) -> dict[str, Any]:
-        """The same as a JSON object."""
+        """Return the same as a JSON object."""
         covered = self.covered or None
         return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
 
@@ -59,7 +59,7 @@ def examine(path: Path) -> Examination:
 
 
 def verify(path: Path) -> list[str]:
-    """One line for each fault of a run file; empty if it has none.
+    """Return one line for each fault of a run file; empty if it has none.
 
     Files of other programs have no checksums; that alone is no fault.
     """
@@ -81,7 +81,7 @@ def verify(path: Path) -> list[str]:
 
 
 def altered(path: Path) -> list[str]:
-    """One line for each difference to the closed run; empty for a file without checksums.
+    """Return one line for each difference to the closed run; empty for a file without checksums.
 
     Raises
     ------
@@ -109,12 +109,12 @@ def refuse_findings(findings: Sequence[str]) -> None:
 
 
 def altered_parts(file: Any) -> list[str]:
-    """One line for each value, name or attribute that differs from the closed run."""
+    """Return one line for each value, name or attribute that differs from the closed run."""
     return [*wrong_checksums(file), *seal.seal_findings(file)]
 
 
 def unfinished_findings(file: Any, live: bool) -> list[str]:
-    """A line if the recording did not end in order, or its status is unknown."""
+    """Return a line if the recording did not end in order, or its status is unknown."""
     status = layout.to_python(file.attrs.get("status", ""))
     if live or status == RECORDING:
         return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
@@ -124,7 +124,7 @@ def unfinished_findings(file: Any, live: bool) -> list[str]:
 
 
 def missing_attributes(file: Any) -> list[str]:
-    """One line for each required attribute that the file lacks."""
+    """Return one line for each required attribute that the file lacks."""
     expected: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
     if "mechanical" not in layout.attributes(file.get("setup", file)):
         expected.append(("/setup", file.get("setup", file), ("mechanical",)))
@@ -140,7 +140,7 @@ def missing_attributes(file: Any) -> list[str]:
 
 
 def wrong_checksums(file: Any) -> list[str]:
-    """One line for each dataset whose values do not match the checksum stored at close."""
+    """Return one line for each dataset whose values do not match the checksum stored at close."""
     findings = []
     stored = {
         hdf5_path: str(layout.to_python(dataset.attrs.get("sha256", "")))
@@ -203,7 +203,7 @@ def recover(path: Path) -> Path:
 
 
 def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `/steps` and `/events`, cut to those that every column has."""
+    """Return the rows of `/steps` and `/events`, cut to those that every column has."""
     tables = {}
     for name, columns in layout.TABLES.items():
         group = file.get(name, {})
@@ -213,7 +213,7 @@ def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
 
 
 def read_cells(group: Mapping[str, Any], column: str) -> list[Any]:
-    """Cells of one column of a table; empty if it is absent."""
+    """Return the cells of one column of a table; empty if it is absent."""
     if column not in group:
         return []
     dataset = group[column]
@@ -251,7 +251,7 @@ def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] =
     before = checksums(path, apart_from)
     with replacement(path) as copy:
         shutil.copy2(path, copy)
-        # a run of a newer format opens for writing only where the newest is let in; what is added stays old
+        # a run of a newer format can be opened for writing only with "latest"; new objects get the oldest format
         with h5py.File(copy, "r+", libver=(layout.HDF5_FORMAT[0], "latest")) as file:
             change(file)
             seal.seal_additions(file, apart_from)
@@ -265,7 +265,7 @@ def add_note(file: Any, text: str, author: str) -> None:
     table = file.get("notes", {})
     notes = [
         dict(zip(layout.NOTES, row, strict=True))
-        for row in zip(*(read_cells(table, c) for c in layout.NOTES), strict=False)
+        for row in zip(*(read_cells(table, column) for column in layout.NOTES), strict=False)
     ]
     notes.append({"time": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", "author": author, "text": text})
     if "notes" in file:
@@ -275,13 +275,17 @@ def add_note(file: Any, text: str, author: str) -> None:
 
 
 def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
-    """Checksum of every dataset, computed from its values; raises InputError if one differs from the stored checksum.
+    """Compute the checksum of every dataset from its values.
 
     Parameters
     ----------
     apart_from : HDF5 paths below which datasets are left out.
+
+    Raises
+    ------
+    InputError : a checksum differs from the stored one.
     """
-    left_out = tuple(f"{hdf5_path}/" for hdf5_path in apart_from)
+    excluded_prefixes = tuple(f"{hdf5_path}/" for hdf5_path in apart_from)
     file, _ = open_run_file(path)
     with file, reading(path):
         if findings := wrong_checksums(file):
@@ -289,5 +293,5 @@ def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
         return {
             hdf5_path: layout.digest(item)
             for hdf5_path, item in layout.datasets(file)
-            if not hdf5_path.startswith(left_out)
+            if not hdf5_path.startswith(excluded_prefixes)
         }

@@ -35,13 +35,13 @@ class RunInfo:
 
 
 def new_run_id(protocol: str, when: datetime) -> str:
-    """A new run identifier, sorted by time, random in its last digits: `20261120T101530Z-torque-constant-7f3a`."""
+    """Return a new run identifier, sortable by time, with random last digits: `20261120T101530Z-friction-7f3a`."""
     slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
     return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
 
 
 def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
-    """One line for each part of the description or of the channels that the file format does not allow."""
+    """Return one line for each part of the description or of the channels that the file format does not allow."""
     faults = []
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", info.run_id):
         faults.append(f"run_id: {info.run_id!r} is no file name; use letters, digits, '.', '_' and '-'")
@@ -65,7 +65,7 @@ def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> li
 
 
 def faults_of_channel(channel_path: str, spec: ChannelSpec) -> list[str]:
-    """One line for each fault of a channel's name, quantity, unit, role, sampling or data type."""
+    """Return one line for each fault of a channel's name, quantity, unit, role, sampling or data type."""
     faults = []
     if (
         any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in channel_path.split("/"))

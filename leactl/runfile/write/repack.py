@@ -43,7 +43,7 @@ def repack(
     with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
         reserve(clean, 0)
         for name in source.attrs:
-            if name not in seal.OWN:
+            if name not in seal.DIGEST_ATTRIBUTES:
                 clean.attrs[name] = source.attrs[name]
         clean.attrs["status"] = status
         clean.attrs["status_reason"] = one_line(reason)
@@ -136,10 +136,10 @@ def as_text(value: Any) -> str:
 
 
 def text_bytes(text: str) -> int:
-    """Upper bound of the bytes that a string of variable length takes: four per character, and 64 for HDF5."""
+    """Return an upper bound of the bytes of a string of variable length: four per character, and 64 for HDF5."""
     return 4 * len(text) + 64
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks."""
+    """Return the text without line breaks."""
     return layout.storable(" ".join(text.split()))

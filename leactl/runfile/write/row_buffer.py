@@ -1,4 +1,4 @@
-"""Buffer of rows between control loop and disk: the loop fills one array while the writer empties the other."""
+"""Buffer rows between control loop and disk: the loop fills one array while the writer empties the other."""
 
 import math
 import struct
@@ -12,7 +12,7 @@ START_ROWS = 4096
 
 
 class RowBuffer:
-    """Rows of one stream, the stamp in column 0; the buffer grows until the rows are taken."""
+    """Rows of one stream, with the stamp in column 0; the buffer grows until `take` empties it."""
 
     def __init__(self, channels: int) -> None:
         self._channels = channels
@@ -71,9 +71,9 @@ class RowBuffer:
         with self._lock:
             rows, self._rows = self._rows, self._spare
             self._spare = rows
-            taken = rows[: self._count]
+            filled_rows = rows[: self._count]
             self._count = 0
-            return taken
+            return filled_rows
 
     def _grow(self, least: int) -> None:
         rows = np.empty((max(least, 2 * len(self._rows)), self._channels + 1))

@@ -34,9 +34,9 @@ __all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 
 LIVE_CHUNK_ROWS = 1 << 12
 LIVE_TABLE_ROWS = 16
-# of each dataset, for its last chunk and one before; HDF5's own 8 MiB (2.0) come to 160 MB for 20 channels in a night
+# of each dataset, for its last two chunks; HDF5's default of 8 MiB (2.0) is 160 MB for 20 channels in a night
 LIVE_CACHE_BYTES = 1 << 16
-COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
+COLUMN_BYTES = 8192  # upper bound of the attributes and index of one dataset
 
 
 class RecordingFailed(InputError):
@@ -88,7 +88,7 @@ class RunWriter:
             raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
 
     def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
-        """Add one row; a few microseconds, whatever the disk does."""
+        """Add one row, in a few microseconds even if the disk is slow."""
         if self.closed:
             raise self._ended()
         self._buffers[stream].append_row(time, values)
@@ -121,7 +121,7 @@ class RunWriter:
             self._stay_in_place()
 
     def notes(self) -> list[str]:
-        """Notes for people about the file since the last call, for example that it was moved."""
+        """Return notes for people about the file since the last call, for example that it was moved."""
         notes, self._notes = self._notes, []
         return notes
 
@@ -152,15 +152,15 @@ class RunWriter:
             status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
             try:
                 self.close(status, str(error) or type(error).__name__)
-            except RecordingFailed as second:  # what ended the run matters more than the disk
-                error.add_note(str(second))
+            except RecordingFailed as close_error:  # the reason for the run's end matters more than this error
+                error.add_note(str(close_error))
 
     def _write_pending(self) -> None:
         self._wait_for_disk()
         tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
-        taken = {name: buffer.take() for name, buffer in self._buffers.items()}
-        self._reserve(taken, tables)
-        for name, rows in taken.items():
+        buffered = {name: buffer.take() for name, buffer in self._buffers.items()}
+        self._reserve(buffered, tables)
+        for name, rows in buffered.items():
             if len(rows):
                 write_rows(self._datasets[name], self._written[name], rows)
                 self._written[name] += len(rows)
@@ -197,9 +197,9 @@ class RunWriter:
             f"{before}: was removed or moved while it was written; every row of the run is in {self.path}"
         )
 
-    def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
+    def _reserve(self, buffered: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
         """Reserve disk space for the rows, one new chunk for each column, and the fixed-length texts of the tables."""
-        size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
+        size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in buffered.values() if len(rows))
         for name, rows in tables.items():
             size += (len(rows) + LIVE_TABLE_ROWS) * sum(width or 8 for width in layout.TABLES[name].values())
         try:
@@ -231,7 +231,7 @@ class RunWriter:
 
     def _abandon(self) -> None:
         self.closed = True
-        if self._file:  # closing after a failed write crashes inside HDF5: keep it open, for good
+        if self._file:  # closing after a failed write crashes inside HDF5, so that the file stays open
             KEPT_OPEN.append((self._file, self._datasets))
 
 
@@ -246,13 +246,13 @@ ADVICE = {
 
 
 def advice_for(fault: BaseException) -> str:
-    """Advice for a failed write, by errno; HDF5 gives none, which is taken for a full disk."""
+    """Return the advice for a failed write, by errno; HDF5 gives none, which is taken for a full disk."""
     number = getattr(fault, "errno", None)
     return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
 
 
 def working_directory() -> list[Path]:
-    """The working directory in a list; empty if it no longer exists."""
+    """Return the working directory in a list; empty if it no longer exists."""
     try:
         return [Path.cwd()]
     except OSError:
@@ -316,7 +316,7 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
 
 
 def root_value(name: str, info: RunInfo) -> Any:
-    """Value of a root attribute at the start of the recording."""
+    """Return the value of a root attribute at the start of the recording."""
     start: dict[str, Any] = {
         "format": layout.FORMAT,
         "format_version": layout.VERSION,
@@ -328,7 +328,7 @@ def root_value(name: str, info: RunInfo) -> Any:
 
 
 def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
-    """(column in a row, dataset, type) of a stream's datasets in the order of writing: channels before time.
+    """Return (column in a row, dataset, type) of a stream's datasets in the order of writing: channels before time.
 
     With the stamp written last, a stamp in the file means that its whole row is in the file.
     """

@@ -35,10 +35,9 @@ from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
 from leactl.units import SECONDS, converter, known_units
 
 Array = npt.NDArray[np.float64]
-LEAVE_OUT: Final = "-"  # what a person answers of a channel or a stream that is not to be imported
-LIKELY_UNITS: Final[
-    dict[str, tuple[str, ...]]
-] = {  # by the unit of a run file, what is asked for; others can be written
+LEAVE_OUT: Final = "-"  # a person's answer for a channel or a stream that is not to be imported
+# units offered to a person, by the unit of a run file; a person may also type another one
+LIKELY_UNITS: Final[dict[str, tuple[str, ...]]] = {
     "rad": ("rad", "deg", "turn", "m"),
     "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "m/s"),
     "N*m": ("N*m", "mN*m", "N"),
@@ -89,12 +88,12 @@ class ProposedStream:
     rate_Hz: float = 0.0  # of samples without stamps, 0 if unknown  # noqa: N815 (a unit keeps its letter)
 
 
-def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
-    """The proposed streams of a survey, with a person's answers applied."""
+def streams_of(surveyed: Survey, answers: Answers) -> list[ProposedStream]:
+    """Return the proposed streams of a survey, with a person's answers applied."""
     streams: list[ProposedStream] = []
-    names = frozenset(name_of(column, table.table) for table in seen.tables for column in table.table.columns)
-    for table in seen.tables:
-        stream = stream_of(table, names, {each.name for each in streams})
+    names = frozenset(name_of(column, table.table) for table in surveyed.tables for column in table.table.columns)
+    for table in surveyed.tables:
+        stream = stream_of(table, names, {proposed.name for proposed in streams})
         if stream.channels:
             streams.append(stream)
     for stream in streams:
@@ -105,7 +104,7 @@ def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
     return streams
 
 
-def stream_of(seen: SurveyedTable, names: frozenset[str], taken: set[str]) -> ProposedStream:
+def stream_of(surveyed: SurveyedTable, names: frozenset[str], used_names: set[str]) -> ProposedStream:
     """Propose the channels of a table by declarations, documentation and names.
 
     Parameters
@@ -114,15 +113,15 @@ def stream_of(seen: SurveyedTable, names: frozenset[str], taken: set[str]) -> Pr
     names : names of all columns of the log.
     taken : names of streams in use.
     """
-    table, dialect = seen.table, seen.dialect
-    time, time_units, time_why = time_of(seen)
+    table, dialect = surveyed.table, surveyed.dialect
+    time, time_units, time_why = time_of(surveyed)
     channels: dict[str, ProposedChannel] = {}
     left_out: dict[str | int, str] = {}
     for column in table.columns:
-        values = [each[column.name] for each in seen.columns if column.name in each]
+        values = [joint_values[column.name] for joint_values in surveyed.columns if column.name in joint_values]
         if time is not None and column.name == time.name:
             continue
-        if not any(np.isfinite(each).any() for each in values):
+        if not any(np.isfinite(joint_values).any() for joint_values in values):
             left_out[column.name] = "holds no number"
             continue
         proposed = channel_of(column, table, dialect, names)
@@ -131,15 +130,15 @@ def stream_of(seen: SurveyedTable, names: frozenset[str], taken: set[str]) -> Pr
             continue
         proposed.values = values
         channels[free_name(slug(str(column.name)), channels)] = proposed
-    name = free_name(slug((table.records or "loop").replace(f"[{PLACEHOLDER}]", "")), taken)
-    stamps = [each[time.name] for each in seen.columns if time.name in each] if time else []
+    name = free_name(slug((table.records or "loop").replace(f"[{PLACEHOLDER}]", "")), used_names)
+    stamps = [joint_values[time.name] for joint_values in surveyed.columns if time.name in joint_values] if time else []
     return ProposedStream(name, table, time, time_units, time_why, channels, left_out, stamps)
 
 
 def channel_of(
     column: ListedColumn, table: ListedTable, dialect: LogDialect | None, names: frozenset[str]
 ) -> ProposedChannel | str:
-    """Propose a channel for a column, with what its file declares, or return why it is none."""
+    """Propose a channel for a column, with the declarations of its file, or return why it is not a channel."""
     proposed = column.why_unnamed or channel_by_units(column, table, dialect, names)
     if isinstance(proposed, str):
         return proposed
@@ -153,7 +152,7 @@ def channel_of(
 
 
 def name_of(column: ListedColumn, table: ListedTable) -> str:
-    """The name that tells what a column is: its table's for the only value of an entry or the column of a matrix."""
+    """Return the name that describes a column: that of its table for an entry's value or a column of a matrix."""
     if isinstance(column.name, int):
         return f"{table.records or ''}[{column.name}]"
     return table.records or column.name if column.name == "value" else column.name
@@ -162,7 +161,7 @@ def name_of(column: ListedColumn, table: ListedTable) -> str:
 def channel_by_units(
     column: ListedColumn, table: ListedTable, dialect: LogDialect | None, names: frozenset[str]
 ) -> ProposedChannel | str:
-    """Propose a channel by its documentation, its declared units or its name, or return why it is none."""
+    """Propose a channel by its documentation, its declared units or its name, or return why it is not a channel."""
     name = name_of(column, table)
     if dialect is not None and (documented := dialect.channel(name)):
         if not documented.quantity:
@@ -178,23 +177,23 @@ def channel_by_units(
     if not quantity:
         return meaning.why_not
     role = meaning.role or "test"
-    of_role = [f"role {role} by its name"] if meaning.role and not column.role else []
+    role_reason = [f"role {role} by its name"] if meaning.role and not column.role else []
     if column.units and converter(column.units, quantity):
         return ProposedChannel(
-            column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
+            column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *role_reason]
         )
     if meaning.units and converter(meaning.units, quantity):
         return ProposedChannel(
-            column.name, quantity, role, (meaning.units,), [f"{meaning.units} stands in its name", *of_role]
+            column.name, quantity, role, (meaning.units,), [f"{meaning.units} stands in its name", *role_reason]
         )
-    likely = [units for units in LIKELY_UNITS[known_units(quantity)[0]] if converter(units, quantity)]
-    reasons = [f"{quantity} by its name", *([meaning.doubt] if meaning.doubt else []), *of_role]
-    return ProposedChannel(column.name, quantity, role, tuple(likely), reasons, is_settled=bool(meaning.doubt))
+    likely_units = [units for units in LIKELY_UNITS[known_units(quantity)[0]] if converter(units, quantity)]
+    reasons = [f"{quantity} by its name", *([meaning.doubt] if meaning.doubt else []), *role_reason]
+    return ProposedChannel(column.name, quantity, role, tuple(likely_units), reasons, is_settled=bool(meaning.doubt))
 
 
-def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
-    """The column of stamps, its possible units, and the reason; None, () and the reason if there is none."""
-    table, dialect = seen.table, seen.dialect
+def time_of(surveyed: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
+    """Return the column of stamps, its possible units, and the reason; None, () and the reason if there is none."""
+    table, dialect = surveyed.table, surveyed.dialect
     if table.time is not None:
         return table.time, (table.time.units,), table.time.declared_by
     if dialect is not None and dialect.time is not None:
@@ -202,7 +201,9 @@ def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], 
     columns = [
         (column, values)
         for column in table.columns
-        if (values := seen.columns[0].get(column.name)) is not None and is_time(str(column.name)) and increases(values)
+        if (values := surveyed.columns[0].get(column.name)) is not None
+        and is_time(str(column.name))
+        and increases(values)
     ]
     for column, _ in columns:
         units = column.units or meaning_of(str(column.name)).units
@@ -217,21 +218,21 @@ def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], 
 
 
 def increases(values: Array) -> bool:
-    """Whether a column is finite and increases at more than half of its rows, as stamps do."""
+    """Return whether a column is finite and increases at more than half of its rows, as stamps do."""
     steps = np.diff(values)
     return len(steps) > 0 and bool(np.isfinite(values).all()) and float((steps > 0).mean()) > 0.5 and steps.sum() > 0
 
 
 def apply_answers(stream: ProposedStream, answers: Answers) -> None:
     """Apply a person's answers to a stream; channels answered with `LEAVE_OUT` are removed."""
-    of_time = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
-    if LEAVE_OUT in of_time.values():
+    time_answers = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
+    if LEAVE_OUT in time_answers.values():
         stream.channels.clear()
         return
-    if of_time["units"]:
-        stream.time_units, stream.time_why = (of_time["units"],), "as answered"
-    if of_time["rate_Hz"]:
-        stream.rate_Hz, stream.time_why = float(Fraction(of_time["rate_Hz"])), "as answered"
+    if time_answers["units"]:
+        stream.time_units, stream.time_why = (time_answers["units"],), "as answered"
+    if time_answers["rate_Hz"]:
+        stream.rate_Hz, stream.time_why = float(Fraction(time_answers["rate_Hz"])), "as answered"
     for name, channel in list(stream.channels.items()):
         key = ("streams", stream.name, "channels", name)
         units = answers.get((*key, "units"))
@@ -248,24 +249,28 @@ def apply_answers(stream: ProposedStream, answers: Answers) -> None:
 
 def decide_by_numbers(streams: list[ProposedStream]) -> None:
     """Decide units by ranges, then by pairs of channels, until no further unit follows."""
-    everything = [(stream, channel) for stream in streams for channel in stream.channels.values()]
-    for _, channel in everything:
+    channels = [(stream, channel) for stream in streams for channel in stream.channels.values()]
+    for _, channel in channels:
         if channel.values and not channel.is_settled:
             decide_by_range(channel)
-    timed = [(stream, channel) for stream, channel in everything if stream.stamps and len(stream.time_units) == 1]
+    timed = [(stream, channel) for stream, channel in channels if stream.stamps and len(stream.time_units) == 1]
     pairs = [(first, second) for first in timed for second in timed if are_of_one_shaft(first, second)]
     while True:
         before = [channel.units for _, channel in timed]
-        for (stream, channel), (other_stream, other) in pairs:
-            if (channel.quantity, other.quantity) == ("velocity", "angle"):
-                decide_by_travel(channel, series_of(stream, channel), other, series_of(other_stream, other))
-            elif other.quantity == f"{channel.quantity}_reference":
-                decide_by_setpoint(channel, series_of(stream, channel), other, series_of(other_stream, other))
-            elif (channel.quantity, other.quantity) == ("torque", "angle"):
-                decide_by_kind(channel, other)
+        for (stream, channel), (other_stream, other_channel) in pairs:
+            if (channel.quantity, other_channel.quantity) == ("velocity", "angle"):
+                decide_by_travel(
+                    channel, series_of(stream, channel), other_channel, series_of(other_stream, other_channel)
+                )
+            elif other_channel.quantity == f"{channel.quantity}_reference":
+                decide_by_setpoint(
+                    channel, series_of(stream, channel), other_channel, series_of(other_stream, other_channel)
+                )
+            elif (channel.quantity, other_channel.quantity) == ("torque", "angle"):
+                decide_by_kind(channel, other_channel)
         if [channel.units for _, channel in timed] == before:
             break
-    for _, channel in everything:
+    for _, channel in channels:
         if len(channel.units) > 1 and channel.quantity.startswith("angle") and are_counts(channel.values):
             channel.units, channel.scale_of = ("turn",), COUNTS if channel.scale is None else ""
             channel.why.append("whole numbers, as an encoder counts")
@@ -288,7 +293,7 @@ def decide_by_range(channel: ProposedChannel) -> None:
 def are_of_one_shaft(
     first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]
 ) -> bool:
-    """Whether two channels have the same role and, by their names, the same shaft."""
+    """Return whether two channels have the same role and, by their names, the same shaft."""
     if first[1].role != second[1].role:
         return False
     if first[0] is second[0]:
@@ -298,7 +303,7 @@ def are_of_one_shaft(
 
 
 def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
-    """Values of a channel with stamps in s, for each surveyed joint."""
+    """Return the values of a channel with stamps in s, for each surveyed joint."""
     factor = SECONDS.get(stream.time_units[0], 1.0)  # dates are seconds already
     by_joint = zip(stream.stamps, channel.values, strict=False)
     return [ColumnSeries(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
@@ -314,10 +319,10 @@ def decide_by_travel(
     if velocity.scale_of or angle.scale_of or velocity.is_settled:
         return
     by_joint = zip(angle_series, velocity_series, strict=False)
-    known = [gain for gain in (gain_of(of_angle, of_velocity) for of_angle, of_velocity in by_joint) if gain]
-    if not known:
+    gains = [gain for gain in (gain_of(*angle_and_velocity) for angle_and_velocity in by_joint) if gain]
+    if not gains:
         return
-    best = min(known, key=lambda gain: gain.std / abs(gain.value))
+    best = min(gains, key=lambda gain: gain.std / abs(gain.value))
     gain = abs(best.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
     factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
     is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
@@ -329,21 +334,21 @@ def decide_by_travel(
     ]
     decided = [len(channel.units) == 1 for channel in (angle, velocity)]
     if all(decided):
-        others = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
-        if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
-            velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
-            velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
-        of_angle = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
-        if not fitting and of_angle and not is_gear(gain) and not angle.is_settled:
-            angle.units, angle.is_settled = (of_angle[0][0], *angle.units), True
-            angle.why.append(f"yet {factor}, as it would be in {of_angle[0][0]}")
+        pairs_of_angle = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
+        if not fitting and pairs_of_angle and not is_gear(gain):  # the unit of one channel is wrong
+            velocity.units, velocity.is_settled = (pairs_of_angle[0][1], *velocity.units), True
+            velocity.why.append(f"yet {factor}, as {pairs_of_angle[0][1]} would be")
+        pairs_of_velocity = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
+        if not fitting and pairs_of_velocity and not is_gear(gain) and not angle.is_settled:
+            angle.units, angle.is_settled = (pairs_of_velocity[0][0], *angle.units), True
+            angle.why.append(f"yet {factor}, as it would be in {pairs_of_velocity[0][0]}")
         return
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
     if alone and is_one and any(decided):
         for channel, units in zip((angle, velocity), fitting[0], strict=True):
             if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
                 channel.decide(units, f"{units}: {factor}")
-    by_gain = [of_velocity for of_angle, of_velocity in pairs if is_same_unit(of_angle, angle.units, "angle")]
+    by_gain = [pair[1] for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
     if not fitting and decided[0]:
         velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
     for channel, at in ((angle, 0), (velocity, 1)):
@@ -354,9 +359,9 @@ def decide_by_travel(
             channel.why += [factor] if factor not in channel.why else []
 
 
-def is_same_unit(units: str, among: tuple[str, ...], quantity: str) -> bool:
-    """Whether a unit is equivalent to one of `among`, for a quantity."""
-    return any(converter(units, quantity) == converter(each, quantity) for each in among)
+def is_same_unit(units: str, candidates: tuple[str, ...], quantity: str) -> bool:
+    """Return whether a unit is equivalent to one of `among`, for a quantity."""
+    return any(converter(units, quantity) == converter(other_units, quantity) for other_units in candidates)
 
 
 def decide_by_setpoint(
@@ -402,7 +407,7 @@ def slug(text: str) -> str:
     return name if name[:1].isalpha() and name.lower() not in ("null", "true", "false") else f"column_{name}".strip("_")
 
 
-def free_name(name: str, taken: Mapping[str, object] | set[str]) -> str:
-    """The name, with a number appended if it is taken or `time`."""
-    names = [name, *(f"{name}_{count}" for count in range(2, len(taken) + 3))]
-    return next(each for each in names if each not in taken and each != "time")
+def free_name(name: str, used_names: Mapping[str, object] | set[str]) -> str:
+    """Return the name, with a number appended if it is in use or is `time`."""
+    names = [name, *(f"{name}_{count}" for count in range(2, len(used_names) + 3))]
+    return next(candidate for candidate in names if candidate not in used_names and candidate != "time")

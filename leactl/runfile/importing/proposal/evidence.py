@@ -1,4 +1,4 @@
-"""Evidence for the unit of a column in its values: jumps of a wrapped angle, the integral of a velocity, ranges.
+"""Infer the unit of a column from its values: jumps of a wrapped angle, the integral of a velocity, ranges.
 
 The ratio of a velocity to the rate of its angle depends only on their units if both belong to one shaft. A gear between
 them multiplies it, and gears of 6, 9.1 or 60 imitate other pairs of units. Therefore only a ratio of 1 decides a unit
@@ -20,21 +20,21 @@ ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # units of angles in logs; `r
 VELOCITIES: Final = ("rad/s", "deg/s", "rpm", "turn/s", "m/s", "mm/s")
 MOST_DEGREES: Final = 400.0  # largest angle of a limb in whole degrees
 WIDE_RAD: Final = 6.0 * math.pi  # larger than the angle of any limb
-UNITS_LIKE_A_GEAR: Final = ("deg/s", "rpm", "turn/s")  # a gear of 6 or 60 apart, which there are
+UNITS_LIKE_A_GEAR: Final = ("deg/s", "rpm", "turn/s")  # their ratios are 6 and 60, which are also ratios of gears
 TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # unit by the size of a wrap
-UNIT_GAIN_TOLERANCE: Final = 0.004  # relative, of a gain to 1, where the unit of one of both is known
-PAIR_GAIN_TOLERANCE: Final = 0.003  # of a gain to the factor of two units that differ, which are then the likeliest
-GEAR_TOLERANCE: Final = 0.003  # of a gain to a whole number, which is a gear's as well
+UNIT_GAIN_TOLERANCE: Final = 0.004  # relative, of a gain to 1, if the unit of one channel is known
+PAIR_GAIN_TOLERANCE: Final = 0.003  # relative, of a gain to the ratio of two different units, which are then likeliest
+GEAR_TOLERANCE: Final = 0.003  # relative, of a gain to a whole number, which may be the ratio of a gear
 LARGEST_GAIN_ERROR: Final = 0.001  # relative standard error of a gain that decides
 LEAST_EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
 SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2
-AMPERES: Final = (0.05, 5.0)  # largest of a log: no actuator moves on as many mA
-VOLTS: Final = (0.5, 60.0)  # largest of a log: no winding shows as few mV, and rigs above low voltage are asked for
+AMPERES: Final = (0.05, 5.0)  # largest current of a log in A; no actuator moves with such a current in mA
+VOLTS: Final = (0.5, 60.0)  # largest voltage of a log in V; windings have more mV, and rigs of more V are asked for
 SHORTEST_S, LONGEST_S = 2e-5, 10.0  # between the rows of logs
-EPOCHS: Final = {"s": 1e9, "ms": 1e12, "us": 1e15, "ns": 1e18}  # of 2001; twice that is 2033
+EPOCHS: Final = {"s": 1e9, "ms": 1e12, "us": 1e15, "ns": 1e18}  # stamps in 2001; twice as large ones are in 2033
 VOLTS_OF_A_BUS: Final = (3.0, 1000.0)
-INDOORS_DEGC: Final = (5.0, 45.0)  # where a log's coldest reading lies; in degF that is -15 to 7 degC
+INDOORS_DEGC: Final = (5.0, 45.0)  # range of a log's coldest reading; the same numbers in degF are -15 to 7 degC
 
 
 class AngleWrap(NamedTuple):
@@ -46,7 +46,7 @@ class AngleWrap(NamedTuple):
 
 
 def find_wrap(values: Array) -> AngleWrap | None:
-    """Find the unit of a wrapped angle; None if it does not wrap, or jumps by no unit's turn."""
+    """Find the unit of a wrapped angle; None if it does not wrap, or its jumps are not a turn in any unit."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_JUMPS + 1:
         return None
@@ -66,45 +66,47 @@ class ColumnSeries(NamedTuple):
     values: Array
 
     def known(self) -> "ColumnSeries":
-        """The rows with finite values."""
+        """Return the rows with finite values."""
         rows = np.isfinite(self.values)
         return ColumnSeries(self.time[rows], self.values[rows])
 
 
 def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
-    """Ratio of a velocity to the rate of change of its angle, in the file's units; None if it is not well known."""
-    wrapped, of_angle, of_velocity = find_wrap(angle.values), angle.known(), velocity.known()
-    if min(len(of_angle.time), len(of_velocity.time)) < 2:
+    """Return the ratio of a velocity to the rate of change of its angle, in the file's units, or None if imprecise."""
+    wrapped, known_angle, known_velocity = find_wrap(angle.values), angle.known(), velocity.known()
+    if min(len(known_angle.time), len(known_velocity.time)) < 2:
         return None
-    plain = np.unwrap(of_angle.values, period=wrapped.period) if wrapped else of_angle.values
-    gain = gain_by_travel(MappedColumn("", *of_velocity, "", ""), MappedColumn("", of_angle.time, plain, "", ""))
+    unwrapped = np.unwrap(known_angle.values, period=wrapped.period) if wrapped else known_angle.values
+    gain = gain_by_travel(
+        MappedColumn("", *known_velocity, "", ""), MappedColumn("", known_angle.time, unwrapped, "", "")
+    )
     if gain is None or gain.explained < LEAST_EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return None
     return gain
 
 
-def unit_pairs_with_gain(gain: float, within: float) -> list[tuple[str, str]]:
-    """Pairs (angle unit, velocity unit) whose ratio equals a gain, within a relative tolerance."""
+def unit_pairs_with_gain(gain: float, tolerance: float) -> list[tuple[str, str]]:
+    """Return the pairs (angle unit, velocity unit) whose ratio equals a gain, within a relative tolerance."""
     pairs = []
     for angle in ANGLES:
         for velocity in VELOCITIES:
-            of_angle, of_velocity = converter(angle, "angle"), converter(velocity, "velocity")
-            assert of_angle is not None and of_velocity is not None
-            if f"{of_angle.target}/s" == of_velocity.target:
-                factor = of_angle.factor / of_velocity.factor
-                if abs(math.log(abs(gain) / factor)) <= within:
+            angle_conversion, velocity_conversion = converter(angle, "angle"), converter(velocity, "velocity")
+            assert angle_conversion is not None and velocity_conversion is not None
+            if f"{angle_conversion.target}/s" == velocity_conversion.target:
+                factor = angle_conversion.factor / velocity_conversion.factor
+                if abs(math.log(abs(gain) / factor)) <= tolerance:
                     pairs.append((angle, velocity))
     return pairs
 
 
 def is_gear(gain: float) -> bool:
-    """Whether a ratio or its inverse is near a whole number, as that of a gear."""
+    """Return whether a ratio or its inverse is near a whole number, as that of a gear."""
     size = max(abs(gain), 1.0 / abs(gain))
     return abs(size / round(size) - 1.0) <= GEAR_TOLERANCE
 
 
 def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
-    """Whether a reading equals its setpoint within `SETPOINT_TOLERANCE`, which holds in a common unit only."""
+    """Return whether a reading equals its setpoint within `SETPOINT_TOLERANCE`, as in a common unit."""
     reading, wanted = measured.known(), setpoint.known()
     if min(len(reading.time), len(wanted.time)) < 2:
         return False
@@ -113,7 +115,7 @@ def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: st
 
 
 def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
-    """Possible units of stamps among `known`, and the reason."""
+    """Return the possible units of stamps among `known`, and the reason."""
     middle = float(np.median(stamps))
     for units, epoch in EPOCHS.items():
         if epoch <= middle <= 2.2 * epoch:
@@ -124,44 +126,44 @@ def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[
 
 
 def is_wide_for_rad(values: Array) -> bool:
-    """Whether the range of an angle suggests degrees; it does not prove them, since a spindle turns as far."""
+    """Return whether the range of an angle suggests degrees; no proof, since a spindle may turn as far in rad."""
     largest = float(np.nanmax(np.abs(values)))
     return WIDE_RAD < largest <= 360.0
 
 
 def are_counts(columns: Sequence[Array]) -> bool:
-    """Whether an angle consists of encoder counts: whole numbers beyond `MOST_DEGREES`."""
+    """Return whether an angle consists of encoder counts: whole numbers beyond `MOST_DEGREES`."""
     known = np.concatenate([values[np.isfinite(values)] for values in columns])
     return bool((known == np.round(known)).all()) and float(np.abs(known).max()) > MOST_DEGREES
 
 
 def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
-    """The only unit that fits the range of a column, and the reason; empty if several fit."""
+    """Return the only unit that fits the range of a column, and the reason; empty if several units fit."""
     known = values[np.isfinite(values)]
     if not len(known):
         return "", ""
     low, high, middle = float(known.min()), float(known.max()), float(np.median(known))
-    its_range = f"its range {low:.4g} .. {high:.4g}"
+    range_text = f"its range {low:.4g} .. {high:.4g}"
     if quantity == "drive_enabled" and set(np.unique(known).tolist()) <= {0.0, 1.0}:
-        return "1", f"{its_range}, 0 and 1 alone"
-    are_whole = bool((known == np.round(known)).all())  # which may be of any size, such as tenths of a volt
+        return "1", f"{range_text}, 0 and 1 alone"
+    are_whole = bool((known == np.round(known)).all())  # whole numbers may be scaled, such as tenths of a volt
     if quantity == "bus_voltage" and not are_whole:
         small, large = VOLTS_OF_A_BUS
         if small <= middle <= large:
-            return "V", f"{its_range}; no bus has so few millivolts"
+            return "V", f"{range_text}; no bus has so few millivolts"
         if small * 1e3 <= middle <= large * 1e3:
-            return "mV", f"{its_range}; no bus has so many volts"
+            return "mV", f"{range_text}; no bus has so many volts"
     largest = max(-low, high)
     if "current" in quantity and not are_whole and AMPERES[0] <= largest <= AMPERES[1]:
-        return "A", f"{its_range}; no actuator moves on as few mA"
+        return "A", f"{range_text}; no actuator moves on as few mA"
     if "voltage" in quantity and not are_whole and VOLTS[0] <= largest <= VOLTS[1]:
-        return "V", f"{its_range}; no winding shows as few mV"
+        return "V", f"{range_text}; no winding shows as few mV"
     if quantity.endswith("temperature"):
         factor, zero = CONVERSIONS["degC"]["degF"]
         if INDOORS_DEGC[0] <= low <= INDOORS_DEGC[1]:
-            return "degC", f"{its_range}; in degF it would begin at {factor * (low - zero):.3g} degC"
+            return "degC", f"{range_text}; in degF it would begin at {factor * (low - zero):.3g} degC"
         if low > 250.0 and high < 600.0:
-            return "K", f"{its_range}; no log begins so hot in degC or degF"
+            return "K", f"{range_text}; no log begins so hot in degC or degF"
     if quantity.startswith("angle") and (wrapped := find_wrap(values)):
         return wrapped.units, f"{wrapped.jumps} jumps by {wrapped.period:.4g}, a turn in {wrapped.units}"
     return "", ""

@@ -46,20 +46,20 @@ class LogDialect(Block):
     channels: Annotated[tuple[DialectChannel, ...], Field(min_length=1)]
 
     def speaks(self, table: ListedTable) -> bool:
-        """Whether a table was written by this program."""
+        """Return whether a table was written by this program."""
         if self.kind:
             return table.kind == self.kind
         names = [str(column.name) for column in table.columns]
         return all(any(fnmatchcase(name, pattern) for name in names) for pattern in self.has)
 
     def channel(self, name: str) -> DialectChannel | None:
-        """The entry of a column; None if the format does not describe it."""
+        """Return the entry of a column; None if the format does not describe it."""
         return next((channel for channel in self.channels if fnmatchcase(name, channel.column)), None)
 
 
 @cache
 def dialects() -> tuple[LogDialect, ...]:
-    """All dialects, in the order of their file names."""
+    """Return all dialects, in the order of their file names."""
     folder = resources.files("leactl.runfile.importing.proposal") / "dialects"
     texts = {
         entry.name: entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".yaml")
@@ -68,12 +68,12 @@ def dialects() -> tuple[LogDialect, ...]:
 
 
 def dialect_of(table: ListedTable) -> LogDialect | None:
-    """The dialect of a table; None if no program is recognised."""
+    """Return the dialect of a table; None if no program is recognised."""
     return next((dialect for dialect in dialects() if dialect.speaks(table)), None)
 
 
 def csv_forms(declared: str = "") -> Sequence[CsvForm]:
-    """CSV forms to try on a table of text: those of the dialects, then the usual delimiters.
+    """Return the CSV forms to try on a table of text: those of the dialects, then the usual delimiters.
 
     declared : delimiter that the first line of the text declares by `sep=`; the header is below it.
     """

@@ -45,27 +45,27 @@ class Proposal(NamedTuple):
     questions: list[OpenQuestion]
 
 
-def propose(seen: Survey, answers: Answers) -> Proposal:
+def propose(surveyed: Survey, answers: Answers) -> Proposal:
     """Propose a mapping of a surveyed source, with a person's answers so far.
 
     Raises
     ------
     InputError : no column's name tells a quantity, or every channel was left out.
     """
-    streams = streams_of(seen, answers)
+    streams = streams_of(surveyed, answers)
     if not streams and LEAVE_OUT in answers.values():
-        raise InputError(f"{seen.path}: every channel was left out")
+        raise InputError(f"{surveyed.path}: every channel was left out")
     if not streams:
-        every = [column for table in seen.tables for column in table.table.columns]
+        columns_of_tables = [column for table in surveyed.tables for column in table.table.columns]
         columns = ", ".join(
-            f"{column.name}" + (f" ({column.why_unnamed})" * bool(column.why_unnamed)) for column in every
+            f"{column.name}" + (f" ({column.why_unnamed})" * bool(column.why_unnamed)) for column in columns_of_tables
         )
-        raise InputError(one_line(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
-    return Proposal(mapping_text(seen, streams, answers), questions_of(streams, answers))
+        raise InputError(one_line(f"{surveyed.path}: no name says what a column measures: {columns}; write a mapping"))
+    return Proposal(mapping_text(surveyed, streams, answers), questions_of(streams, answers))
 
 
 def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQuestion]:
-    """Open questions, in the order of the mapping."""
+    """Return the open questions, in the order of the mapping."""
     questions = []
     if ("mechanical",) not in answers:
         questions.append(OpenQuestion(("mechanical",), "mechanics of the rig: no log says", SETUPS))
@@ -105,17 +105,17 @@ def accepted_answer(question: OpenQuestion, text: str) -> str | None:
     return text if text in known else None
 
 
-def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) -> str:
-    """Text of the mapping file, with the evidence as a comment above each channel."""
+def mapping_text(surveyed: Survey, streams: list[ProposedStream], answers: Answers) -> str:
+    """Return the text of the mapping file, with the evidence as a comment above each channel."""
     lines = [
-        f"# Proposed from {one_line(seen.path.name)}; every line is to be read before it is used.",
-        f"format: {seen.format}",
+        f"# Proposed from {one_line(surveyed.path.name)}; every line is to be read before it is used.",
+        f"format: {surveyed.format}",
     ]
-    form = seen.csv.model_dump(exclude_defaults=True)
+    form = surveyed.csv.model_dump(exclude_defaults=True)
     if form:
         written = (f"{key}: {value if isinstance(value, int) else quoted(value)}" for key, value in form.items())
         lines.append(f"csv: {{{', '.join(written)}}}")
-    if run := [f"{name}: {stated(value)}" for table in seen.tables for name, value in table.table.run]:
+    if run := [f"{name}: {stated(value)}" for table in surveyed.tables for name, value in table.table.run]:
         lines.append(f"run: {{{', '.join(run)}}}  # as the file declares")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
     if any(stream.table.joints for stream in streams):
@@ -136,7 +136,7 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
 
 
 def time_keys(stream: ProposedStream) -> str:
-    """Keys of `time` of a stream, as YAML."""
+    """Return the keys of `time` of a stream, as YAML."""
     if stream.time is None:
         return f"rate_Hz: {stream.rate_Hz!r}" if stream.rate_Hz else f"rate_Hz: {UNDECIDED}"
     units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
@@ -144,7 +144,7 @@ def time_keys(stream: ProposedStream) -> str:
 
 
 def keys_of(channel: ProposedChannel) -> Iterator[str]:
-    """Keys of a channel, as YAML."""
+    """Yield the keys of a channel, as YAML."""
     yield f"column: {yaml_value(channel.column)}"
     yield f"quantity: {channel.quantity}"
     if channel.role != "test":
@@ -163,24 +163,24 @@ def keys_of(channel: ProposedChannel) -> Iterator[str]:
 
 
 def alternatives(channel: ProposedChannel) -> str:
-    """A comment with the possible units and the meaning of the scale; empty if both are decided."""
+    """Return a comment with the possible units and the meaning of the scale; empty if both are decided."""
     choices = [" or ".join(channel.units)] if len(channel.units) != 1 else []
     choices += [f"scale: {channel.scale_of}"] if channel.scale_of else []
     return f"  # {'; '.join(choices)}" if choices else ""
 
 
 def streams_joints(streams: list[ProposedStream]) -> list[str]:
-    """All joints of the streams' tables."""
+    """Return all joints of the streams' tables."""
     return list(dict.fromkeys(one_line(joint) for stream in streams for joint in stream.table.joints))
 
 
 def stated(value: str | bool) -> str:
-    """A root attribute of a run as YAML."""
+    """Return a root attribute of a run as YAML."""
     return str(value).lower() if isinstance(value, bool) else quoted(value)
 
 
 def yaml_value(value: str | int) -> str:
-    """A value written for YAML's flow style, quoted if needed."""
+    """Return a value written for YAML's flow style, quoted if needed."""
     if isinstance(value, int) or re.fullmatch(r"[A-Za-z_/][A-Za-z0-9_./-]*", value):
         is_word = isinstance(value, str) and value.lower() in ("null", "true", "false")  # which YAML takes for no text
         return quoted(str(value)) if is_word else str(value)
@@ -188,10 +188,14 @@ def yaml_value(value: str | int) -> str:
 
 
 def quoted(text: str) -> str:
-    """A text in double quotes, with quotes, backslashes and unprintable characters escaped."""
-    return "".join(['"', *(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text), '"'])
+    """Return a text in double quotes, with quotes, backslashes and unprintable characters escaped."""
+    escaped = (
+        character if character.isprintable() and character not in '"\\' else f"\\U{ord(character):08x}"
+        for character in text
+    )
+    return f'"{"".join(escaped)}"'
 
 
 def one_line(text: str) -> str:
-    """A text with unprintable characters replaced by blanks, so that it stays on its line."""
+    """Return a text with unprintable characters replaced by blanks, so that it stays on its line."""
     return "".join(character if character.isprintable() else " " for character in text)

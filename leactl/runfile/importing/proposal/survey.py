@@ -17,7 +17,7 @@ from leactl.tables.columns import CsvForm
 from leactl.tables.text_table import SEP_LINE, open_text
 
 Array = npt.NDArray[np.float64]
-MOST_JOINTS: Final = 4  # whose values are read
+MOST_JOINTS: Final = 4  # joints whose values are read
 LONGEST_SEP_LINE: Final = 20  # characters
 
 
@@ -56,7 +56,7 @@ def survey(path: Path) -> Survey:
         for column in ((*table.columns, table.time) if table.time else table.columns)
     ]
     source = open_source(path, name, SourceRequest(wanted, csv=form))
-    seen = []
+    surveyed_tables = []
     for table in tables:
         by_joint: list[dict[str | int, Array]] = []
         for joint in joints_surveyed(table):
@@ -70,12 +70,12 @@ def survey(path: Path) -> Survey:
                     values = seconds(source, TimeBase(column=column.name, units="iso8601"), values)
                 if not isinstance(values, list):
                     by_joint[-1][column.name] = values
-        seen.append(SurveyedTable(table, dialect_of(table), by_joint))
-    return Survey(path, name, form, seen)
+        surveyed_tables.append(SurveyedTable(table, dialect_of(table), by_joint))
+    return Survey(path, name, form, surveyed_tables)
 
 
 def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
-    """Tables of a source; a text file is read in the CSV form under which most columns are numbers.
+    """Return the tables of a source; a text file is read in the CSV form under which most columns are numbers.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
         except InputError as fault:
             faults += fault.faults
             continue
-        if size_of(tables) > size_of(best[1]):
+        if column_counts(tables) > column_counts(best[1]):
             best = form, tables
     if not any(table.columns for table in best[1]):
         raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
@@ -97,24 +97,24 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
 
 
 def declared_delimiter(path: Path) -> str:
-    """The delimiter that the first line of a text declares, as spreadsheets do (`sep=;`); empty where it does not."""
+    """Return the delimiter that the first line of a text declares, as spreadsheets do (`sep=;`); else empty."""
     with open_text(path, CsvForm().encoding, advice="; csv.encoding decides") as file:
-        found = SEP_LINE.match(file.readline(LONGEST_SEP_LINE))
-    return found[1] if found else ""
+        match = SEP_LINE.match(file.readline(LONGEST_SEP_LINE))
+    return match[1] if match else ""
 
 
-def size_of(tables: list[ListedTable]) -> tuple[int, int]:
-    """How many columns have a name, and how many there are: a wrong delimiter cuts a header otherwise than its rows."""
+def column_counts(tables: list[ListedTable]) -> tuple[int, int]:
+    """Return the numbers of named columns and of all columns; a wrong delimiter splits the header unlike the rows."""
     columns = [column for table in tables for column in table.columns]
     return sum(isinstance(column.name, str) for column in columns), len(columns)
 
 
 def joints_surveyed(table: ListedTable) -> tuple[str, ...]:
-    """Names of the joints whose values are read; ("",) if a table has no joints."""
+    """Return the names of the joints whose values are read; ("",) if a table has no joints."""
     return table.joints[:MOST_JOINTS] or ("",)
 
 
 def fill_joint(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
-    """Name and records of a column with `{joint}` replaced by a joint's name."""
+    """Return the name and records of a column with `{joint}` replaced by a joint's name."""
     name = column.replace(PLACEHOLDER, joint) if isinstance(column, str) else column
     return name, records.replace(PLACEHOLDER, joint) if records else None

@@ -34,14 +34,16 @@ Array = npt.NDArray[np.float64]
 NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, control_msgs of both generations
 STAMP_PARTS: Final = ("nanosec", "nanosecs", "nsec", "nsecs")  # ROS 2, ROS 1, and Foxglove's JSON
 SECONDS_PARTS: Final = ("sec", "secs")
-RECORDER: Final = (("log_time",), ("publish_time",))  # paths of its stamps
-MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one is an image or a cloud
-DEEPEST: Final = 8  # fields within fields that are listed
-LISTED_OF: Final = 50  # messages of a topic from which its fields and joints are listed
-_KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # asked for with every message
+RECORDER: Final = (("log_time",), ("publish_time",))  # paths of the recorder's stamps
+MOST_ELEMENTS: Final = 64  # of a list whose elements are listed; a longer one is an image or a point cloud
+DEEPEST: Final = 8  # nesting of the fields that are listed
+MOST_SAMPLES: Final = 50  # messages of a topic from which its fields and joints are listed
+_KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # cache, since every message needs them
 NUMBERS = bool | int | float | np.number | np.bool_
-RESET_NS: Final = 10**9  # that a message may be late for its recorder's buffers
-EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000: clocks that begin with their computer show less
+RESET_NS: Final = (
+    10**9
+)  # largest delay of a message in the recorder's buffers; a larger one is a clock that was set back
+EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000; clocks that start with their computer show less
 LATEST_NS: Final = 4_102_444_800 * 10**9  # 2100
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
@@ -50,13 +52,13 @@ Names = list[str] | None
 
 
 class Topic(NamedTuple):
-    """A topic as its log announces it."""
+    """Declaration of a topic by its log."""
 
     name: str
-    kind: str  # of its messages
-    unreadable: str = ""  # reason why its messages cannot be decoded
-    only: str = ""  # its only field, which paths may leave out
-    units: str = ""  # of that field, as its log declares
+    kind: str  # type of the messages
+    unreadable: str = ""  # reason why the messages cannot be decoded
+    only: str = ""  # name of the only field, which paths may leave out
+    units: str = ""  # units of the only field, as the log declares
 
 
 class Message(NamedTuple):
@@ -82,7 +84,7 @@ class ColumnPath(NamedTuple):
     """Path of a column: topic, joint and fields below the message."""
 
     topic: str
-    joint: str | None  # only messages that name it count, and lists give its element
+    joint: str | None  # selects the messages that name it, and its element of each list
     steps: tuple[str | int, ...]
 
 
@@ -93,7 +95,7 @@ class MessageSource:
         self.path, self._log = log.path, log
         self.began: datetime | None = None
         self._first_ns: int | None = None
-        self._columns: dict[ColumnPath, _Gathered] = {}
+        self._columns: dict[ColumnPath, _CollectedColumn] = {}
         self._counts = dict.fromkeys(log.topics, 0)
         self._samples: dict[str, list[Any]] = {}
         if request.columns is None:
@@ -103,12 +105,12 @@ class MessageSource:
             try:
                 path = self._path(wanted)
             except MissingColumn:
-                continue  # told where it is asked for
-            self._columns.setdefault(path, _Gathered())
+                continue  # reported when the column is read
+            self._columns.setdefault(path, _CollectedColumn())
         self._read()
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column by its path, in the order of the recorder's stamps."""
+        """Return a column by its path, in the order of the recorder's stamps."""
         path = self._path(WantedColumn(name, records))
         column = self._columns[path]
         if not column.rows:
@@ -121,35 +123,35 @@ class MessageSource:
         return np.frombuffer(column.values, np.float64)[order]
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
-        """A column by its path, as labels."""
+        """Return a column by its path, as labels."""
         return [as_label(value) for value in self.column(name, records)]
 
     def field(self, name: str | int) -> float | str:
-        """The value of a column that never changes."""
+        """Return the value of a column that never changes."""
         values = self.column(name, None)
-        different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
-        if len(different) != 1:
-            raise MissingColumn(f"{self.path}: {name!r} holds {len(different)} values where one was expected")
-        only = different.pop()
-        return only if isinstance(only, str) else float(only)
+        distinct_values = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
+        if len(distinct_values) != 1:
+            raise MissingColumn(f"{self.path}: {name!r} holds {len(distinct_values)} values where one was expected")
+        value = distinct_values.pop()
+        return value if isinstance(value, str) else float(value)
 
     def place(self, name: str | int, row: int) -> str:
-        """File, column and message (from 0) for messages."""
+        """Return file, column and number of a logged message (from 0), for error messages."""
         return f"{self.path}: {name!r} message {row}"
 
     def tables(self) -> list[ListedTable]:
-        """A table for each topic that can be read, and for lists by joint."""
+        """Return a table for each topic that can be read, and for lists by joint."""
         return [table for name, samples in self._samples.items() for table in _tables(self._log.topics[name], samples)]
 
     def _survey(self) -> None:
         readable = {name for name, topic in self._log.topics.items() if not topic.unreadable}
         for message in self._log.messages(readable):
             samples = self._samples.setdefault(message.topic, [])
-            if len(samples) < LISTED_OF:
+            if len(samples) < MOST_SAMPLES:
                 samples.append(self._decoded(message))
 
     def _read(self) -> None:
-        by_topic: dict[str, list[tuple[ColumnPath, _Gathered]]] = {}
+        by_topic: dict[str, list[tuple[ColumnPath, _CollectedColumn]]] = {}
         for path, column in self._columns.items():
             by_topic.setdefault(path.topic, []).append((path, column))
         earliest: int | None = None
@@ -168,13 +170,13 @@ class MessageSource:
     def _decoded(self, message: Message) -> Any:
         try:
             return message.decode()
-        except Exception as error:  # noqa: BLE001 (a decoder meets damaged bytes with whatever it stumbles over)
+        except Exception as error:  # noqa: BLE001 (decoders raise any exception for damaged bytes)
             at = self._counts[message.topic]
             raise InputError(
                 f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_text(error)}"
             ) from None
 
-    def _put(self, column: "_Gathered", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
+    def _put(self, column: "_CollectedColumn", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
         if column.error:
             return
         try:
@@ -182,7 +184,7 @@ class MessageSource:
                 index = _index_of(path.joint, names)
                 if index is None:
                     return
-                value = _cut(self._value(tree, path, message, names), index, len(names or ()))
+                value = _element_of_joint(self._value(tree, path, message, names), index, len(names or ()))
             else:
                 value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
@@ -215,14 +217,14 @@ class MessageSource:
         if wanted.records is None:
             text, joint = str(wanted.name), None
             topic = self._topic(text)
-            rest = text[len(topic) :]
+            field_path = text[len(topic) :]
         else:
             topic = self._topic(wanted.records)
-            of_topic = _STEP.fullmatch(wanted.records[len(topic) :])
-            joint, rest = of_topic[2] if of_topic else None, str(wanted.name)
-        if why := self._log.topics[topic].unreadable:
-            raise MissingColumn(f"{self.path}: {topic} {why}")
-        steps = tuple(_step(match) for match in _STEP.finditer(rest))
+            joint_match = _STEP.fullmatch(wanted.records[len(topic) :])
+            joint, field_path = joint_match[2] if joint_match else None, str(wanted.name)
+        if reason := self._log.topics[topic].unreadable:
+            raise MissingColumn(f"{self.path}: {topic} {reason}")
+        steps = tuple(_step(match) for match in _STEP.finditer(field_path))
         only = self._log.topics[topic].only
         if only and (not steps or isinstance(steps[0], int)):
             steps = (only, *steps)
@@ -243,7 +245,7 @@ class MessageSource:
         return f"topic {path.topic} has no message"
 
 
-class _Gathered:
+class _CollectedColumn:
     """Values of one column in the order of reading, with the recorder's stamps."""
 
     def __init__(self) -> None:
@@ -266,7 +268,7 @@ class _Gathered:
         self._latest_ns = max(self._latest_ns, log_ns)
 
     def order(self) -> npt.NDArray[np.intp]:
-        """Order of the rows by the recorder's stamps, or as written if the recorder's clock was set back."""
+        """Return the order of the rows by the recorder's stamps, or as written if its clock was set back."""
         stamps = np.frombuffer(self.log_ns, np.uint64)
         return np.arange(len(stamps)) if self._was_reset else np.argsort(stamps, kind="stable")
 
@@ -277,32 +279,32 @@ def _step(match: re.Match[str]) -> str | int:
 
 
 def _fields(node: Any) -> Sequence[str]:
-    """Names of a message's fields."""
+    """Return the names of a message's fields."""
     return [str(name) for name in node] if isinstance(node, dict) else _fields_of(type(node))
 
 
 def _fields_of(kind: type[Any]) -> tuple[str, ...]:
-    """Names of the fields of a message type; cached."""
+    """Return the names of the fields of a message type; cached."""
     if kind not in _KNOWN_FIELDS:
         _KNOWN_FIELDS[kind] = tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if name != "__msgtype__")
     return _KNOWN_FIELDS[kind]
 
 
 def _child(node: Any, name: str | int) -> Any:
-    """A field of a message; None if it has none of that name."""
+    """Return a field of a message; None if it has none of that name."""
     if isinstance(node, dict):
         return node.get(name)
     return getattr(node, str(name)) if name in _fields_of(type(node)) else None
 
 
 def _element(node: Any, step: str | int, names: Names) -> Any:
-    """An element of a list by index or name; NaN if the list has no such element."""
+    """Return an element of a list by index or name; NaN if the list has no such element."""
     index = step if isinstance(step, int) else _index_of(step, names)
     return node[index] if index is not None and index < len(node) else np.nan
 
 
 def _names(tree: Any) -> Names:
-    """A message's list of names, by which elements of its other lists are addressed; None if it has none."""
+    """Return a message's list of names, by which elements of its other lists are addressed; None if it has none."""
     for field in NAMES:
         names = _child(tree, field)
         if isinstance(names, list) and all(isinstance(text, str) for text in names):
@@ -316,8 +318,11 @@ def _index_of(joint: str, names: Names) -> int | None:
     return names.index(joint) if joint in names else None
 
 
-def _cut(value: Any, index: int, length: int) -> Any:
-    """The element at `index` of a list with `length` elements; NaN of an empty list, as JointState allows."""
+def _element_of_joint(value: Any, index: int, length: int) -> Any:
+    """Return the element at `index` of a list with `length` elements; NaN of an empty list, as JointState allows.
+
+    A value that is not a list is returned unchanged.
+    """
     if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
         return value
     if len(value) not in (0, length):
@@ -326,14 +331,14 @@ def _cut(value: Any, index: int, length: int) -> Any:
 
 
 def _nanoseconds(node: Any) -> int | None:
-    """Nanoseconds of a stamp of seconds and nanoseconds; None for any other value."""
+    """Return a stamp of seconds and nanoseconds in nanoseconds; None for any other value."""
     if isinstance(node, float | int | np.number):
         return None
     fields = _fields(node)
     if len(fields) == 2 and fields[0] in SECONDS_PARTS and fields[1] in STAMP_PARTS:
-        seconds, rest = (_child(node, name) for name in fields)
-        if isinstance(seconds, int | np.integer) and isinstance(rest, int | np.integer):
-            return int(seconds) * 1_000_000_000 + int(rest)
+        seconds, nanoseconds = (_child(node, name) for name in fields)
+        if isinstance(seconds, int | np.integer) and isinstance(nanoseconds, int | np.integer):
+            return int(seconds) * 1_000_000_000 + int(nanoseconds)
     return None
 
 
@@ -346,7 +351,7 @@ def _described(value: Any) -> str:
 
 
 def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
-    """Tables of a topic: one by joint for lists along the names, one for all other numbers."""
+    """Yield the tables of a topic: one by joint for lists with an element for each name, one for all other numbers."""
     joints = list(dict.fromkeys(name for tree in samples for name in _names(tree) or ()))
     tree = samples[0]
     has_stamp = any(path == "header.stamp" for path, _ in _leaves(tree, "", 0))
@@ -369,7 +374,7 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
 
 
 def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
-    """Path and value of the numbers, stamps and lists of numbers in a message."""
+    """Yield the path and value of the numbers, stamps and lists of numbers in a message."""
     for name in _fields(node):
         below, value = f"{path}.{name}" if path else name, _child(node, name)
         if _nanoseconds(value) is not None or isinstance(value, NUMBERS | np.ndarray) or _are_numbers(value):
@@ -379,5 +384,5 @@ def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _are_numbers(value: Any) -> bool:
-    """Whether a value is a non-empty list whose first elements are numbers."""
-    return isinstance(value, list) and bool(value) and all(isinstance(x, NUMBERS) for x in value[:MOST_ELEMENTS])
+    """Return whether a value is a non-empty list whose first elements are numbers."""
+    return isinstance(value, list) and bool(value) and all(isinstance(item, NUMBERS) for item in value[:MOST_ELEMENTS])

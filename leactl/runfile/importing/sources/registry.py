@@ -1,4 +1,4 @@
-"""Formats of foreign files by name: the shipped ones by their folder, others by entry point `leactl.log_formats`.
+"""Find formats of foreign files by name: shipped ones in their folder, others by entry point `leactl.log_formats`.
 
 A format is a module, or any object, with
 
@@ -22,23 +22,23 @@ from leactl.regular_files import open_regular
 from leactl.runfile.importing.sources.source import LogSource, SourceRequest
 
 GROUP = "leactl.log_formats"
-ROOM = "leactl.runfile.importing.sources.formats"
+FORMATS_PACKAGE = "leactl.runfile.importing.sources.formats"
 HEAD_BYTES = 64
 
 
 @cache
 def shipped() -> frozenset[str]:
-    """Names of the shipped formats: the modules of their folder."""
-    return frozenset(module.name for module in pkgutil.iter_modules(importlib.import_module(ROOM).__path__))
+    """Return the names of the shipped formats: the modules of their folder."""
+    return frozenset(module.name for module in pkgutil.iter_modules(importlib.import_module(FORMATS_PACKAGE).__path__))
 
 
 def foreign() -> dict[str, EntryPoint]:
-    """Entry points of other packages by name; a shipped format has priority over one of the same name."""
+    """Return entry points of other packages by name; a shipped format has priority over one of the same name."""
     return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
 
 
 def names() -> list[str]:
-    """Names of all formats, without importing any."""
+    """Return the names of all formats, without importing any."""
     return sorted({*shipped(), *foreign()})
 
 
@@ -50,7 +50,7 @@ def load(name: str) -> Any:
     InputError : no format has this name, or it cannot be imported or used.
     """
     if name in shipped():
-        return importlib.import_module(f"{ROOM}.{name}")
+        return importlib.import_module(f"{FORMATS_PACKAGE}.{name}")
     point = foreign().get(name)
     if point is None:
         raise InputError(f"format '{name}' is not known; known: {', '.join(names())}")
@@ -66,7 +66,7 @@ def load(name: str) -> Any:
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: by its content, else by its ending; shipped formats first.
+    """Return the name of the format of a file: by its content, else by its ending; shipped formats first.
 
     Raises
     ------
@@ -81,35 +81,35 @@ def format_of(path: Path) -> str:
 
 
 def is_log(path: Path) -> bool:
-    """Whether a path is a file, or a folder that a format recognises."""
+    """Return whether a path is a file, or a folder that a format recognises."""
     return path.is_file() or (path.is_dir() and bool(recognised(path)))
 
 
 def recognised(path: Path) -> str:
-    """Name of the first format that recognises a path; empty if none does."""
+    """Return the name of the first format that recognises a path; empty if none does."""
     head = head_of(path)
     claims = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
     return next((name for name, claim in claims if claim is not None and claim(path, head)), "")
 
 
 def loadable() -> dict[str, Any]:
-    """All formats that can be loaded, by name, shipped ones first."""
+    """Return all formats that can be loaded, by name, shipped ones first."""
     formats = {}
     for name in (*sorted(shipped()), *sorted(foreign())):
         try:
             formats[name] = load(name)
         except InputError:
-            continue  # told where a mapping asks for it by name
+            continue  # reported if a mapping names this format
     return formats
 
 
 def head_of(path: Path) -> bytes:
-    """The first bytes of a file; empty for a folder or an unreadable file."""
+    """Return the first bytes of a file; empty for a folder or an unreadable file."""
     try:
         with open_regular(path) as file:
             return file.read(HEAD_BYTES)
     except OSError:
-        return b""  # told by the format that its ending tells
+        return b""  # reported by the format to which its ending belongs
 
 
 def open_source(path: Path, name: str | None, request: SourceRequest) -> LogSource:

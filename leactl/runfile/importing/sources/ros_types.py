@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.runfile.importing.sources.source import reason_text
 
 MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
-UNDERWAY: Final = 0  # mark of a type whose parts are being counted
+BEING_COUNTED: Final = 0  # mark of a type whose parts are being counted
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
 
@@ -24,8 +24,8 @@ def packages(path: Path) -> Iterator[None]:
     try:
         yield
     except ImportError as fault:
-        what = f"{path}: needs mcap and rosbags: pip install 'leactl[ros]' ({fault})"
-        raise InputError(what) from fault
+        message = f"{path}: needs mcap and rosbags: pip install 'leactl[ros]' ({fault})"
+        raise InputError(message) from fault
 
 
 class RosTypes:
@@ -75,7 +75,7 @@ class RosTypes:
                 types = dict(get_types_from_msg(written, kind))
             else:
                 for part in written.split(SEPARATOR):
-                    # what a file includes stands beside it, and rosbags knows no directives
+                    # included files are separate parts of the text, and rosbags does not know directives
                     body = "\n".join(line for line in part.splitlines() if not line.startswith(("IDL: ", "#")))
                     types |= get_types_from_idl(body) if body.strip() else {}
             known = self._store.fielddefs
@@ -88,7 +88,9 @@ class RosTypes:
 
 
 def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
-    """Number of fields of a message type, nested ones included; an array of messages or texts counts by its length.
+    """Return the number of fields of a message type, including nested ones.
+
+    An array of messages or texts counts by its length.
 
     Raises
     ------
@@ -98,24 +100,24 @@ def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
 
     if kind not in types:
         raise TypesysError(f"{kind} is used and not defined")
-    if counted.get(kind) == UNDERWAY:
+    if counted.get(kind) == BEING_COUNTED:
         raise TypesysError(f"{kind} holds itself")
     if kind not in counted:
-        counted[kind] = UNDERWAY
+        counted[kind] = BEING_COUNTED
         parts = 1 + sum(parts_of_field(field, types, counted) for _, field in types[kind][1])
         counted[kind] = min(parts, MOST_PARTS + 1)
     return counted[kind]
 
 
 def parts_of_field(field: Any, types: dict[str, Any], counted: dict[str, int]) -> int:
-    """Number of fields that a field expands to."""
+    """Return the number of fields that a field expands to."""
     from rosbags.interfaces import Nodetype
 
-    node, about = field
+    node, details = field
     if node == Nodetype.NAME:
-        return parts_of(about, types, counted)
+        return parts_of(details, types, counted)
     if node == Nodetype.BASE:
         return 1
-    inner, length = about
+    inner, length = details
     is_plain = inner[0] == Nodetype.BASE and inner[1][0] != "string"
     return 1 if is_plain else parts_of_field(inner, types, counted) * (length if node == Nodetype.ARRAY else 1)

@@ -1,4 +1,4 @@
-"""Contract between the import and a file format: the columns and values that a source is asked for and returns.
+"""Define the contract between the import and a file format: which columns and values a source returns.
 
 Numbers are float64, missing ones NaN, true and false 1 and 0. No text of a file is ever evaluated as code.
 """
@@ -23,7 +23,7 @@ class MissingColumn(Exception):
 
 
 def reason_text(error: BaseException) -> str:
-    """Message of a library's error on one line, cut to `LONGEST_REASON` characters."""
+    """Return the message of a library's error on one line, cut to `LONGEST_REASON` characters."""
     return " ".join(str(error).split())[:LONGEST_REASON] or type(error).__name__
 
 
@@ -41,7 +41,7 @@ def as_float(value: Any) -> float:
 
 
 class WantedColumn(NamedTuple):
-    """A column or field that will be asked for."""
+    """A column or field that the import will read."""
 
     name: str | int
     records: str | None = None
@@ -68,12 +68,12 @@ class ListedColumn(NamedTuple):
     name: str | int
     units: str = ""
     declared_by: str = ""  # where the file declares the units
-    quantity: str = ""  # that the file declares, as the following
+    quantity: str = ""  # declared by the file, as are the following fields
     role: str = ""
     location: str = ""
     device: str = ""
     sampling: str = ""
-    why_unnamed: str = ""  # why it goes by an index though the file has headers
+    why_unnamed: str = ""  # reason why it is addressed by index although the file has headers
 
 
 class ListedTable(NamedTuple):
@@ -94,16 +94,16 @@ class LogSource(Protocol):
     began: datetime | None  # start of the recording, if the file has it
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column: numbers, or texts if it holds any text."""
+        """Return a column: numbers, or texts if it holds any text."""
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
-        """A column as labels, whether it holds numbers or text."""
+        """Return a column as labels, whether it holds numbers or text."""
 
     def field(self, name: str | int) -> float | str:
-        """A single value."""
+        """Return a single value."""
 
     def place(self, name: str | int, row: int) -> str:
-        """File, column and row for messages."""
+        """Return file, column and row for messages."""
 
     def tables(self) -> list[ListedTable]:
-        """All tables that a mapping could use."""
+        """Return all tables that a mapping could use."""

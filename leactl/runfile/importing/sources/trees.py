@@ -26,7 +26,7 @@ _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 @dataclass(frozen=True)
 class Undecoded:
-    """A node whose values cannot be read, with what it is and what to do instead."""
+    """A node whose values cannot be read, with a description and advice for the user."""
 
     description: str
 
@@ -38,17 +38,17 @@ class TreeSource:
         self.path, self._tree, self.began = path, tree, began
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column by its path, relative to `records` if given."""
+        """Return a column by its path, relative to `records` if given."""
         base = self._walk(self._tree, records) if records else self._tree
         node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name, is_column=True)
         return self._as_column(node, name)
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
-        """A column by path, as labels."""
+        """Return a column by path, as labels."""
         return [as_label(value) for value in self.column(name, records)]
 
     def field(self, name: str | int) -> float | str:
-        """A single value by path."""
+        """Return a single value by path."""
         value = self._walk(self._tree, str(name))
         if isinstance(value, np.ndarray) and value.size == 1:
             value = value.reshape(-1)[0].item()
@@ -59,11 +59,11 @@ class TreeSource:
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
 
     def place(self, name: str | int, row: int) -> str:
-        """File, column and row (from 0) for messages."""
+        """Return file, column and row (from 0) for messages."""
         return f"{self.path}: {name!r} row {row}"
 
     def tables(self) -> list[ListedTable]:
-        """Tables of the tree: lists of records, matrices, and sibling columns of equal length.
+        """Return the tables of the tree: lists of records, matrices, and sibling columns of equal length.
 
         Raises
         ------
@@ -83,22 +83,22 @@ class TreeSource:
         raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str, is_column: bool = False) -> Any:
-        """The node at a path; a column's last index is that of a column where a matrix's rows are samples."""
-        above: Any = None
+        """Return the node at a path; the last index of a column selects one of a matrix with samples as rows."""
+        parent: Any = None
         if _has_key(node, path):
             return self._child(node, path, "")
         steps = list(_STEP.finditer(path))
         at = 0
         while at < len(steps):
             keys = [path[steps[at].start() : step.end()] for step in steps[at:]]
-            # the longest that is there, for a name in the file may have dots of its own
-            count = next((n for n in range(len(keys), 1, -1) if _has_key(node, keys[n - 1])), 1)
+            # the longest key that exists, since a name in the file may contain dots
+            count = next((number for number in range(len(keys), 1, -1) if _has_key(node, keys[number - 1])), 1)
             is_index = count == 1 and steps[at][2] is not None
             key = int(steps[at][2]) if is_index else keys[count - 1]
             where = path[: steps[at - 1].end()] if at else ""
-            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_by_column(node, above):
+            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_by_column(node, parent):
                 return self._indexed(node, key, where)
-            above, node = node, self._child(node, key, where)
+            parent, node = node, self._child(node, key, where)
             at += count
         return node
 
@@ -115,7 +115,7 @@ class TreeSource:
             raise MissingColumn(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
         if isinstance(node, list) and all(isinstance(item, dict) for item in node):
             if not any(key in item for item in node):
-                has = ", ".join(sorted({str(k) for item in node[:100] for k in item})) or "nothing"
+                has = ", ".join(sorted({str(name) for item in node[:100] for name in item})) or "nothing"
                 raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {has}")
             return [item.get(key) for item in node]  # None: that record lacks it
         raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
@@ -142,38 +142,38 @@ class TreeSource:
 
 
 def _has_key(node: Any, key: str) -> bool:
-    """Whether a group, or any of a list of records, has this key."""
+    """Return whether a group, or any of a list of records, has this key."""
     if isinstance(node, list):
         return any(isinstance(item, dict) and key in item for item in node)
     return isinstance(node, dict) and key in node
 
 
 def _is_by_column(value: Any, group: Any) -> bool:
-    """Whether a value is a matrix whose rows are samples, since a vector of its group has one value for each.
+    """Return whether a value is a matrix whose rows are samples: a vector in its group has one value for each row.
 
-    A matrix that is wider than long, such as 3 joints by 7 samples beside 3 lengths of links, has its samples in rows
-    only where that vector holds stamps by its name.
+    In a matrix that is wider than long, such as 3 joints by 7 samples with a vector of 3 link lengths, rows are samples
+    only if that vector contains stamps by its name.
     """
     if not isinstance(group, dict) or not _is_matrix(value):
         return False
-    beside = [name for name, other in group.items() if _is_column(other) and np.size(other) == len(value)]
-    return bool(beside) and (len(value) >= _width(value) or any(is_time(str(name)) for name in beside))
+    vectors = [name for name, member in group.items() if _is_column(member) and np.size(member) == len(value)]
+    return bool(vectors) and (len(value) >= _width(value) or any(is_time(str(name)) for name in vectors))
 
 
 def is_by_row(value: Any, group: dict[Any, Any]) -> bool:
-    """Whether a value is a matrix, wider than long, whose columns are samples, since a vector has one for each."""
+    """Return whether a value is a matrix, wider than long, whose columns are samples: a vector has one for each."""
     if not _is_matrix(value) or len(value) >= _width(value) or _is_by_column(value, group):
         return False
-    return any(_is_column(other) and np.size(other) == _width(value) for other in group.values())
+    return any(_is_column(member) and np.size(member) == _width(value) for member in group.values())
 
 
 def _width(matrix: Any) -> int:
-    """Number of a matrix's columns."""
+    """Return the number of a matrix's columns."""
     return int(matrix.shape[1]) if isinstance(matrix, np.ndarray) else len(matrix[0])
 
 
 def _is_matrix(value: Any) -> bool:
-    """Whether a value is a matrix of numbers."""
+    """Return whether a value is a matrix of numbers."""
     if isinstance(value, np.ndarray):
         return value.ndim == 2 and value.dtype.kind in "fiub" and not _is_column(value)
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value[:SURVEYED]):
@@ -193,7 +193,7 @@ def _described(value: Any) -> str:
 
 
 def _undecoded(node: Any, path: str) -> Iterator[str]:
-    """What the nodes of nested groups hold that cannot be decoded, each with its path."""
+    """Yield path and description of each node in nested groups that cannot be decoded."""
     for name, value in node.items() if isinstance(node, dict) else ():
         below = f"{path}.{name}" if path else str(name)
         if isinstance(value, Undecoded):
@@ -202,14 +202,14 @@ def _undecoded(node: Any, path: str) -> Iterator[str]:
 
 
 def _tables(node: Any, path: str) -> Iterator[ListedTable]:
-    """The tables at a node and below it."""
+    """Yield the tables at a node and below it."""
     records = path or None
     if isinstance(node, dict):
         by_length: dict[int, list[ListedColumn]] = {}
         for name, value in node.items():
             if _is_column(value):
-                whole = node.get(str(name)[: -len("[0]")]) if str(name).endswith("[0]") else None
-                if not _is_column(whole):  # else `q[0]` of an array of one column, which is listed as `q`
+                array = node.get(str(name)[: -len("[0]")]) if str(name).endswith("[0]") else None
+                if not _is_column(array):  # else `q[0]` of an array of one column, which is listed as `q`
                     by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
             elif _is_by_column(value, node) or is_by_row(value, node):
                 channels, samples = _width(value), len(value)
@@ -233,7 +233,7 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
 
 
 def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
-    """Paths of the numbers in records and their nested records."""
+    """Yield the paths of the numbers in records and their nested records."""
     for name in dict.fromkeys(str(name) for item in items for name in item):
         values = [item.get(name) for item in items]
         below = f"{path}.{name}" if path else name
@@ -244,12 +244,12 @@ def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]
 
 
 def _is_column(value: Any) -> bool:
-    """Whether a value is a column of numbers."""
+    """Return whether a value is a column of numbers."""
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "fiub" and value.size == max(value.shape, default=0) >= FEWEST_ROWS
     return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED]))
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value may be in a column of numbers; None stands for a missing one."""
+    """Return whether a value may be in a column of numbers; None stands for a missing one."""
     return value is None or isinstance(value, bool | int | float | np.number)

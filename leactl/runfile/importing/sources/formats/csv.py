@@ -46,11 +46,11 @@ class CsvSource(Columns):
             raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
 
     def column(self, name: str | int, records: str | None = None) -> Array | list[str]:
-        """A column by header or index."""
+        """Return a column by header or index."""
         return super().column(self._known(name, self._kept))
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
-        """A column by header or index, as labels."""
+        """Return a column by header or index, as labels."""
         return [*map(cache(self._label), self._labels[self._known(name, self._labels)])]
 
     def _label(self, cell: str) -> str:
@@ -58,8 +58,8 @@ class CsvSource(Columns):
             return cell if cell.lower() in self.words else as_label(self.number(cell))
         return cell
 
-    def _known(self, name: str | int, kept: Iterable[int]) -> int:
-        """Index of a column that was asked for.
+    def _known(self, name: str | int, available: Iterable[int]) -> int:
+        """Return the index of a column that the import asked for.
 
         Raises
         ------
@@ -68,29 +68,31 @@ class CsvSource(Columns):
         if isinstance(name, str) and self.names.count(name) > 1:
             raise MissingColumn(f"{self.path}: the header has {name!r} {self.names.count(name)} times; give its index")
         at = self.position(name)
-        if at not in kept:
+        if at not in available:
             has = ", ".join(self.names) if self.names else "no header"
             hint = "; is csv.delimiter right?" if len(self.names) == 1 else ""
             raise MissingColumn(f"{self.path} has no column {name!r}; it has {has}{hint}")
         return at
 
     def is_number(self, cell: str) -> bool:
-        """Whether a cell is a number or a missing one."""
+        """Return whether a cell is a number or a missing one."""
         with suppress(ValueError):
             return cell in self._missing or self.number(cell) is not None
         return False
 
     def field(self, name: str | int) -> float | str:
-        """The value of a column that never changes."""
+        """Return the value of a column that never changes."""
         values = self.column(name)
-        different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
-        if len(different) != 1:
-            raise MissingColumn(f"{self.path}: column {name!r} holds {len(different)} values where one was expected")
-        only = different.pop()
-        return only if isinstance(only, str) else float(only)
+        distinct_values = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
+        if len(distinct_values) != 1:
+            raise MissingColumn(
+                f"{self.path}: column {name!r} holds {len(distinct_values)} values where one was expected"
+            )
+        value = distinct_values.pop()
+        return value if isinstance(value, str) else float(value)
 
     def tables(self) -> list[ListedTable]:
-        """One table of the columns of numbers, named by header, or by index if the header is missing or not unique.
+        """Return one table of the columns of numbers, named by header, or by index without a unique header.
 
         Its stamps are the first column of dates with a time of day, if there is one.
         """
@@ -109,7 +111,7 @@ class CsvSource(Columns):
 
 
 def is_moment(text: str) -> bool:
-    """Whether a cell is a date with a time of day by ISO 8601."""
+    """Return whether a cell is a date with a time of day by ISO 8601."""
     with suppress(ValueError):
         return ":" in text and datetime.fromisoformat(text) is not None
     return False

@@ -27,17 +27,22 @@ def json_tree(path: Path) -> Any:
     InputError : too large, not UTF-8, not JSON, or with a key twice in one object.
     """
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        """An object, of whose key that stands twice Python's reader would take the last value without a word."""
-        if len(read := dict(pairs)) < len(pairs):
-            ((twice, _),) = Counter(name for name, _ in pairs).most_common(1)
-            raise InputError(f"{path}: {shown(twice)} stands twice in one object; each key once was expected")
-        return read
+    def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """Build an object; Python's reader would silently take the last value of a repeated key.
+
+        Raises
+        ------
+        InputError : a key is repeated.
+        """
+        if len(content := dict(pairs)) < len(pairs):
+            ((repeated_key, _),) = Counter(name for name, _ in pairs).most_common(1)
+            raise InputError(f"{path}: {shown(repeated_key)} stands twice in one object; each key once was expected")
+        return content
 
     if (size := path.stat().st_size) > MAX_JSON_BYTES:
         raise InputError(f"{path}: {size} bytes of JSON; at most {MAX_JSON_BYTES} are read, use CSV or MAT")
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=once)
+        return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=unique_keys)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:

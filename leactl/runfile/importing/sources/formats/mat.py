@@ -1,7 +1,7 @@
-"""MAT files of versions 4 to 7.3, of which 7.3 is HDF5.
+"""Read MAT files of versions 4 to 7.3, of which 7.3 is HDF5.
 
-Attributes of a dataset or group tell what an array of version 7.3 is: `MATLAB_class` and others. They are read as the
-open readers matio (`src/mat73.c`) and mat-io read them, for MATLAB's maker describes no version after 7.
+In version 7.3, attributes of a dataset or group, such as `MATLAB_class`, state the type of an array. They are read as
+by the open readers matio (`src/mat73.c`) and mat-io, since MathWorks describes no version after 7.
 """
 
 import os
@@ -21,8 +21,8 @@ from leactl.runfile.importing.sources.trees import TreeSource, Undecoded
 
 ENDINGS = (".mat",)
 MAT_HEADER: Final = 128  # bytes, of versions 5 to 7
-MAT_PACKED: Final = 15  # an element of this type is a packed one
-BLOCK: Final = 1 << 20  # bytes that are unpacked at once
+MAT_PACKED: Final = 15  # type of a compressed element
+BLOCK: Final = 1 << 20  # bytes that are decompressed at once
 
 
 def open_source(path: Path, request: SourceRequest) -> TreeSource:
@@ -31,7 +31,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def mat_tree(path: Path) -> Any:
-    """Variables of a MAT file as nested dicts, lists and arrays; version 7.3 is read as HDF5.
+    """Read the variables of a MAT file as nested dicts, lists and arrays; version 7.3 is read as HDF5.
 
     Raises
     ------
@@ -45,11 +45,11 @@ def mat_tree(path: Path) -> Any:
         else:
             refuse_swelling(path)
             tree = loadmat(path, simplify_cells=True)
-    # scipy meets a damaged file with whatever its parser stumbles over
+    # scipy's parser raises any of these for a damaged file
     except (ValueError, TypeError, KeyError, IndexError, EOFError, NotImplementedError, MemoryError) as error:
         raise InputError(f"{path}: not a MAT file that can be read: {' '.join(str(error).split())}") from None
     except OSError as error:
-        if error.errno is not None:  # of the system, and not of scipy's parser, which finds the end of the file
+        if error.errno is not None:  # from the system; scipy's parser raises OSError without errno at the file's end
             raise
         raise InputError(f"{path}: truncated: the file ends within a variable; copy it again") from None
     return {name: value for name, value in tree.items() if not name.startswith("__")}
@@ -84,14 +84,14 @@ def refuse_swelling(path: Path) -> None:
 
 
 def hdf5_tree(path: Path) -> Any:
-    """The variables of a MAT file of version 7.3."""
+    """Return the variables of a MAT file of version 7.3."""
     with open_foreign(path) as file, reading(path):
-        reader = _Referring(path, file)
-        # "#refs#" holds what cells refer to, "#subsystem#" what objects consist of
+        reader = _ReferenceReader(path, file)
+        # "#refs#" has the values of cells, "#subsystem#" the parts of objects
         return {name: reader.value(child, 0) for name, child in file.items() if not name.startswith("#")}
 
 
-class _Referring:
+class _ReferenceReader:
     """Reader of a MAT file of version 7.3, whose cells are references; each object is read once."""
 
     def __init__(self, path: Path, file: Any) -> None:
@@ -99,7 +99,12 @@ class _Referring:
         self._read: dict[int, Any] = {}  # by address
 
     def value(self, node: Any, depth: int) -> Any:
-        """What a dataset or group holds; `depth` is the number of structs and cells around it."""
+        """Return the value of a dataset or group; `depth` is the number of structs and cells around it.
+
+        Raises
+        ------
+        InputError : structs and cells are nested too deeply.
+        """
         address = h5py.h5o.get_info(node.id).addr
         if address not in self._read:
             if depth == DEEPEST_FOREIGN:  # as where a cell refers to itself
@@ -128,7 +133,7 @@ class _Referring:
         return values
 
     def _struct(self, group: Any, depth: int) -> Any:
-        """A struct by field; an array of structs, whose fields refer to a value for each, as a list of them."""
+        """Return a struct by field; for an array of structs, whose fields are references, a list of structs."""
         fields = dict(group.items())
         of_many = [_refers(child) and "MATLAB_class" not in child.attrs for child in fields.values()]
         if not fields or not all(of_many):
@@ -137,15 +142,15 @@ class _Referring:
         return [dict(zip(fields, values, strict=True)) for values in zip(*columns, strict=True)]
 
     def _cells(self, dataset: Any, depth: int) -> list[Any]:
-        """The values that a dataset refers to."""
+        """Return the values that a dataset refers to."""
         return [self.value(self._file[reference], depth) for reference in dataset[()].reshape(-1) if reference]
 
 
 def _refers(node: Any) -> bool:
-    """Whether a node is a dataset of references."""
+    """Return whether a node is a dataset of references."""
     return isinstance(node, h5py.Dataset) and h5py.check_ref_dtype(node.dtype) is not None
 
 
 def _text(value: Any) -> str:
-    """The text of an attribute."""
+    """Return the text of an attribute."""
     return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)

@@ -52,7 +52,7 @@ class McapFile:
         self._learn_topics()
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics, in the order of the file."""
+        """Yield the messages of these topics, in the order of the file."""
         for record in self._records(set(topics)):
             channel = self._channels[record.channel_id]
             decode = partial(self._decoder(channel), record.data)
@@ -82,7 +82,7 @@ class McapFile:
                 pass
 
     def _records(self, topics: set[str]) -> Iterator[Any]:
-        """Message records of these topics; schemas and channels on the way are stored."""
+        """Yield the message records of these topics; schemas and channels on the way are stored."""
         from mcap.records import Channel, Chunk, Schema
         from mcap.records import Message as Record
         from mcap.stream_reader import StreamReader, breakup_chunk
@@ -90,16 +90,16 @@ class McapFile:
         self._file.seek(0)
         with self._readable():
             for record in StreamReader(self._file, emit_chunks=True, record_size_limit=LARGEST_RECORD).records:
-                for each in breakup_chunk(self._unpacked(record)) if isinstance(record, Chunk) else [record]:
-                    if isinstance(each, Schema):
-                        self._schemas[each.id] = each
-                    elif isinstance(each, Channel):
-                        self._announce(each)
-                    elif isinstance(each, Record):
-                        if each.channel_id not in self._channels:
-                            raise InputError(f"{self._path}: damaged: a message of channel {each.channel_id}, unknown")
-                        if self._channels[each.channel_id].topic in topics:
-                            yield each
+                for part in breakup_chunk(self._unpacked(record)) if isinstance(record, Chunk) else [record]:
+                    if isinstance(part, Schema):
+                        self._schemas[part.id] = part
+                    elif isinstance(part, Channel):
+                        self._announce(part)
+                    elif isinstance(part, Record):
+                        if part.channel_id not in self._channels:
+                            raise InputError(f"{self._path}: damaged: a message of channel {part.channel_id}, unknown")
+                        if self._channels[part.channel_id].topic in topics:
+                            yield part
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -108,16 +108,16 @@ class McapFile:
 
         try:
             yield
-        except (EndOfFile, InvalidMagic):  # its beginning is that of MCAP, so it is its end that lacks
+        except (EndOfFile, InvalidMagic):  # the first bytes are those of MCAP, so that the end is missing
             raise InputError(f"{self._path}: {TRUNCATED}") from None
         except McapError as error:
             raise InputError(f"{self._path}: damaged: {reason_text(error)}") from None
-        # it meets damaged lengths with whatever it stumbles over
+        # the reader raises any of these for damaged lengths
         except (ValueError, LookupError, MemoryError, OverflowError, EOFError, OSError, struct.error) as error:
             raise InputError(f"{self._path}: damaged: {reason_text(error)}") from None
 
     def _unpacked(self, chunk: Any) -> Any:
-        """The chunk, decompressed.
+        """Decompress a chunk, and check its size and CRC.
 
         Raises
         ------
@@ -157,12 +157,12 @@ class McapFile:
         self._channels[channel.id] = channel
         schema = self._schemas.get(channel.schema_id)
         kind = schema.name if schema else ""
-        why = ""
+        reason = ""
         if channel.message_encoding == "cdr" and schema is not None:
-            why = self._types.learn(kind, schema.encoding, schema.data)
+            reason = self._types.learn(kind, schema.encoding, schema.data)
         elif channel.message_encoding != "json":
-            why = f"is in {channel.message_encoding or 'no encoding'}; json or cdr with its definition was expected"
-        self.topics[channel.topic] = Topic(channel.topic, kind, why)
+            reason = f"is in {channel.message_encoding or 'no encoding'}; json or cdr with its definition was expected"
+        self.topics[channel.topic] = Topic(channel.topic, kind, reason)
 
     def _decoder(self, channel: Any) -> Callable[[bytes], Any]:
         if channel.message_encoding == "json":

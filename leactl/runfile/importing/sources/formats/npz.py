@@ -40,7 +40,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Columns of matrices by names such as `q[2]`, but for those whose rows are channels."""
+    """Return the columns of matrices by names such as `q[2]`, but for those whose rows are channels."""
     matrices = {name: array for name, array in arrays.items() if np.ndim(array) == 2 and not is_by_row(array, arrays)}
     return {
         f"{name}[{at}]": array[:, at] for name, array in matrices.items() for at in range(array.shape[1])[:MOST_COLUMNS]

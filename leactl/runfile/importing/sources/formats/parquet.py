@@ -36,12 +36,12 @@ class ParquetSource(TreeSource):
         self._table = table
 
     def tables(self) -> list[ListedTable]:
-        """One table."""
+        """Return one table."""
         return [self._table]
 
 
 def modules() -> tuple[Any, Any]:
-    """`pyarrow` and `pyarrow.parquet`.
+    """Import `pyarrow` and `pyarrow.parquet`.
 
     Raises
     ------
@@ -72,9 +72,9 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
         table = file.read(columns=names)
         while any(arrow.types.is_struct(field.type) for field in table.schema):
             table = table.flatten()
-        names_of = joint_names(path)
-        tree, listed, began = columns_of(table, arrow, names_of)
-    joints = tuple(dict.fromkeys(joint for name in names if name in names_of for joint in names_of[name]))
+        names_by_column = joint_names(path)
+        tree, listed, began = columns_of(table, arrow, names_by_column)
+    joints = tuple(dict.fromkeys(joint for name in names if name in names_by_column for joint in names_by_column[name]))
     run = tuple(declared_run(texts_of(table.schema.metadata)))
     return ParquetSource(path, tree, began, ListedTable(None, tuple(listed), joints=joints, run=run))
 
@@ -91,7 +91,7 @@ def readable(path: Path, arrow: Any) -> Iterator[None]:
 
 
 def asked_for(name: str, request: SourceRequest) -> bool:
-    """Whether a column, or an element of it, is wanted."""
+    """Return whether a column, or an element of it, is wanted."""
     if request.columns is None:
         return True
     return any(str(wanted.name).startswith(name) for wanted in (*request.columns, *request.labels))
@@ -120,7 +120,7 @@ def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
 def columns_of(
     table: Any, arrow: Any, elements: dict[str, list[str]]
 ) -> tuple[dict[str, Any], list[ListedColumn], datetime | None]:
-    """Columns by name, their declarations, and the earliest timestamp of any column."""
+    """Return the columns by name, their declarations, and the earliest timestamp of any column."""
     tree: dict[str, Any] = {}
     listed: list[ListedColumn] = []
     began: list[datetime] = []
@@ -148,44 +148,44 @@ def columns_of(
 
 
 def texts_of(metadata: dict[bytes, bytes] | None) -> dict[str, str]:
-    """Metadata of a field or a schema as texts."""
+    """Convert the metadata of a field or a schema to texts."""
     return {name.decode(): text.decode() for name, text in (metadata or {}).items()}
 
 
-def declared_column(name: str, about: dict[str, str]) -> ListedColumn:
-    """A column with what its metadata declares in the vocabulary of run files."""
+def declared_column(name: str, metadata: dict[str, str]) -> ListedColumn:
+    """Return a column with what its metadata declares in the vocabulary of run files."""
     expected = {"quantity": UNITS, "role": ROLES, "sampling": ("instant", "mean")}
-    known = {key: about[key] for key, words in expected.items() if about.get(key) in words}
-    known |= {key: about[key] for key in ("location", "device") if key in about}
-    units = about.get("units", "")
+    known = {key: metadata[key] for key, words in expected.items() if metadata.get(key) in words}
+    known |= {key: metadata[key] for key in ("location", "device") if key in metadata}
+    units = metadata.get("units", "")
     return ListedColumn(name, units, "the file's metadata" if units or known else "", **known)
 
 
-def declared_run(about: dict[str, str]) -> Iterator[tuple[str, str | bool]]:
-    """Labels of the run that a schema's metadata declares, and whether it was simulated."""
-    if "run_id" not in about:
+def declared_run(metadata: dict[str, str]) -> Iterator[tuple[str, str | bool]]:
+    """Yield the labels of the run that a schema's metadata declares, and whether it was simulated."""
+    if "run_id" not in metadata:
         return
     for name in ("protocol", "bench", "actuator", "condition", "operator", "created"):
-        if about.get(name):
-            yield name, about[name]
-    if about.get("simulated", "").lower() in ("1", "true"):
+        if metadata.get(name):
+            yield name, metadata[name]
+    if metadata.get("simulated", "").lower() in ("1", "true"):
         yield "simulated", True
 
 
 def is_list(kind: Any, arrow: Any) -> bool:
-    """Whether a column holds lists of numbers."""
+    """Return whether a column holds lists of numbers."""
     lists = (arrow.types.is_list, arrow.types.is_large_list, arrow.types.is_fixed_size_list)
     return any(test(kind) for test in lists) and is_number(kind.value_type, arrow)
 
 
 def is_number(kind: Any, arrow: Any) -> bool:
-    """Whether a column holds numbers or booleans; dates and durations are none."""
+    """Return whether a column holds numbers or booleans; dates and durations are none."""
     types = arrow.types
     return any(test(kind) for test in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal))
 
 
 def elements_of(column: Any, arrow: Any) -> list[Any]:
-    """A column for each element of lists of equal length; empty if the lengths differ."""
+    """Return a column for each element of lists of equal length; empty if the lengths differ."""
     rows = len(column)
     values = arrow.chunked_array([chunk.flatten() for chunk in column.chunks], column.type.value_type)
     if not rows or column.null_count or len(values) % rows or not 0 < len(values) // rows <= MOST_COLUMNS:
@@ -198,12 +198,12 @@ def elements_of(column: Any, arrow: Any) -> list[Any]:
 
 
 def lengths(chunk: Any) -> Any:
-    """The distinct lengths of the lists of a chunk."""
+    """Return the distinct lengths of the lists of a chunk."""
     return [chunk.type.list_size] if hasattr(chunk.type, "list_size") else np.unique(np.diff(chunk.offsets.to_numpy()))
 
 
 def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
-    """Timestamps as seconds since the first, and the first timestamp."""
+    """Convert timestamps to seconds since the first one, and return the first one too."""
     counts = column.cast(arrow.int64())
     first = next((count.as_py() for count in counts if count.is_valid), None)
     if first is None:
@@ -216,7 +216,7 @@ def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
 
 
 def texts(column: Any) -> list[str]:
-    """A column of text; equal texts share one str object, since few occur in millions of rows."""
+    """Return a column of text; equal texts share one str object, since few occur in millions of rows."""
     encoded = column if hasattr(column.type, "value_type") else column.dictionary_encode()
     out: list[str] = []
     for chunk in encoded.chunks:
@@ -226,17 +226,22 @@ def texts(column: Any) -> list[str]:
 
 
 def joint_names(path: Path) -> dict[str, list[str]]:
-    """Names of the elements of lists, by `meta/info.json` of a LeRobot dataset; empty for other files."""
+    """Return the names of the elements of lists, by `meta/info.json` of a LeRobot dataset; empty for other files."""
     folders = path.resolve().parents
     info = folders[min(META_DEPTH, len(folders)) - 1] / "meta" / "info.json"
     try:
         with open_regular(info, MOST_INFO_BYTES) as raw:
             features = json.load(raw)["features"]
-        named = {str(name): about.get("names") for name, about in features.items()}
+        names_by_feature = {str(name): about.get("names") for name, about in features.items()}
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return {}  # no such dataset, and its elements go by number
     # older ones have the list under a key of its own: {"motors": [...]}
-    lists = {name: next(iter(of.values()), None) if isinstance(of, dict) else of for name, of in named.items()}
+    joint_lists = {
+        name: next(iter(names.values()), None) if isinstance(names, dict) else names
+        for name, names in names_by_feature.items()
+    }
     return {
-        name: of for name, of in lists.items() if isinstance(of, list) and all(isinstance(each, str) for each in of)
+        name: names
+        for name, names in joint_lists.items()
+        if isinstance(names, list) and all(isinstance(joint, str) for joint in names)
     }

@@ -27,7 +27,7 @@ IN_ORDER: Final = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of a bag."""
+    """Return whether a path is the folder of a bag."""
     return path.is_dir() and (path / METADATA).is_file()
 
 
@@ -42,8 +42,8 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
         files, unpack = files_of(path) if path.is_dir() else ([path], False)
         opened = [open_file(file, unpack, stack) for file in files]
         topics: dict[str, Topic] = {}
-        for each in opened:
-            for name, topic in each.topics.items():
+        for bag_file in opened:
+            for name, topic in bag_file.topics.items():
                 known = topics.setdefault(name, topic)
                 if known.kind != topic.kind:
                     topics[name] = topic._replace(
@@ -51,33 +51,33 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
                     )
 
         def messages(wanted: Collection[str]) -> Iterator[Message]:
-            for each in opened:
-                yield from each.messages(wanted)
+            for bag_file in opened:
+                yield from bag_file.messages(wanted)
 
         return MessageSource(OpenLog(path, topics, messages), request)
 
 
 def files_of(folder: Path) -> tuple[list[Path], bool]:
-    """The files of a bag in their order, and whether each message is compressed.
+    """Return the files of a bag in their order, and whether each message is compressed.
 
     Raises
     ------
     InputError : metadata that list no files, or files that are compressed or missing.
     """
     document = yamlfile.load(folder / METADATA)
-    about = document.data.get("rosbag2_bagfile_information") if isinstance(document.data, dict) else None
-    names = about.get("relative_file_paths") if isinstance(about, dict) else None
-    if not isinstance(about, dict) or not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
+    information = document.data.get("rosbag2_bagfile_information") if isinstance(document.data, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    if not isinstance(information, dict) or not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
         raise InputError(f"{folder / METADATA}: rosbag2_bagfile_information.relative_file_paths: files were expected")
-    if not isinstance(version := about.get("version"), int) or version > NEWEST:
+    if not isinstance(version := information.get("version"), int) or version > NEWEST:
         raise InputError(f"{folder / METADATA}: version {version}; at most {NEWEST} is read")
-    mode = str(about.get("compression_mode") or "none").lower()
+    mode = str(information.get("compression_mode") or "none").lower()
     if mode not in ("none", "message", "storage"):
         hint = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
         raise InputError(f"{folder / METADATA}: compression_mode {mode!r}: {hint}")
     files = [folder / PurePosixPath(str(name)).name for name in names]
-    if lacking := [file.name for file in files if not file.is_file()]:
-        raise InputError(f"{folder}: {', '.join(lacking)}: no such file, which {METADATA} names")
+    if missing := [file.name for file in files if not file.is_file()]:
+        raise InputError(f"{folder}: {', '.join(missing)}: no such file, which {METADATA} names")
     return files, mode == "message"
 
 
@@ -93,10 +93,10 @@ def open_file(path: Path, unpack: bool, stack: ExitStack) -> "McapFile | BagFile
         return McapFile(path, file)
     if file.read(len(SQLITE)) != SQLITE:
         raise InputError(f"{path}: neither SQLite nor MCAP, of which bags are")
-    aside = path.with_name(f"{path.name}-wal")
-    if aside.is_file() and aside.stat().st_size:
+    write_ahead_log = path.with_name(f"{path.name}-wal")
+    if write_ahead_log.is_file() and write_ahead_log.stat().st_size:
         raise InputError(
-            f"{path}: was never closed, {aside.name} holds its last messages; `ros2 bag reindex` joins them"
+            f"{path}: was never closed, {write_ahead_log.name} holds its last messages; `ros2 bag reindex` joins them"
         )
     return BagFile(path, unpack, stack)
 
@@ -111,14 +111,16 @@ class BagFile:
         self._types = RosTypes()
         with self._readable():
             self._reader: Any = stack.enter_context(Reader(path))
-            self.topics = {each.topic: self._announced(each) for each in self._reader.connections}
+            self.topics = {connection.topic: self._announced(connection) for connection in self._reader.connections}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics, in the order of writing.
+        """Yield the messages of these topics, in the order of writing.
 
         The library's reader sorts them by the recorder's stamps, which hides that its clock was set back.
         """
-        connections = {each.id: each for each in self._reader.connections if each.topic in wanted}
+        connections = {
+            connection.id: connection for connection in self._reader.connections if connection.topic in wanted
+        }
         place = f"{self._path.absolute().as_uri()}?immutable=1"
         with self._readable(), closing(sqlite3.connect(place, uri=True)) as bag:
             marks = ", ".join("?" * len(connections))
@@ -150,7 +152,7 @@ class BagFile:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Turn what the reader says of a damaged file into one line."""
+        """Convert the reader's errors on a damaged file to an InputError of one line."""
         import apsw
         from rosbags.rosbag2 import ReaderError
 

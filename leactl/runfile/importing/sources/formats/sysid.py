@@ -1,7 +1,7 @@
 """SysId JSON of WPILib (2020 to 2023) and frc-characterization; each test is addressed as a `{joint}` and gives a run.
 
-A test is a list of rows: time [s], voltage [V], position and velocity. The file names the units of the latter two, but
-they were chosen by a person and may be wrong: published files say Radians and hold turns.
+A test is a list of rows: time [s], voltage [V], position and velocity. The file names the units of position and
+velocity, but a person chose them, and they may be wrong: published files name Radians and contain turns.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from leactl.runfile.importing.sources.trees import TreeSource
 ENDINGS = ()
 TESTS: Final = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
 TIME, VOLTAGE, POSITION, VELOCITY = "time_s", "voltage_V", "position", "velocity"
-ROWS: Final = {  # columns of a row, by what was tested
+ROWS: Final = {  # columns of a row, by their number: a single mechanism or a drivetrain
     4: (TIME, VOLTAGE, POSITION, VELOCITY),
     9: (TIME, "left_voltage_V", "right_voltage_V", "left_position", "right_position", "left_velocity",
         "right_velocity", "chassis_angle", "chassis_velocity"),
@@ -27,7 +27,7 @@ class SysidSource(TreeSource):
     """Source over the tests of a SysId file."""
 
     def tables(self) -> list[ListedTable]:
-        """One table for all tests, with the columns of the first."""
+        """Return one table for all tests, with the columns of the first."""
         tests = tuple(self._tree)
         columns = tuple(self._tree[tests[0]])
         listed = [ListedColumn(name) for name in columns if name != TIME]
@@ -35,7 +35,7 @@ class SysidSource(TreeSource):
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether the first bytes of a `.json` file name a SysId test."""
+    """Return whether the first bytes of a `.json` file name a SysId test."""
     return path.suffix.lower() == ".json" and any(f'"{test}"'.encode() in head for test in TESTS)
 
 
@@ -54,7 +54,7 @@ def open_source(path: Path, request: SourceRequest) -> SysidSource:
 
 
 def columns_of(path: Path, name: str, rows: Any) -> dict[str, list[Any]]:
-    """A test's columns by name.
+    """Return a test's columns by name.
 
     Raises
     ------

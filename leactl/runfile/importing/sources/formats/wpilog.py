@@ -69,7 +69,7 @@ class WpiLog:
                 self._announce(name, kind, metadata)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Values of these entries, in the order of the file."""
+        """Yield the values of these entries, in the order of the file."""
         live: dict[int, tuple[str, Callable[[int, int], Any]]] = {}
         for record in self._records():
             if record.entry == 0:
@@ -117,7 +117,7 @@ class WpiLog:
             at = ends
 
     def _started(self, record: WpiRecord) -> tuple[int, str, str, str]:
-        """Number, name, type and metadata of an entry that a control record starts."""
+        """Return the number, name, type and metadata of an entry that a control record starts."""
         at = record.begins + 1
         entry = self._number(at, 4, record.ends)
         texts, at = [], at + 4
@@ -135,14 +135,14 @@ class WpiLog:
         return int.from_bytes(self._data[at : at + size], "little")
 
     def _announce(self, name: str, kind: str, metadata: str) -> None:
-        known = self.topics.get(name)
-        why = ""
+        known_topic = self.topics.get(name)
+        reason = ""
         if kind.removesuffix("[]") not in NUMBERS and kind not in TEXTS:
-            why = f"is of type {kind}; {', '.join((*NUMBERS, *TEXTS))} or a list of numbers was expected"
-        elif known and known.kind != kind:
-            why = f"is of type {known.kind} first and of {kind} later"
-        if not (known and known.unreadable):
-            self.topics[name] = Topic(name, kind, why, VALUE, units_named(metadata))
+            reason = f"is of type {kind}; {', '.join((*NUMBERS, *TEXTS))} or a list of numbers was expected"
+        elif known_topic and known_topic.kind != kind:
+            reason = f"is of type {known_topic.kind} first and of {kind} later"
+        if not (known_topic and known_topic.unreadable):
+            self.topics[name] = Topic(name, kind, reason, VALUE, units_named(metadata))
 
     def _decode(self, kind: str, begins: int, ends: int) -> dict[str, Any]:
         payload = self._data[begins:ends]
