@@ -205,7 +205,8 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
 
     Raises
     ------
-    InputError : the run has a stream of this name, or channels of the same quantity, role and location.
+    InputError : the run has a stream of this name, or channels of the same quantity, role and location; or the settings
+        are too long to be stored.
     """
     record = joined.record
     with Run.open(path) as run:
@@ -253,19 +254,27 @@ def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
 
 
 def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
-    """Return the attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks."""
+    """Return the attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks.
+
+    Raises
+    ------
+    InputError : the settings are longer than an attribute may be; cut off, they would be no JSON.
+    """
     record, alignment = joined.record, joined.alignment
+    settings_text = json.dumps(settings, ensure_ascii=False)
+    if (size := len(settings_text.encode())) > MOST_TEXT_BYTES:
+        raise InputError(f"settings of {driver}: {size} bytes as JSON; {MOST_TEXT_BYTES} at most were expected")
     digests = []
     for path in record.files:
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").hexdigest())
     digest_text = hashlib.sha256("".join(digests).encode()).hexdigest() if len(digests) > 1 else digests[0]
     return {
-        "record_files": ", ".join(path.name for path in record.files)[:MOST_TEXT_BYTES],
+        "record_files": cut_to_bytes(", ".join(path.name for path in record.files)),
         "record_sha256": digest_text,  # of several files: digest of their concatenated hexadecimal digests
         "record_driver": driver,
-        "record_settings": json.dumps(settings, ensure_ascii=False)[:MOST_TEXT_BYTES],
-        "record_told": "\n".join(joined.summary_lines()).encode()[:MOST_TEXT_BYTES].decode("utf-8", "ignore"),
+        "record_settings": settings_text,
+        "record_told": cut_to_bytes("\n".join(joined.summary_lines())),
         "record_rows_left_out": joined.left_out,
         "alignment_method": alignment.method,
         "alignment_offset_s": alignment.offset,
@@ -274,6 +283,11 @@ def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) 
         "alignment_drift_uncertainty_ppm": alignment.drift_uncertainty_ppm,
         "alignment_ties": alignment.ties,
     }
+
+
+def cut_to_bytes(text: str) -> str:
+    """Return as much of a text as its attribute holds."""
+    return text.encode()[:MOST_TEXT_BYTES].decode("utf-8", "ignore")
 
 
 def write_stream(

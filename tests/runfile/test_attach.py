@@ -14,6 +14,7 @@ from leactl.bench.records import RecordDevice
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
+from leactl.runfile.attach import attach as attach_record
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write.writer import RunWriter
@@ -125,6 +126,14 @@ def test_a_given_offset_puts_the_record_beside_what_the_run_holds(run, export, b
         assert dataset["active_1"].dims == ("time",)
     shown = leactl("runs", "show", run).stdout
     assert "stream camera: 1500 rows, attached from camera.csv, stamps good to 0.2 s (95 %) by a given offset" in shown
+
+
+def test_settings_that_no_attribute_holds_are_refused_and_the_run_stays(run, export, bench):
+    before = run.read_bytes()
+    _device, aligned = joined(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}))
+    with pytest.raises(InputError, match=r"settings of thermal_csv: \d+ bytes as JSON; 8000 at most were expected"):
+        attach_record(run, aligned, {"note": "ä" * 5000}, "thermal_csv")
+    assert run.read_bytes() == before
 
 
 def test_the_stamps_can_be_had_back(run, export, bench):

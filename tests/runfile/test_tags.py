@@ -106,6 +106,21 @@ def test_a_spoilt_file_of_tags_is_told_and_not_written_over(runs, text, message)
     assert path.read_bytes() == text.encode("latin-1")
 
 
+def test_a_spoilt_file_of_tags_leaves_those_of_other_folders_as_they_were(runs, tmp_path):
+    other = shutil.copytree(runs[0].parent, tmp_path / "z")
+    (other / NAME).write_text("[]")
+    assert leactl("runs", "tag", runs[0], other / runs[0].name, "paper").returncode == 2
+    assert not (runs[0].parent / NAME).exists()
+    assert (other / NAME).read_text() == "[]"
+
+
+def test_a_folder_that_is_reached_by_two_paths_is_written_once(runs, tmp_path):
+    (tmp_path / "link").symlink_to(runs[0].parent)
+    done = leactl("runs", "tag", runs[0], tmp_path / "link" / runs[1].name, "paper")
+    assert done.returncode == 0, done.stderr
+    assert tags_of(runs[0].parent) == {"0001": ("paper",), "0002": ("paper",), "0003": ()}
+
+
 def test_a_pipe_in_the_place_of_the_tags_holds_nobody(runs):
     os.mkfifo(runs[0].parent / NAME)
     assert "a regular file was expected" in leactl("runs", "list", runs[0].parent).stderr

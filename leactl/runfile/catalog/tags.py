@@ -7,7 +7,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -62,6 +62,8 @@ def with_tags(directory: Path, runs: Sequence[Summary], remark: Callable[[str], 
 def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
     """Add a tag to runs, or remove it from them; return the runs with their new tags.
 
+    The tags of all folders are read before those of any are written: a damaged file of tags leaves all as they were.
+
     Raises
     ------
     InputError : the tag is not an allowed word, a run cannot be read, or the file of tags is damaged or cannot be
@@ -75,15 +77,19 @@ def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
         raise InputError(faults)
     folders: dict[Path, list[Summary]] = {}
     for run in runs:
-        folders.setdefault(run.folder, []).append(run)
-    tags: dict[Path, dict[str, tuple[str, ...]]] = {}
-    for folder, members in folders.items():
-        with locked(folder):
-            changed = read_tags(folder).changed(tag, [tag_key_of(run) for run in members], remove)
+        folders.setdefault(run.folder.resolve(), []).append(run)  # once, or its second lock would wait for its first
+    with ExitStack() as locks:
+        for folder in sorted(folders):  # in one order, or two processes could wait for one another
+            locks.enter_context(locked(folder))
+        changed = {
+            folder: read_tags(folder).changed(tag, [tag_key_of(run) for run in members], remove)
+            for folder, members in folders.items()
+        }
+        for folder, file in changed.items():
             with replacement(folder / NAME) as path:
-                path.write_text(json.dumps(changed.model_dump(), indent=1) + "\n", encoding="utf-8")
-        tags[folder] = changed.by_run()
-    return [run._replace(tags=tags[run.folder].get(tag_key_of(run), ())) for run in runs]
+                path.write_text(json.dumps(file.model_dump(), indent=1) + "\n", encoding="utf-8")
+    tags = {folder: file.by_run() for folder, file in changed.items()}
+    return [run._replace(tags=tags[run.folder.resolve()].get(tag_key_of(run), ())) for run in runs]
 
 
 def refuse_bad_tag(tag: str) -> None:

@@ -55,7 +55,6 @@ ALIASES: Final = {
     "mm/s": ("mm/s",),
     "N": ("n", "newton"),
 }
-OF_ANY_SHAFT: Final = ("value", "measured", "actual", "estimate", "state", "log")
 ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # after an underscore, these mean "measured", a count and a gain
 UNITS_OF_TWO: Final = ("1/s", "s^-1", "rps")  # ambiguous between rad/s and rev/s: the numbers may decide
 EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
