@@ -472,6 +472,19 @@ def test_effect_of_no_size_leaves_the_plant_as_it_is(name):
         np.testing.assert_allclose(with_it, without, rtol=1e-3, atol=atol, err_msg=channel)
 
 
+@pytest.mark.parametrize(
+    ("order", "true"), [(("offset", "gain"), 11.0 / 1.1 - 0.2), (("gain", "offset"), (11.0 - 0.2) / 1.1)]
+)
+def test_errors_of_a_current_sensor_act_one_after_the_other(order, true):
+    effects = {
+        "gain": make_effect("current_sensor_gain", {"gain": 1.1}),
+        "offset": make_effect("current_sensor_offset", {"offset": 0.2}),
+    }
+    on = Record("coupled", [effects[name] for name in order], speed=5.0, current=11.0, seconds=0.2)
+    assert on.current[-1] == pytest.approx(11.0, rel=1e-6)
+    assert on.true[-1] == pytest.approx(true, rel=1e-6)
+
+
 NEUTRAL = {
     "presliding": {"displacement": 1e-5},
     "torque_sensor_lag": {"time_constant": 1e-6},

@@ -75,8 +75,10 @@ class SteppedPlant:
         self.current_offset, self.current_gain = np.zeros(inertia.shape), np.ones(inertia.shape)
         for group in bound["sense_current"]:
             zero = group.effect.sense_current(0.0)
-            group.view(self.current_offset)[:] = zero + group.view(self.current_gain) * 0.0
-            group.view(self.current_gain)[:] *= group.effect.sense_current(1.0) - zero
+            slope = group.effect.sense_current(1.0) - zero
+            offset, gain = group.view(self.current_offset), group.view(self.current_gain)
+            offset[:] = slope * offset + zero
+            gain[:] *= slope
         self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self.current_gain
         self._approach = -np.expm1(-self._loop * STEP)
         # of a current's deviation from its target, at the start of a millisecond and after each sub-step
