@@ -34,7 +34,8 @@ UNITS = {
     "s": "s",
 }
 STEP = "Step"  # the block that has every kind of step
-# blocks of interlocks that differ from a listed one in the unit alone
+LISTED = "InAmperes"
+# blocks of interlocks that differ from the listed one in the unit alone
 REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
 
 
@@ -202,7 +203,8 @@ def _meanings(file: str) -> dict[str, str]:
 def _meaning(file: str, block: str, key: str) -> str:
     stem = next((key.removesuffix(f"_{end}") for end in UNITS if key.endswith(f"_{end}")), key)
     meanings = _meanings(file)
-    for name in (f"{block}.{key}", key, stem):
+    listed = f"{LISTED}.{stem}" if block in REPEATED else f"{block}.{stem}"
+    for name in (f"{block}.{key}", f"{block}.{stem}", listed, key, stem):
         if name in meanings:
             return meanings[name]
     raise KeyError(f"{block}.{key}: no meaning in key_meanings/{file}.yaml")

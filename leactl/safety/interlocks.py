@@ -1,7 +1,7 @@
 """The `interlocks:` block of a bench file: from which value a reading warns and trips, for how long, and how fast.
 
-The `limits:` block trips at once and is required; what stands here is narrower, or watches what a limit cannot. What a
-file leaves out of the loop, the clock and the disk has a default, never infinity.
+The `limits:` block is required and trips at once. Interlocks are narrower than limits, or check what a limit cannot.
+Interlocks on the loop, the clock and the disk that a file leaves out have finite defaults.
 """
 
 import math
@@ -35,14 +35,14 @@ T = TypeVar("T")
 
 
 def _key(unit: str, name: str) -> str:
-    """The key of a bench file for one of an entry's fields."""
+    """Return the key of a bench file that holds one field of an entry."""
     if name not in VALUES:
         return name
     return f"{name}_{unit}_per_s" if name == "rate" else f"{name}_{unit}"
 
 
 class QuantityLimits(Block):
-    """What one quantity may do, of one role or of all; `warn` and `trip` are magnitudes, or `_low` and `_high`."""
+    """Values from which one quantity warns and trips, for one role or for all; magnitudes, or `_low` and `_high`."""
 
     unit: ClassVar[str] = ""
     lowest: ClassVar[float] = -1.0  # times a lone `trip` or `warn`: to either side
@@ -60,7 +60,7 @@ class QuantityLimits(Block):
     age_s: Age | None = None  # instead of the limits' own
 
     def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
-        """Lowest and highest value that does not warn, or trip; infinite where nothing is said."""
+        """Return the lowest and highest value that does not warn, or trip; infinite where the file has none."""
         lone: float | None = getattr(self, kind)
         if lone is not None:
             return self.lowest * lone, lone
@@ -110,42 +110,42 @@ def _keys_in(unit: str) -> ConfigDict:
 
 
 class InAmperes(QuantityLimits):
-    """Of a current."""
+    """Interlock on a current [A]."""
 
     model_config = _keys_in("A")
     unit = "A"
 
 
 class InVolts(QuantityLimits):
-    """Of a voltage."""
+    """Interlock on a voltage [V]."""
 
     model_config = _keys_in("V")
     unit = "V"
 
 
 class InRadians(QuantityLimits):
-    """Of an angle."""
+    """Interlock on an angle [rad]."""
 
     model_config = _keys_in("rad")
     unit = "rad"
 
 
 class InRadiansPerSecond(QuantityLimits):
-    """Of a velocity."""
+    """Interlock on a velocity [rad/s]."""
 
     model_config = _keys_in("rad_s")
     unit = "rad_s"
 
 
 class InNewtonMetres(QuantityLimits):
-    """Of a torque."""
+    """Interlock on a torque [N*m]."""
 
     model_config = _keys_in("Nm")
     unit = "Nm"
 
 
 class InDegrees(QuantityLimits):
-    """Of a temperature: a lone `warn` or `trip` is the hot side, and what reads like kelvin is refused."""
+    """Interlock on a temperature [degC]: `warn` and `trip` alone mean the hot side; values in kelvin are refused."""
 
     model_config = _keys_in("degC")
     unit = "degC"
@@ -177,10 +177,10 @@ Share = Annotated[float, Field(strict=True, ge=0, le=50)]
 
 
 class TorqueDisagreement(Block):
-    """How far the torque sensor may be from Kt i, friction and inertia allowed for, coupled or locked.
+    """Largest difference between the torque sensor and Kt i less friction and inertia, coupled or locked.
 
-    `tolerance_Nm` is for what does not grow with the torque, as the sensor's zero and cogging; `share_percent` for what
-    does: the sensor's gain, the torque constant and the current's reading.
+    `tolerance_Nm` covers errors that do not grow with the torque, such as the sensor's zero and cogging;
+    `share_percent` covers those that do: the sensor's gain, the torque constant and the reading of the current.
     """
 
     tolerance_Nm: Positive  # noqa: N815 (a unit keeps its letter)
@@ -189,9 +189,10 @@ class TorqueDisagreement(Block):
 
 
 class VoltageDisagreement(Block):
-    """How far a drive's q-axis voltage may be from R i and back-EMF, beyond the tolerances of R and its temperature.
+    """Largest difference between a drive's q-axis voltage and R i plus back-EMF, beyond the tolerances of R.
 
-    `tolerance_V` is for what does not grow with the voltage, as dead time; `share_percent` for what does.
+    The tolerances of R include its temperature. `tolerance_V` covers errors that do not grow with the voltage, such as
+    dead time; `share_percent` covers those that do.
     """
 
     tolerance_V: Positive  # noqa: N815 (a unit keeps its letter)
@@ -200,7 +201,7 @@ class VoltageDisagreement(Block):
 
 
 class VelocityDisagreement(Block):
-    """How far a velocity may be from the change of the angle, in the mean over the cycles of `for_s` and longer."""
+    """Largest difference between a velocity and the rate of the angle, both averaged over `for_s` and longer."""
 
     tolerance_rad_s: Positive
     share_percent: Share = 20.0  # of the speed: filters lag behind what swings
@@ -208,10 +209,10 @@ class VelocityDisagreement(Block):
 
 
 class CurrentDisagreement(Block):
-    """How far a drive's q-axis current may be from the current it is to drive, and for how long; always on.
+    """Largest difference between a drive's q-axis current and the current it is commanded, and for how long.
 
-    `floor_A` is for a drive that follows a current, eight times that for a drive that is off, whose reading has a zero
-    of its own that nothing regulates away.
+    This check is always on. `floor_A` is the least difference that counts while a drive follows a current. Eight times
+    that count while it is off, because nothing regulates the zero error of its reading away.
     """
 
     share_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 50.0  # conventions differ by 22 %
@@ -220,7 +221,7 @@ class CurrentDisagreement(Block):
 
 
 class Supply(Block):
-    """The DC link voltage that the supply regulates to, and how far and how long it may be away."""
+    """Voltage of the DC link that the supply regulates to, and how far and how long it may depart from that."""
 
     expected_V: Positive  # noqa: N815
     band_V: Positive  # noqa: N815
@@ -234,7 +235,7 @@ class Supply(Block):
 
 
 class LoopOverruns(Block):
-    """Cycles that took more than one period too long: how many in a row, or which share of a window."""
+    """Largest number in a row, or share of a window, of cycles that end more than one period late."""
 
     in_a_row: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 20
     share_percent: Annotated[float, Field(strict=True, gt=0, lt=100)] = 20.0
@@ -242,20 +243,20 @@ class LoopOverruns(Block):
 
 
 class ClockJump(Block):
-    """The longest step of the bench's clock from one cycle to the next; five cycles at the least. Back is never."""
+    """Longest step of the bench's clock between two cycles, at least five cycles; a step back always trips."""
 
     jump_s: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.25
 
 
 class DiskSpace(Block):
-    """Free space on the disk of the run file, beyond what the planned run takes at its start."""
+    """Least free space on the disk of the run file, in addition to what the planned run takes."""
 
     trip_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] = 100.0  # noqa: N815
     warn_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] | None = None  # noqa: N815 (None: five times the trip)
 
     @property
     def warn_bytes(self) -> float:
-        """Free space below which a run is warned."""
+        """Free space in bytes below which the run warns."""
         return 1e6 * (5 * self.trip_MB if self.warn_MB is None else self.warn_MB)
 
     @model_validator(mode="after")
@@ -266,7 +267,7 @@ class DiskSpace(Block):
 
 
 class Interlocks(Block):
-    """The whole block: one entry or a list of them a quantity, and the loop, the clock and the disk."""
+    """The `interlocks:` block: entries for each quantity, and the checks of loop, clock, disk and supply."""
 
     q_axis_current: Entries[InAmperes] = ()
     d_axis_current: Entries[InAmperes] = ()
@@ -293,7 +294,7 @@ class Interlocks(Block):
     disk_space: DiskSpace = DiskSpace()
 
     def entries(self) -> Iterator[tuple[str, QuantityLimits, Place]]:
-        """Every entry of a quantity with its place in the block."""
+        """Yield each entry with its quantity and its place in the block."""
         for quantity in UNITS:
             listed: QuantityLimits | tuple[QuantityLimits, ...] = getattr(self, quantity, ())
             if isinstance(listed, QuantityLimits):
@@ -306,11 +307,11 @@ class Interlocks(Block):
             yield "bus_voltage", InVolts.model_validate(window), ("supply",)
 
     def of(self, quantity: str, role: str) -> list[QuantityLimits]:
-        """Entries that hold for a channel."""
+        """Return the entries that apply to a channel."""
         return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
 
     def beyond(self, limits: Limits) -> list[tuple[Place, str]]:
-        """Trips that would come after a limit of the bench did, or never, each with its place in the block."""
+        """Return faults of trips that a limit of the bench precedes, or that never happen, each with its place."""
         faults = [*self._too_fast(limits), *self._too_far(limits)]
         for quantity, entry, place in self.entries():
             bounds = limits.of(quantity)
@@ -326,7 +327,7 @@ class Interlocks(Block):
         return faults
 
     def _too_fast(self, limits: Limits) -> Iterator[tuple[Place, str]]:
-        """Rates that no reading within the limits can exceed, each with its place in the block."""
+        """Yield faults of rates that no reading within the limits can exceed, each with its place in the block."""
         for quantity, entry, place in self.entries():
             low, high = limits.of(quantity) or (-math.inf, math.inf)
             most = min((high - low) / SHORTEST_S, LARGEST_RATE)
@@ -335,7 +336,7 @@ class Interlocks(Block):
                 yield place, f"{key} {entry.rate:g} would never trip; {most:g} {unit} per second or less was expected"
 
     def _too_far(self, limits: Limits) -> Iterator[tuple[Place, str]]:
-        """Disagreements that no readings within the limits can reach, each with its place in the block."""
+        """Yield faults of differences that no readings within the limits can reach, each with its place."""
         allowed = (
             ("current_disagreement", "floor_A", LARGEST_FLOOR * limits.current_A, "5 % of limits.current_A"),
             ("torque_disagreement", "tolerance_Nm", limits.torque_Nm, "limits.torque_Nm"),
@@ -348,7 +349,7 @@ class Interlocks(Block):
                 yield (check, key), f"{value:g} would never trip; {most:g} ({source}) or less was expected"
 
     def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[Place, str]]:
-        """Entries that nothing is measured for, and temperatures that no entry trips on, each with its place."""
+        """Return faults of entries without a channel and of temperatures without a trip, each with its place."""
         measured = {(channel.quantity, channel.role) for channel in channels}
         quantities = {quantity for quantity, _role in measured}
         faults: list[tuple[Place, str]] = []
@@ -374,6 +375,6 @@ class Interlocks(Block):
         return faults
 
     def shown(self) -> dict[str, Any]:
-        """What holds, by the keys of the bench file, defaults included."""
+        """Return the block with its defaults, by the keys of the bench file."""
         whole: dict[str, Any] = self.model_dump(by_alias=True, exclude_none=True)
         return {name: value for name, value in whole.items() if value not in ((), [])}

@@ -1,4 +1,4 @@
-"""Limits of a bench: what may be commanded, what may be measured, and how old a reading may be."""
+"""Limits of a bench: the largest commanded and measured values, and the largest age of a reading."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -17,7 +17,7 @@ Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
 def trips_by(most: float) -> Callable[[float], float]:
-    """Return a validator that refuses a time after which nothing is left to protect [s]."""
+    """Return a validator that refuses times longer than `most` [s], by which a trip would come too late."""
 
     def check(value: float) -> float:
         if value > most:
@@ -31,9 +31,9 @@ Age = Annotated[Positive, AfterValidator(trips_by(LONGEST_S)), Field(json_schema
 
 
 class Limits(Block):
-    """The `limits:` block of a bench file; what protects a motor is required, none of that defaults to infinity.
+    """The `limits:` block of a bench file; every limit that protects a motor is required, none defaults to infinity.
 
-    `cyclic_age_s` is for what a drive returns in every exchange, `age_s` for streams at a pace of their own.
+    `cyclic_age_s` is the largest age of readings that a drive returns in every cycle, `age_s` that of other streams.
     """
 
     current_A: Positive  # noqa: N815 (a unit keeps its letter)
@@ -58,7 +58,7 @@ class Limits(Block):
         return self
 
     def of(self, quantity: str) -> tuple[float, float] | None:
-        """Lowest and highest value a quantity may have; None where nothing limits it."""
+        """Return the lowest and highest value that a quantity may have; None if no limit applies to it."""
         symmetric = {
             "q_axis_current": self.current_A,
             "q_axis_current_reference": self.current_A,
@@ -81,5 +81,5 @@ class Limits(Block):
         return None
 
     def cyclic_age(self, period: float) -> float:
-        """How old a value of the loop's own exchange may be where a cycle takes this long [s]."""
+        """Return the largest age [s] of a reading that a drive returns in every cycle of this period [s]."""
         return self.cyclic_age_s or max(CYCLES_OF_SILENCE * period, LEAST_CYCLIC_AGE_S)

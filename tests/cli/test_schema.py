@@ -97,6 +97,25 @@ def test_every_key_of_every_kind_has_a_meaning():
             assert name == "Step" or all(value["description"] for value in block.get("properties", {}).values())
 
 
+def test_every_meaning_is_of_some_key():
+    described = {
+        value.get("description")  # none of a kind of step, whose own block says what it is
+        for kind in KINDS
+        for block in (schema_of(kind), *schema_of(kind)["$defs"].values())
+        for value in block.get("properties", {}).values()
+    }
+    for file in sorted((resources.files("leactl.report") / "key_meanings").iterdir()):
+        assert set(parse(file.read_text()).data.values()) <= described, file.name
+
+
+def test_an_interlock_says_what_trips_it():
+    blocks = schema_of("bench")["$defs"]
+    for name, rate in (("InAmperes", "rate_A_per_s"), ("InNewtonMetres", "rate_Nm_per_s")):
+        assert "reading changes faster" in blocks[name]["properties"][rate]["description"]
+    assert "less space" in blocks["DiskSpace"]["properties"]["trip_MB"]["description"]
+    assert "hotter" in blocks["InDegrees"]["properties"]["trip_degC"]["description"]
+
+
 def test_a_model_file_fits_its_schema(tmp_path):
     whole = schema_of("model")
     for text in (leactl("bench", "model", "emulated").stdout, example(PAGES["model"])):
