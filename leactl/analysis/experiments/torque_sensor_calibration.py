@@ -106,7 +106,7 @@ def analyze(
     error_prefix = f"{paths_of(runs)}: torque sensor calibration"
     weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
     reference = weighed.value
-    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, held=HELD), HELD)
+    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=HELD), HELD)
     levels = gathered.value
     notes = [*weighed.notes, *gathered.notes]
     weights = np.unique(np.round(levels.setpoint, 9))

@@ -133,7 +133,7 @@ def _rise(runs: Sequence[Run]) -> float:
 
 
 def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
-    """Raise AcceptanceFailed if a value is outside of the motor file's tolerances, widened by the instruments' errors."""
+    """Raise AcceptanceFailed if a value is outside of the file's tolerances, widened by the instruments' errors."""
     nominal = motor.thermal.model_dump() | {
         "phase_resistance": motor.resistance(REFERENCE),
         "resistance_coefficient": motor.resistance_coefficient * motor.phase_resistance / motor.resistance(REFERENCE),
