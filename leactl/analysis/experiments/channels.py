@@ -55,12 +55,14 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
     for label, members in by_protocol(runs).items():
         answers = [result_of_run(run, channel) for run in members]
         comparable_runs = comparable_indices(members, answers)
-        kept = comparable_runs.value
+        averaged = comparable_runs.value
         notes += [*(note for answer in answers for note in answer.notes), *comparable_runs.notes]
-        means = mean_results([answers[index].results for index in kept], [str(members[index].path) for index in kept])
+        means = mean_results(
+            [answers[index].results for index in averaged], [str(members[index].path) for index in averaged]
+        )
         results += [replace(estimate, name=f"{label}{estimate.name}") for estimate in means]
-        plots += [plot for index in kept for plot in answers[index].plots]
-        grids += [grid for index in kept for grid in answers[index].grids]
+        plots += [plot for index in averaged for plot in answers[index].plots]
+        grids += [grid for index in averaged for grid in answers[index].grids]
     if not channel and any(len(chosen_channels(run, channel)) > MOST_PLOTTED for run in runs):
         notes.append("plots and histograms are those of chosen channels: --channel NAME")
     paths = tuple(str(run.path) for run in runs)
@@ -170,8 +172,10 @@ def labelled_holds(run: Run) -> list[tuple[str, Step]]:
 
 def is_hold(step: Step) -> bool:
     """Return whether the setpoint stands still over a step, by the step's name or its parameters."""
-    stands = any(key in step.parameters for key in SETPOINT_KEYS) or step.parameters.keys() in KEPT_SETPOINT_KEYS
-    return step.name == "hold" or ("kind" not in step.parameters and stands and step.stop > step.start)
+    states_setpoint = (
+        any(key in step.parameters for key in SETPOINT_KEYS) or step.parameters.keys() in KEPT_SETPOINT_KEYS
+    )
+    return step.name == "hold" or ("kind" not in step.parameters and states_setpoint and step.stop > step.start)
 
 
 def labelled_excitations(run: Run) -> list[tuple[str, Step]]:
@@ -201,8 +205,8 @@ def hold_estimates(
         if mean is None:
             lacking.append(name)
             continue
-        part = span(channel, start, step.stop)
-        estimates += record_estimates(f"{label}_{name}", channel.time[part], channel.values[part], channel.units)
+        settled = span(channel, start, step.stop)
+        estimates += record_estimates(f"{label}_{name}", channel.time[settled], channel.values[settled], channel.units)
     if lacking:
         too_few.setdefault(tuple(lacking), []).append(label)
     return estimates
