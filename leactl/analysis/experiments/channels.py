@@ -131,31 +131,36 @@ def comparable_indices(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[
     names = [{estimate.name for estimate in answer.results} for answer in answers]
     complete = [run.status in ("complete", "") for run in runs]
     first = max(range(len(runs)), key=lambda index: (complete[index], len(names[index]), -index))
-    kept = [index for index in range(len(runs)) if complete[index] or names[index] == names[first]]
+    usable = [index for index in range(len(runs)) if complete[index] or names[index] == names[first]]
     reason = f"left out: it ended early and has other steps or channels than {runs[first].path}"
-    return Noted(kept, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept))
+    return Noted(usable, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in usable))
 
 
-def chosen_channels(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
-    """Return the wanted channels, or all measured ones, by name: role unless test, quantity, location."""
+def chosen_channels(run: Run, names: Sequence[str] | None) -> dict[str, Channel]:
+    """Return the channels of these names or paths, or all measured ones, by name: role unless test, quantity, location.
+
+    Raises
+    ------
+    MissingChannel : the run lacks a channel.
+    """
     path_of_name = {}
     for stream, specs in run.streams.items():
         for spec in specs:
             role = "" if spec.role == "test" else f"{spec.role}_"
             location = f"_{spec.location}" if spec.location else ""
             path_of_name[f"{role}{spec.quantity or spec.name}{location}".replace(" ", "_")] = f"{stream}/{spec.name}"
-    lacking = [name for name in wanted or () if name not in path_of_name and name not in path_of_name.values()]
+    lacking = [name for name in names or () if name not in path_of_name and name not in path_of_name.values()]
     if lacking:
         raise MissingChannel(f"{run.path}: no channel {', '.join(lacking)}; the run has {', '.join(path_of_name)}")
-    if wanted:
-        kept = {
-            name: channel_path
-            for name, channel_path in path_of_name.items()
-            if name in wanted or channel_path in wanted
+    if names:
+        selected = {
+            name: channel_path for name, channel_path in path_of_name.items() if name in names or channel_path in names
         }
     else:
-        kept = {name: channel_path for name, channel_path in path_of_name.items() if not name.endswith("_reference")}
-    return {name: run.channel_at(channel_path) for name, channel_path in kept.items()}
+        selected = {
+            name: channel_path for name, channel_path in path_of_name.items() if not name.endswith("_reference")
+        }
+    return {name: run.channel_at(channel_path) for name, channel_path in selected.items()}
 
 
 def labelled_holds(run: Run) -> list[tuple[str, Step]]:
@@ -257,10 +262,10 @@ def mean_results(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[s
     if len(results_by_run) == 1:
         return list(results_by_run[0])
     by_name = [{estimate.name: estimate for estimate in estimates} for estimates in results_by_run]
-    for path, other in zip(paths[1:], by_name[1:], strict=True):
-        if differing := sorted(other.keys() ^ by_name[0].keys()):
+    for path, by_name_of_run in zip(paths[1:], by_name[1:], strict=True):
+        if differing := sorted(by_name_of_run.keys() ^ by_name[0].keys()):
             raise InputError(f"{path}: other steps or channels than {paths[0]} ({differing[0]}); analyse them apart")
-    return [mean_of([other[name] for other in by_name]) for name in by_name[0]]
+    return [mean_of([by_name_of_run[name] for by_name_of_run in by_name]) for name in by_name[0]]
 
 
 def mean_of(repeats: Sequence[Estimate]) -> Estimate:
