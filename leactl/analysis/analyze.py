@@ -1,4 +1,4 @@
-"""Find the analysis that a run asks for and apply it."""
+"""Find the analysis of each run's experiment and apply it to the runs of each actuator and condition."""
 
 import inspect
 import math
@@ -21,83 +21,90 @@ __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
 
 
 def is_known(experiment: str) -> bool:
-    """Whether an experiment can be analysed."""
+    """Return whether an experiment of this name can be analysed."""
     return experiment.replace("_", "-") in names()
 
 
-def analysis_of(experiment: str, place: str) -> Experiment:
-    """The experiment of this name.
+def analysis_of(experiment: str, error_prefix: str) -> Experiment:
+    """Return the experiment of this name.
 
     Raises
     ------
-    InputError : there is none, or it cannot be used; `place` opens the message.
+    InputError : no experiment has this name, or it cannot be used; `error_prefix` opens the message.
     """
     try:
         return load(experiment)
     except InputError as fault:
-        raise InputError(f"{place}: {fault}") from None
+        raise InputError(f"{error_prefix}: {fault}") from None
 
 
 def method_of(experiment: str) -> str:
-    """How an experiment is analysed, in one sentence."""
+    """Return the sentence that says how an experiment is analysed."""
     return load(experiment).method
 
 
 def results_of(experiment: str) -> dict[str, str]:
-    """Every result that an experiment may give, with its unit.
+    """Return the unit of every result that an experiment may give, by the result's name.
 
     Raises
     ------
-    InputError : there is no such experiment.
+    InputError : there is no such experiment, or it cannot be used.
     """
     return dict(load(experiment).results)
 
 
 def experiment_of(run: Run) -> str:
-    """What a run is to be analysed as: `analysis` of its protocol, else its protocol's name, else by its channels."""
-    asked = analysis_in(run.source("protocol") or "")
+    """Return a run's experiment: `analysis` in its protocol, else the protocol's name if it is one, else `channels`."""
+    stated = analysis_in(run.source("protocol") or "")
     protocol = str(run.attributes.get("protocol", ""))
-    return asked or (protocol if is_known(protocol) else GENERIC)
+    return stated or (protocol if is_known(protocol) else GENERIC)
 
 
 @dataclass(frozen=True)
 class InspectedRun:
-    """What has to be known of a run before it is analysed together with others."""
+    """Properties and faults of one run, found before it is analysed together with others."""
 
     path: Path
-    identity: str  # of two files that are the same run
-    group: tuple[str, str]  # its actuator and its condition
+    identity: str  # the same for two files of one run
+    group: tuple[str, str]  # actuator and condition
     experiment: str
-    altered: list[str]  # what is not as it was at its close
-    unread: list[str]  # why its channels cannot be looked at
-    doubts: list[str]
+    altered: list[str]  # a line for each part whose checksum no longer matches
+    unreadable: list[str]  # faults that prevent the judgement of its channels
+    doubts: list[str]  # notes on doubtful channels
     condemned: dict[str, str]  # as of `Run.condemned`
-    remarks: list[str]
+    remarks: list[str]  # notes on a run that ended early
 
 
-Groups = Sequence[Sequence[InspectedRun]]  # runs of one actuator under one condition each
-Answers = Callable[[Experiment, Groups, dict[str, Any]], Iterator[Result]]
+Groups = Sequence[Sequence[InspectedRun]]  # each group: the runs of one actuator under one condition
+GroupAnalysis = Callable[[Experiment, Groups, dict[str, Any]], Iterator[Result]]  # yields the result of each group
 
 
 def inspect_run(run: Run, experiment: str) -> InspectedRun:
-    """Look at a run by itself.
+    """Check one run's integrity and channels, and find its experiment and its group.
 
     Parameters
     ----------
-    experiment : what it is analysed as; what it asks for itself by default.
+    experiment : name of the experiment; if empty, that of `experiment_of`.
     """
     doubts: list[str] = []
-    unread: list[str] = []
+    unreadable: list[str] = []
     altered = integrity.altered(run.path)
     if not altered:
         try:
             doubts = channel_doubts(run)
-        except InputError as fault:  # which is the fault of all that it is analysed with
-            unread = fault.faults
+        except InputError as fault:  # raised later, since it stops the analysis of all runs together
+            unreadable = fault.faults
     group = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
-    asked = experiment or experiment_of(run)
     return InspectedRun(
-        run.path, identity_of(run), group, asked, altered, unread, doubts, run.condemned, remarks_on(run)
+        run.path,
+        identity_of(run),
+        group,
+        experiment or experiment_of(run),
+        altered,
+        unreadable,
+        doubts,
+        run.condemned,
+        remarks_on(run),
     )
 
 
@@ -106,59 +113,60 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
 
     Parameters
     ----------
-    experiment : what to analyse them as; what the runs themselves ask for by default.
-    options : for the analysis; those that are None count as not given.
+    experiment : name of the experiment; if empty, that of each run by `experiment_of`.
+    options : of the analysis; an option that is None counts as not given.
 
     Raises
     ------
-    InputError : files that are no runs, hold other values than at their close, are of different experiments, given
-        twice, or cannot answer.
+    InputError : a file is no run, its values changed after its close, a run is given twice, the runs are of different
+        experiments, or the analysis cannot estimate its results from them.
     """
     with ExitStack() as opened:
         runs = {run.path: run for run in [opened.enter_context(Run.open(path)) for path in paths]}
 
-        def answers(
-            analysis: Experiment, groups: Sequence[Sequence[InspectedRun]], given: dict[str, Any]
-        ) -> Iterator[Result]:
-            yield from (analysis.answer([runs[one.path] for one in members], **given) for members in groups)
+        def analyze_groups(analysis: Experiment, groups: Groups, given_options: dict[str, Any]) -> Iterator[Result]:
+            for members in groups:
+                yield analysis.answer([runs[member.path] for member in members], **given_options)
 
-        return analyzed([inspect_run(runs[Path(path)], experiment) for path in paths], answers, options)
+        return analyze_inspected([inspect_run(runs[Path(path)], experiment) for path in paths], analyze_groups, options)
 
 
-def analyzed(vetted: Sequence[InspectedRun], answers: Answers, options: Mapping[str, Any]) -> Result:
-    """The answer of runs that were looked at one by one.
+def analyze_inspected(
+    inspected: Sequence[InspectedRun], analyze_groups: GroupAnalysis, options: Mapping[str, Any]
+) -> Result:
+    """Analyse runs that `inspect_run` has checked.
 
     Parameters
     ----------
-    answers : gives that of each group of runs.
+    analyze_groups : yields the result of each group of runs, in order.
 
     Raises
     ------
     InputError : as of `analyze_runs`.
     """
-    if not vetted:
+    if not inspected:
         raise InputError("no run to analyse; give one run file or more")
-    refuse_the_same((one.identity, one.path) for one in vetted)
-    integrity.refuse_findings([finding for one in vetted for finding in one.altered])
-    if unread := next((one.unread for one in vetted if one.unread), []):
-        raise InputError(unread)
-    first = vetted[0]
-    for one in vetted:
-        if one.experiment != first.experiment:
+    refuse_duplicates((run.identity, run.path) for run in inspected)
+    integrity.refuse_findings([finding for run in inspected for finding in run.altered])
+    if unreadable := next((run.unreadable for run in inspected if run.unreadable), []):
+        raise InputError(unreadable)
+    first = inspected[0]
+    for run in inspected:
+        if run.experiment != first.experiment:
             raise InputError(
-                f"{one.path}: its analysis is '{one.experiment}', that of {first.path} is '{first.experiment}'; "
+                f"{run.path}: its analysis is '{run.experiment}', that of {first.path} is '{first.experiment}'; "
                 "give runs of one experiment"
             )
     analysis = analysis_of(first.experiment, str(first.path))
-    given = {name: value for name, value in options.items() if value is not None}
-    refuse_unknown(analysis, given)
+    given_options = {name: value for name, value in options.items() if value is not None}
+    refuse_unknown(analysis, given_options)
     groups: dict[tuple[str, str], list[InspectedRun]] = {}
-    for one in vetted:
-        groups.setdefault(one.group, []).append(one)
-    doubts = [note for one in vetted for note in one.doubts]
-    with prefixed_by(doubts):
-        found = dict(zip(groups, answers(analysis, list(groups.values()), given), strict=True))
-    return combined(first.experiment, vetted, found, doubts)
+    for run in inspected:
+        groups.setdefault(run.group, []).append(run)
+    doubts = [note for run in inspected for note in run.doubts]
+    with doubts_before_refusal(doubts):
+        results = dict(zip(groups, analyze_groups(analysis, list(groups.values()), given_options), strict=True))
+    return combine_results(first.experiment, inspected, results, doubts)
 
 
 def analyze_each(
@@ -169,7 +177,7 @@ def analyze_each(
     Parameters
     ----------
     experiment, options : as of `analyze_runs`; of several experiments each gets the options that it takes.
-    workers : who looks at the runs, and then answers for each actuator and condition; the answer does not depend on it.
+    workers : processes that inspect the runs and analyse the groups; the results do not depend on their number.
 
     Returns
     -------
@@ -177,55 +185,63 @@ def analyze_each(
 
     Raises
     ------
-    InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
+    InputError : the runs are of one experiment, which cannot be analysed, or none of several takes an option.
     """
     experiments: dict[str, list[InspectedRun]] = {}
     faults: list[str] = []
-    for done in workers.in_order(_vetted, [(path, experiment) for path in paths]):
+    for done in workers.in_order(_inspect_file, [(path, experiment) for path in paths]):
         faults += done.faults
         if not done.faults:
             experiments.setdefault(done.value().experiment, []).append(done.value())
 
-    def answers(
-        analysis: Experiment, groups: Sequence[Sequence[InspectedRun]], given: dict[str, Any]
-    ) -> Iterator[Result]:
-        jobs = [(analysis.name, [(one.path, one.condemned) for one in members], given) for members in groups]
-        yield from (done.value() for done in workers.in_order(_answer, jobs))
+    def analyze_groups(analysis: Experiment, groups: Groups, given_options: dict[str, Any]) -> Iterator[Result]:
+        jobs = [
+            (analysis.name, [(member.path, member.condemned) for member in members], given_options)
+            for members in groups
+        ]
+        yield from (done.value() for done in workers.in_order(_analyze_group, jobs))
 
-    if faults and not experiments:  # and so nothing that an option could be for
+    if faults and not experiments:  # no experiment is left that could take an option
         return [], faults
     if len(experiments) == 1 and not faults:
-        return [analyzed(members, answers, options) for members in experiments.values()], []
-    given = {name: value for name, value in options.items() if value is not None}
+        return [analyze_inspected(members, analyze_groups, options) for members in experiments.values()], []
+    given_options = {name: value for name, value in options.items() if value is not None}
     results: list[Result] = []
-    taken: set[str] = set()
+    used_options: set[str] = set()
     for name, members in experiments.items():
         try:
-            own = {key: given[key] for key in options_of(analysis_of(name, str(members[0].path))) if key in given}
-            taken |= own.keys()
-            results.append(analyzed(members, answers, own))
+            accepted = options_of(analysis_of(name, str(members[0].path)))
+            accepted_options = {key: given_options[key] for key in accepted if key in given_options}
+            used_options |= accepted_options.keys()
+            results.append(analyze_inspected(members, analyze_groups, accepted_options))
         except InputError as fault:
             faults += fault.faults
-    if untaken := [key for key in given if key not in taken]:
-        raise InputError([f"--set {key}: none of {', '.join(experiments)} takes it" for key in untaken])
+    if unused := [key for key in given_options if key not in used_options]:
+        raise InputError([f"--set {key}: none of {', '.join(experiments)} takes it" for key in unused])
     return results, faults
 
 
-def _vetted(path: Path, experiment: str) -> InspectedRun:
+def _inspect_file(path: Path, experiment: str) -> InspectedRun:
     with Run.open(path) as run:
         return inspect_run(run, experiment)
 
 
-def _answer(experiment: str, members: Sequence[tuple[Path, dict[str, str]]], given: dict[str, Any]) -> Result:
+def _analyze_group(
+    experiment: str, members: Sequence[tuple[Path, dict[str, str]]], given_options: dict[str, Any]
+) -> Result:
+    """Analyse one group; `members` are the path of each run and its condemned channels."""
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path, _ in members]
         for run, (_, condemned) in zip(runs, members, strict=True):
             run.condemned = condemned
-        return load(experiment).answer(runs, **given)
+        return load(experiment).answer(runs, **given_options)
 
 
 def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str, list[Path]], list[str]]:
-    """Return the runs of each experiment, and a line for each file that is no run; `experiment` stands for all."""
+    """Group runs by experiment; return the groups, and a line for each file that is no run.
+
+    `experiment`, if given, counts as the experiment of every run.
+    """
     groups: dict[str, list[Path]] = {}
     faults: list[str] = []
     for path in paths:
@@ -238,8 +254,8 @@ def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str
 
 
 @contextmanager
-def prefixed_by(doubts: Sequence[str]) -> Iterator[None]:
-    """Let the doubts of the channels open what an analysis is refused with: they are likely why."""
+def doubts_before_refusal(doubts: Sequence[str]) -> Iterator[None]:
+    """Put the doubts of the channels before the message of an analysis that fails: they are likely the cause."""
     try:
         yield
     except InputError as fault:
@@ -248,14 +264,19 @@ def prefixed_by(doubts: Sequence[str]) -> Iterator[None]:
         raise type(fault)(["; ".join([*doubts, fault.faults[0]]), *fault.faults[1:]]) from fault
 
 
-def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
-    """What an analysis is told, from `name=number` each and from options of their own, which are None if not given.
+def numbers(settings: Sequence[str], **named_options: float | None) -> dict[str, float]:
+    """Return the numeric options of an analysis by name.
+
+    Parameters
+    ----------
+    settings : texts `name=number`, as `--set` takes them.
+    named_options : options that have a command-line option to themselves; None where it is not given.
 
     Raises
     ------
-    InputError : one line for each that is not so, or is there twice.
+    InputError : a line for each setting that is no `name=number` or whose name is given twice.
     """
-    faults, found = [], {name: value for name, value in given.items() if value is not None}
+    faults, values = [], {name: value for name, value in named_options.items() if value is not None}
     for setting in settings:
         name, _, text = (part.strip() for part in setting.partition("="))
         try:
@@ -264,41 +285,47 @@ def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
             value = math.nan
         if not (name.isidentifier() and math.isfinite(value)):
             faults.append(f"--set {setting}: name=number was expected")
-        elif name in found:
+        elif name in values:
             faults.append(f"--set {name}: given twice")
         else:
-            found[name] = value
+            values[name] = value
     if faults:
         raise InputError(faults)
-    return found
+    return values
 
 
-def combined(
-    experiment: str, vetted: Sequence[InspectedRun], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
+def combine_results(
+    experiment: str,
+    inspected: Sequence[InspectedRun],
+    group_results: dict[tuple[str, str], Result],
+    doubts: Sequence[str] = (),
 ) -> Result:
-    """One answer from that of each group, doubts of their channels first; notes say whose they are if of several."""
-    results: list[Estimate] = []
+    """Combine the results of all groups into one result.
+
+    Its notes begin with the doubts of the channels. A note that not all groups share names its actuator and condition.
+    """
+    estimates: list[Estimate] = []
     plots: list[Plot] = []
     covariances: list[Covariance] = []
     grids: list[Grid] = []
-    notes = [*doubts, *(note for one in vetted for note in one.remarks)]
-    shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
-    notes += [note for note in next(iter(answers.values())).notes if note in shared]
-    for (actuator, condition), answer in answers.items():
-        whose = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(answers) > 1 else ""
-        results += [replace(item, actuator=actuator, condition=condition) for item in answer.results]
-        plots += [replace(item, actuator=actuator, condition=condition) for item in answer.plots]
-        covariances += [replace(item, actuator=actuator, condition=condition) for item in answer.covariances]
-        grids += [replace(item, actuator=actuator, condition=condition) for item in answer.grids]
-        notes += [whose + note for note in answer.notes if note not in shared]
-    paths = tuple(str(one.path) for one in vetted)
+    notes = [*doubts, *(note for run in inspected for note in run.remarks)]
+    shared = set.intersection(*(set(result.notes) for result in group_results.values()))
+    notes += [note for note in next(iter(group_results.values())).notes if note in shared]
+    for (actuator, condition), result in group_results.items():
+        group = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(group_results) > 1 else ""
+        estimates += [replace(item, actuator=actuator, condition=condition) for item in result.results]
+        plots += [replace(item, actuator=actuator, condition=condition) for item in result.plots]
+        covariances += [replace(item, actuator=actuator, condition=condition) for item in result.covariances]
+        grids += [replace(item, actuator=actuator, condition=condition) for item in result.grids]
+        notes += [group + note for note in result.notes if note not in shared]
+    paths = tuple(str(run.path) for run in inspected)
     return Result(
-        experiment, paths, tuple(results), tuple(dict.fromkeys(notes)), tuple(plots), tuple(covariances), tuple(grids)
+        experiment, paths, tuple(estimates), tuple(dict.fromkeys(notes)), tuple(plots), tuple(covariances), tuple(grids)
     )
 
 
 def remarks_on(run: Run) -> list[str]:
-    """What a reader must know of a run that did not come to its end."""
+    """Return a note on a run that ended early, with its status and the reason; an empty list for a complete run."""
     if run.status in ("complete", ""):
         return []
     reason = str(run.attributes.get("status_reason", ""))
@@ -307,38 +334,38 @@ def remarks_on(run: Run) -> list[str]:
 
 
 def refuse_repeated(runs: Sequence[Run]) -> None:
-    """Refuse a run that is there twice, under one path or two: it would count as a repeat of itself."""
-    refuse_the_same((identity_of(run), run.path) for run in runs)
+    """Refuse a run that is given twice, under one path or two: it would count as a repeat of itself."""
+    refuse_duplicates((identity_of(run), run.path) for run in runs)
 
 
-def refuse_the_same(runs: Iterable[tuple[str, Path]]) -> None:
-    """Refuse files that are the same by what they go by."""
-    seen: dict[str, Path] = {}
+def refuse_duplicates(runs: Iterable[tuple[str, Path]]) -> None:
+    """Refuse two files of one run; `runs` are the identity and the path of each file."""
+    path_of_identity: dict[str, Path] = {}
     for identity, path in runs:
-        if identity in seen:
-            raise InputError(f"{path}: the same run as {seen[identity]}; give each run once")
-        seen[identity] = path
+        if identity in path_of_identity:
+            raise InputError(f"{path}: the same run as {path_of_identity[identity]}; give each run once")
+        path_of_identity[identity] = path
 
 
 def identity_of(run: Run) -> str:
-    """What tells whether two files are the same run."""
+    """Return a text that two files share if they are the same run: the run's id, else the file's resolved path."""
     return str(run.attributes.get("run_id", "")) or str(run.path.resolve())
 
 
 def refuse_altered(runs: Sequence[Run]) -> None:
-    """Refuse runs whose values are not those of their checksums: figures from them would stand for no measurement."""
+    """Refuse runs whose values do not match their checksums: results from them would not be measurements."""
     integrity.refuse_altered(run.path for run in runs)
 
 
 def refuse_unknown(analysis: Experiment, options: dict[str, Any]) -> None:
-    """Refuse to tell an analysis what it does not ask for."""
-    known = options_of(analysis)
+    """Refuse options that an analysis does not take."""
+    accepted = options_of(analysis)
     for name in options:
-        if name not in known:
-            has = ", ".join(known) or "nothing"
-            raise InputError(f"{analysis.name} cannot be told {name}; it can be told {has} (by --set NAME=NUMBER)")
+        if name not in accepted:
+            listing = ", ".join(accepted) or "nothing"
+            raise InputError(f"{analysis.name} cannot be told {name}; it can be told {listing} (by --set NAME=NUMBER)")
 
 
 def options_of(analysis: Experiment) -> list[str]:
-    """What an analysis can be told."""
+    """Return the names of the options that an analysis takes."""
     return [name for name in inspect.signature(analysis.analyze).parameters if name != "runs"]

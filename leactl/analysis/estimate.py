@@ -1,4 +1,4 @@
-"""What an analysis answers: estimates with 95 % intervals, notes a reader must know, and the points behind a plot."""
+"""Result of an analysis: estimates with 95 % intervals, notes, plots, covariances and grids."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +10,7 @@ from leactl.errors import InputError
 Value = TypeVar("Value", covariant=True)
 Item = TypeVar("Item")
 NAN = math.nan
-FORMAT, VERSION = "leactl-analysis", 1  # of an answer as JSON
+FORMAT, VERSION = "leactl-analysis", 1  # of a result as JSON
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,10 @@ class Estimate:
     condition: str = ""
 
     def as_json(self, with_group: bool = False) -> dict[str, Any]:
-        """The row as JSON takes it: what is not finite becomes null."""
+        """Return the estimate as a JSON object; numbers that are not finite become null.
+
+        `with_group` adds actuator and condition.
+        """
         numbers = {"value": self.value, "std": self.std, "low": self.low, "high": self.high}
         row: dict[str, Any] = {"name": self.name}
         row |= {key: float(number) if math.isfinite(number) else None for key, number in numbers.items()}
@@ -45,13 +48,13 @@ class Noted(Generic[Value]):
 
 def joined(parts: Iterable[Noted[Sequence[Item]]]) -> Noted[list[Item]]:
     """Put the items of several sequences into one list, and their notes into one tuple."""
-    every = list(parts)
-    return Noted([item for part in every for item in part.value], tuple(note for part in every for note in part.notes))
+    noted = list(parts)
+    return Noted([item for part in noted for item in part.value], tuple(note for part in noted for note in part.notes))
 
 
 @dataclass(frozen=True)
 class Series:
-    """Points of one kind."""
+    """Points (x, y) that share a label in a plot."""
 
     label: str
     x: tuple[float, ...]
@@ -95,14 +98,14 @@ class Covariance:
     condition: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Names and rows as JSON takes them."""
+        """Return names and rows as a JSON object; numbers that are not finite become null."""
         rows = [[value if math.isfinite(value) else None for value in row] for row in self.values]
         return {"names": list(self.names), "rows": rows, "actuator": self.actuator, "condition": self.condition}
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Values over the setpoints of two axes; NaN where the experiment did not get."""
+    """Values over the setpoints of two axes; NaN at setpoints that the experiment did not reach."""
 
     name: str
     axes: Mapping[str, tuple[float, ...]]  # by name with unit, the outer one first
@@ -111,7 +114,7 @@ class Grid:
     condition: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Axes and rows as JSON takes them: what is not finite becomes null."""
+        """Return axes and rows as a JSON object; values that are not finite become null."""
         rows = {
             name: [[value if math.isfinite(value) else None for value in row] for row in table]
             for name, table in self.values.items()
@@ -122,7 +125,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Result:
-    """Answer of one experiment, from one run or several."""
+    """Result of one experiment, from one run or several."""
 
     experiment: str
     runs: tuple[str, ...]  # paths as they were given
@@ -134,32 +137,34 @@ class Result:
 
     @property
     def groups(self) -> list[tuple[str, str]]:
-        """Every (actuator, condition) with results, in order."""
+        """Every pair of actuator and condition that has results, in order."""
         return list(dict.fromkeys((item.actuator, item.condition) for item in self.results))
 
     def find(self, name: str, actuator: str | None = None, condition: str | None = None) -> Estimate:
-        """The one estimate of this name, of an actuator and under a condition where there are several.
+        """Return the one estimate of this name.
+
+        `actuator` and `condition` select among several groups; None accepts any.
 
         Raises
         ------
-        InputError : there is none, or there are several.
+        InputError : no estimate matches, or several do.
         """
-        found = [
+        matches = [
             item
             for item in self.results
             if item.name == name and actuator in (None, item.actuator) and condition in (None, item.condition)
         ]
-        if not found:
-            raise InputError(f"{self.experiment} has no result '{name}'{self._asked(actuator, condition)}")
-        if len(found) > 1:
-            groups = ", ".join(f"{item.actuator}/{item.condition}" for item in found)
-            raise InputError(f"{self.experiment} has '{name}' {len(found)} times: {groups}; ask for one of them")
-        return found[0]
+        if not matches:
+            raise InputError(f"{self.experiment} has no result '{name}'{self._group_and_names(actuator, condition)}")
+        if len(matches) > 1:
+            groups = ", ".join(f"{item.actuator}/{item.condition}" for item in matches)
+            raise InputError(f"{self.experiment} has '{name}' {len(matches)} times: {groups}; ask for one of them")
+        return matches[0]
 
     def as_json(self) -> dict[str, Any]:
-        """The answer as `--json` prints it; rows carry actuator and condition where there is more than one group."""
+        """Return the result as `--json` prints it; rows have actuator and condition where there are several groups."""
         several = len(self.groups) > 1
-        told: dict[str, Any] = {
+        document: dict[str, Any] = {
             "format": FORMAT,
             "format_version": VERSION,
             "experiment": self.experiment,
@@ -167,21 +172,25 @@ class Result:
             "results": [item.as_json(several) for item in self.results],
             "notes": list(self.notes),
         }
-        told |= {"covariances": [one.as_json() for one in self.covariances]} if self.covariances else {}
-        return told | ({"grids": [one.as_json() for one in self.grids]} if self.grids else {})
+        document |= {"covariances": [item.as_json() for item in self.covariances]} if self.covariances else {}
+        return document | ({"grids": [item.as_json() for item in self.grids]} if self.grids else {})
 
-    def _asked(self, actuator: str | None, condition: str | None) -> str:
-        asked = " of ".join(repr(part) for part in (condition, actuator) if part is not None)
-        known = dict.fromkeys(item.name for item in self.results)
-        return f"{' for ' + asked if asked else ''}; it has {', '.join(known)}"
+    def _group_and_names(self, actuator: str | None, condition: str | None) -> str:
+        """Return the end of an error message: the group that was searched, and the names of all results."""
+        group = " of ".join(repr(label) for label in (condition, actuator) if label is not None)
+        names = dict.fromkeys(item.name for item in self.results)
+        return f"{' for ' + group if group else ''}; it has {', '.join(names)}"
 
 
 def listed(items: Iterable[object], most: int = 4) -> str:
-    """A list short enough for one line."""
-    every = [str(item) for item in items]
-    return ", ".join(every[:most]) + (f" and {len(every) - most} more" if len(every) > most else "")
+    """Return the items separated by commas; those beyond the first `most` are only counted."""
+    texts = [str(item) for item in items]
+    return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
-def tally(reasons: Mapping[str, list[str]], place: str) -> list[str]:
-    """One note for each reason why something was left out, with how often and where."""
-    return [f"{place}: left out {len(what)}: {reason} ({listed(what)})" for reason, what in reasons.items()]
+def tally(reasons: Mapping[str, list[str]], prefix: str) -> list[str]:
+    """Return a note for each reason to leave items out, with their number and names; `prefix` opens each note.
+
+    `reasons` maps each reason to the names of the items that it applies to.
+    """
+    return [f"{prefix}: left out {len(items)}: {reason} ({listed(items)})" for reason, items in reasons.items()]

@@ -1,4 +1,4 @@
-"""What the model that a run carries says: the parameters that its bench was set up with."""
+"""Parameters of the nominal model that is stored in a run file."""
 
 import math
 import sys
@@ -8,15 +8,15 @@ from leactl import yamlfile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-LARGEST: Final = math.sqrt(sys.float_info.max)
+LARGEST: Final = math.sqrt(sys.float_info.max)  # a number whose square is finite
 
 
 def model_of(run: Run) -> dict[str, Any]:
-    """The model that a run carries; empty where it carries none.
+    """Return the model in a run file as a mapping; empty where there is no model or it is no mapping.
 
     Raises
     ------
-    InputError : a text that is no YAML.
+    InputError : the text of the model is no YAML.
     """
     text = run.source("model")
     data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
@@ -24,27 +24,30 @@ def model_of(run: Run) -> dict[str, Any]:
 
 
 def rotor_inertia_of_model(run: Run) -> float:
-    """The rotor inertia in the model that a run carries [kg*m^2]; NaN where there is none."""
+    """Return the rotor inertia in a run's model [kg*m^2]; NaN where there is none."""
     return positive(model_of(run).get("rotor_inertia"))
 
 
-def positive(found: object) -> float:
-    """A number above zero as it stands in a model; NaN where it is none, or none whose square is a number too."""
-    if not isinstance(found, int | float) or isinstance(found, bool) or not 0 < found <= LARGEST:
+def positive(entry: object) -> float:
+    """Return the entry of a model as a number above zero.
+
+    NaN where it is no such number, or where its square overflows or underflows.
+    """
+    if not isinstance(entry, int | float) or isinstance(entry, bool) or not 0 < entry <= LARGEST:
         return math.nan
-    return float(found) if found**2 > 0 else math.nan
+    return float(entry) if entry**2 > 0 else math.nan
 
 
 def torque_constant_of_model(run: Run) -> float:
-    """The torque constant in the model that a run carries [N*m/A].
+    """Return the torque constant in a run's model [N*m/A].
 
     Raises
     ------
-    NotIdentifiable : there is none.
+    NotIdentifiable : the run has no model, or its model has no torque constant above zero.
     """
-    found = model_of(run).get("torque_constant")
-    value = positive(found)
+    entry = model_of(run).get("torque_constant")
+    value = positive(entry)
     if value > 0:
         return value
-    what = "no model" if run.source("model") is None else f"a model whose torque_constant is {found!r}"
-    raise NotIdentifiable(f"{run.path}: found {what}; a torque constant is needed, give --torque-constant")
+    source = "no model" if run.source("model") is None else f"a model whose torque_constant is {entry!r}"
+    raise NotIdentifiable(f"{run.path}: found {source}; a torque constant is needed, give --torque-constant")

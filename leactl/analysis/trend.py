@@ -1,4 +1,4 @@
-"""One result over many runs, each analysed by itself, in the order in which they were made."""
+"""Trend of one result over many runs: each run is analysed by itself, in the order of creation."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from leactl.analysis.analyze import (
     experiment_of,
     identity_of,
     options_of,
-    refuse_the_same,
+    refuse_duplicates,
     results_of,
 )
 from leactl.analysis.estimate import Estimate, listed
@@ -28,7 +28,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Point:
-    """A run's value."""
+    """The value of one run."""
 
     run: Path
     created: str  # UTC
@@ -44,11 +44,11 @@ class Trend:
     actuator: str
     condition: str
     points: tuple[Point, ...]
-    chart: ControlChart | None  # None where there are too few
-    left_out: tuple[str, ...]  # a line for each run that has the result and does not tell it
+    chart: ControlChart | None  # None where there are too few points
+    left_out: tuple[str, ...]  # a line for each run whose analysis fails or gives no finite value
 
     def as_json(self) -> dict[str, Any]:
-        """The trend for other programs."""
+        """Return the trend as a JSON object."""
         return {
             "result": self.result,
             "units": self.units,
@@ -72,15 +72,15 @@ def trend(
     workers: Workers = HERE,
     **options: Any,
 ) -> Trend:
-    """Follow a result from run to run.
+    """Collect the values of one result over runs of one actuator and condition, with their control chart.
 
     Parameters
     ----------
-    actuator, condition : only runs with this label; there has to be one of each.
-    baseline : how many of the first values the limits rest on; by default all.
-    tell : is told each run as it is analysed.
-    workers : who looks at the runs; the answer does not depend on it.
-    options : for the analyses, as of `analyze_runs`.
+    actuator, condition : take only runs with this label; the runs that are left must share one of each.
+    baseline : number of first values that the control limits are computed from; by default all.
+    tell : is called with the name of each run's file before its value is awaited.
+    workers : processes that analyse the runs; the trend does not depend on their number.
+    options : of the analyses, as of `analyze_runs`.
 
     Raises
     ------
@@ -94,28 +94,35 @@ def trend(
 
 
 def _runs_with(
-    workers: Workers, paths: Sequence[Path], result: str, asked: tuple[str, str]
+    workers: Workers, paths: Sequence[Path], result: str, requested_group: tuple[str, str]
 ) -> tuple[tuple[str, str], list[tuple[str, Path, str]]]:
-    """The actuator and condition that are asked for, and their runs in order: creation, file, experiment."""
-    every: list[tuple[str, tuple[str, str], Path, str]] = []
-    others: dict[str, None] = {}
-    described = [done.value() for done in workers.in_order(_described, [(path,) for path in paths])]
-    refuse_the_same((identity, path) for path, (identity, *_) in zip(paths, described, strict=True))
-    for path, (_, created, group, experiment) in zip(paths, described, strict=True):
-        known = results_of(experiment)
-        if result not in known:
-            others |= dict.fromkeys(known)
+    """Return actuator and condition of the requested group, and its runs by creation: created, path, experiment.
+
+    `requested_group` is actuator and condition; an empty text accepts any.
+    """
+    runs_with_result: list[tuple[str, tuple[str, str], Path, str]] = []
+    other_results: dict[str, None] = {}
+    descriptions = [done.value() for done in workers.in_order(_description, [(path,) for path in paths])]
+    refuse_duplicates((identity, path) for path, (identity, *_) in zip(paths, descriptions, strict=True))
+    for path, (_, created, group, experiment) in zip(paths, descriptions, strict=True):
+        units_of_results = results_of(experiment)
+        if result not in units_of_results:
+            other_results |= dict.fromkeys(units_of_results)
         else:
-            every.append((created, group, path, experiment))
-    if not every:
-        raise InputError(f"no run has a result '{result}'; they have {listed(others, 12)}")
-    fitting = [item for item in every if all(want in ("", own) for want, own in zip(asked, item[1], strict=True))]
-    groups = dict.fromkeys(group for _, group, _, _ in fitting)
+            runs_with_result.append((created, group, path, experiment))
+    if not runs_with_result:
+        raise InputError(f"no run has a result '{result}'; they have {listed(other_results, 12)}")
+    selected = [
+        item
+        for item in runs_with_result
+        if all(requested in ("", label) for requested, label in zip(requested_group, item[1], strict=True))
+    ]
+    groups = dict.fromkeys(group for _, group, _, _ in selected)
     if len(groups) != 1:
-        there = sorted(groups or dict.fromkeys(item[1] for item in every))
-        named = listed(f"'{one}' under '{other}'" for one, other in there)
-        raise InputError(f"runs with '{result}' are of {named}; choose one by --actuator and --condition")
-    return next(iter(groups)), [(created, path, experiment) for created, _, path, experiment in sorted(fitting)]
+        available_groups = sorted(groups or dict.fromkeys(item[1] for item in runs_with_result))
+        listing = listed(f"'{actuator}' under '{condition}'" for actuator, condition in available_groups)
+        raise InputError(f"runs with '{result}' are of {listing}; choose one by --actuator and --condition")
+    return next(iter(groups)), [(created, path, experiment) for created, _, path, experiment in sorted(selected)]
 
 
 def _points(
@@ -125,12 +132,12 @@ def _points(
     options: Mapping[str, Any],
     tell: Tell,
 ) -> tuple[list[Point], list[str]]:
-    """The values of the runs that tell the result, and a line for each other one."""
-    takes = {experiment: options_of(load(experiment)) for *_, experiment in runs}
-    if untaken := [name for name in options if not any(name in known for known in takes.values())]:
-        raise InputError([f"--set {name}: none of {', '.join(takes)} takes it" for name in untaken])
+    """Analyse each run; return the finite values, and a line for each run without one."""
+    accepted = {experiment: options_of(load(experiment)) for *_, experiment in runs}
+    if unused := [name for name in options if not any(name in names for names in accepted.values())]:
+        raise InputError([f"--set {name}: none of {', '.join(accepted)} takes it" for name in unused])
     jobs = [
-        (path, result, {name: value for name, value in options.items() if name in takes[experiment]})
+        (path, result, {name: value for name, value in options.items() if name in accepted[experiment]})
         for _, path, experiment in runs
     ]
     values = workers.in_order(_value, jobs)
@@ -150,8 +157,8 @@ def _points(
     return points, left_out
 
 
-def _described(path: Path) -> tuple[str, str, tuple[str, str], str]:
-    """What a run goes by, when it was made, its actuator and condition, and the experiment that it is of."""
+def _description(path: Path) -> tuple[str, str, tuple[str, str], str]:
+    """Return a run's identity, time of creation, actuator and condition, and experiment."""
     with Run.open(path) as run:
         created, actuator, condition = (
             str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")
@@ -160,5 +167,5 @@ def _described(path: Path) -> tuple[str, str, tuple[str, str], str]:
 
 
 def _value(path: Path, result: str, options: Mapping[str, Any]) -> Estimate:
-    """The result of one run."""
+    """Analyse one run and return its estimate of the result."""
     return analyze_runs([path], **options).find(result)

@@ -1,4 +1,4 @@
-"""What a check of a bench has shown: a line for each statement of its file, and below it what to change."""
+"""Results of a check of a bench as text: a line for each statement of the bench file, and a line on what to change."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,25 +10,28 @@ DEVICE_WIDTH = 14
 
 
 def lines(statements: Sequence[Statement]) -> Iterator[str]:
-    """Return the lines, the verdict first, and how many have which verdict as the last."""
-    for each in statements:
-        head = f"{each.verdict:<11}  {each.device:<{DEVICE_WIDTH}}  "
-        text = "; ".join(filter(None, (_numbers(each), each.why)))
-        yield list_line(head, ": ".join(filter(None, (each.about, text))))
-        if each.change:
-            yield list_line(" " * 13, each.change)
-    counts = [(verdict, sum(each.verdict is verdict for each in statements)) for verdict in StatementVerdict]
+    """Yield the verdict on each statement with the change that it needs, and at the end the number of each verdict."""
+    for statement in statements:
+        head = f"{statement.verdict:<11}  {statement.device:<{DEVICE_WIDTH}}  "
+        text = "; ".join(filter(None, (_measurement(statement), statement.why)))
+        yield list_line(head, ": ".join(filter(None, (statement.about, text))))
+        if statement.change:
+            yield list_line(" " * 13, statement.change)
+    counts = [(verdict, sum(statement.verdict is verdict for statement in statements)) for verdict in StatementVerdict]
     yield f"{len(statements)} checks: {', '.join(f'{count} {verdict}' for verdict, count in counts)}"
 
 
-def _numbers(each: Statement) -> str:
-    """The measured value with its deviation and unit, and what was expected."""
-    if math.isnan(each.measured):
+def _measurement(statement: Statement) -> str:
+    """Return the measured value with its deviation and unit, and the expected range; empty without a value."""
+    if math.isnan(statement.measured):
         return ""
-    unit = "" if each.units == "1" else f" {each.units}"
-    deviation = "" if math.isnan(each.std) else f" ± {number(each.std, each.std)}"
-    shown = number(each.measured, each.std) if each.std > 0.0 else f"{each.measured:.4g}"
-    low, high = (f"{end:.4g}" for end in (each.low, each.high))
-    if math.isnan(each.low):
-        return f"{shown}{deviation}{unit}"
-    return f"{shown}{deviation}{unit}, expected {f'above {low}' if math.isnan(each.high) else f'{low} to {high}'}{unit}"
+    unit = "" if statement.units == "1" else f" {statement.units}"
+    deviation = "" if math.isnan(statement.std) else f" ± {number(statement.std, statement.std)}"
+    value = number(statement.measured, statement.std) if statement.std > 0.0 else f"{statement.measured:.4g}"
+    measurement = f"{value}{deviation}{unit}"
+    if math.isnan(statement.low):
+        return measurement
+    expected = (
+        f"above {statement.low:.4g}" if math.isnan(statement.high) else f"{statement.low:.4g} to {statement.high:.4g}"
+    )
+    return f"{measurement}, expected {expected}{unit}"

@@ -1,4 +1,4 @@
-"""Campaigns in the terminal: the plan before it begins, and how far it is."""
+"""Campaigns in the terminal: the plan of a campaign, and the state of its runs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from leactl.runner.dry_run import Preview
 
 
 def demands(expected: Preview) -> dict[str, Any]:
-    """Return duration, largest setpoints and winding temperatures of a run, from ambient, as JSON takes them."""
+    """Return duration, largest setpoints and winding temperatures of a run that starts at ambient, as a JSON object."""
     return {
         "duration_s": round(expected.duration_s, 3),
         "peaks": peaks(expected.plan),
@@ -18,7 +18,7 @@ def demands(expected: Preview) -> dict[str, Any]:
 
 
 def plan_text(title: str, body: Mapping[str, Any]) -> str:
-    """Return every run in order with its demands, a line before each change of what is mounted, and the time in all.
+    """Return a line for each run with its demands, a line before each change of the mounted parts, and the total time.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
 
 
 def _columns(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """A run's step with its protocol where that is named otherwise, its largest setpoints, and its hottest windings."""
+    """Return texts on a run: its step, with the protocol if its name differs, its largest setpoints, its windings."""
     step, protocol = row["step"], row["protocol"]
     largest = ", ".join(f"{peak['role']} {peak['value']:.4g} {peak['unit']}" for peak in row["peaks"])
     windings = ", ".join(f"{role} {value:.0f}" for role, value in row["hottest_degC"].items())
@@ -53,7 +53,7 @@ def _columns(row: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def campaign_state_text(body: Mapping[str, Any]) -> str:
-    """Return a line for each run of a campaign with its file or state, and a line for everything that is wrong.
+    """Return a line for each run of a campaign with its file or state, and a line for each problem.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Charts for pages: curves are SVG stretched to any width, labels are HTML beside it and keep their size.
+"""Charts for pages: curves are SVG that stretches to any width, labels are HTML around it and keep their size.
 
-All coordinates are worked out here; `parts.html` of the templates writes the elements.
+All coordinates are computed here; the template `parts.html` writes the elements.
 """
 
 import math
@@ -35,8 +35,8 @@ class LineMarks:
     style: str
     x: Array
     y: Array
-    whole: bool = False  # connect all points, however far apart
-    labelled: bool = False  # its name stands on the line, and not in the legend
+    connected: bool = False  # connect all points, however far apart
+    labelled: bool = False  # print its name on the line and not in the legend
 
     def extent(self) -> tuple[Array, Array]:
         """Return all x and y values, which the axes have to contain."""
@@ -46,12 +46,13 @@ class LineMarks:
         """Return the path, interrupted where a value is not finite and where points are missing."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
-        follows_gap = steps > GAP_STEPS * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
-        for x_value, y_value, starts_anew in zip(self.x.tolist(), self.y.tolist(), follows_gap.tolist(), strict=True):
+        connected = self.connected or len(steps) <= 2
+        follows_gap = steps == np.inf if connected else steps > GAP_STEPS * np.nanmedian(steps)
+        for x_value, y_value, after_gap in zip(self.x.tolist(), self.y.tolist(), follows_gap.tolist(), strict=True):
             if not (math.isfinite(x_value) and math.isfinite(y_value)):
                 pen = "M"
                 continue
-            path.append(f"{'M' if starts_anew else pen}{across(x, x_value)} {down(y, y_value)}")
+            path.append(f"{'M' if after_gap else pen}{across(x, x_value)} {down(y, y_value)}")
             pen = "L"
         return [SvgPath("".join(path), f"curve {self.style}")]
 
@@ -77,10 +78,10 @@ class PointMarks:
         ends is 0.1 long.
         """
         stroke = "h0.1" if "square" in self.style.split() else "h0"
-        pairs = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
-        d = "".join(f"M{across(x, a)} {down(y, b)}{stroke}" for a, b in pairs)
-        hole = [SvgPath(d, "marks hole")] if "ring" in self.style.split() else []
-        return [SvgPath(d, f"marks {self.style}"), *hole]
+        points = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
+        commands = "".join(f"M{across(x, x_value)} {down(y, y_value)}{stroke}" for x_value, y_value in points)
+        hole = [SvgPath(commands, "marks hole")] if "ring" in self.style.split() else []
+        return [SvgPath(commands, f"marks {self.style}"), *hole]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +102,10 @@ class Bins:
     def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return two paths: the bars, and the strokes over them."""
         bars, strokes = [], []
-        for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
-            start, end = across(x, a), across(x, b)
-            bars.append(f"M{start} {down(y, mean - std)}H{end}V{down(y, mean + std)}H{start}Z")
-            strokes.append(f"M{start} {down(y, mean)}H{end}")
+        for low, high, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
+            left, right = across(x, low), across(x, high)
+            bars.append(f"M{left} {down(y, mean - std)}H{right}V{down(y, mean + std)}H{left}Z")
+            strokes.append(f"M{left} {down(y, mean)}H{right}")
         return [SvgPath("".join(bars), f"area {self.style}"), SvgPath("".join(strokes), f"curve {self.style}")]
 
 
@@ -116,10 +117,10 @@ class AxisRange:
     style: str
     low: float
     high: float
-    upright: bool = True  # a part of x; else of y
+    upright: bool = True  # a range of x; else of y
 
     def extent(self) -> tuple[Array, Array]:
-        """Return both ends of a part of y, which the axis has to contain; a part of x is cut at the axes instead."""
+        """Return both ends of a range of y, which the axis has to contain; a range of x is cut at the axes instead."""
         return np.empty(0), np.empty(0) if self.upright else np.asarray([self.low, self.high])
 
     def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
@@ -146,18 +147,21 @@ class Area:
 
     def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
         """Return one path of all polygons."""
-        rings = ["L".join(f"{across(x, a)} {down(y, b)}" for a, b in polygon) for polygon in self.polygons]
+        rings = [
+            "L".join(f"{across(x, x_value)} {down(y, y_value)}" for x_value, y_value in polygon)
+            for polygon in self.polygons
+        ]
         return [SvgPath("".join(f"M{ring}Z" for ring in rings), f"band {self.style}")]
 
 
 Layer = LineMarks | PointMarks | Bins | AxisRange | Area
 Key = tuple[str, str]  # of a legend: style and name
-Tick = tuple[str, str]  # where on the axis its text stands, and the text
+Tick = tuple[str, str]  # position on the axis in percent, and text
 NO_CURVE = LineMarks("", "", np.empty(0), np.empty(0))
 
 
 class LineLabel(NamedTuple):
-    """The name of a line and the place on the line where it stands."""
+    """The name of a line, and its position in the chart in percent."""
 
     text: str
     left: str
@@ -166,17 +170,17 @@ class LineLabel(NamedTuple):
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart with its coordinates worked out, as its template takes it."""
+    """A chart with computed coordinates, as its template takes it."""
 
     keys: Sequence[Key]
     x_ticks: Sequence[Tick]
     x_label: str
     y_ticks: Sequence[Tick]
     y_label: str
-    x_ends: str  # in the quantity's units
+    x_ends: str  # both ends of the axis, in the quantity's units
     y_ends: str
     description: str
-    paths: Sequence[SvgPath]  # in the order in which they are drawn over each other
+    paths: Sequence[SvgPath]  # the lowest first
     labels: Sequence[LineLabel]
 
 
@@ -192,7 +196,7 @@ def chart(
     layers: Sequence[Layer],
     x_label: str,
     y_label: str,
-    beside: Sequence[Layer] = (),
+    included_in_axes: Sequence[Layer] = (),
     keys: Sequence[Key] = (),
     x_log: bool = False,
 ) -> Chart:
@@ -200,23 +204,26 @@ def chart(
 
     Parameters
     ----------
-    beside : layers of another chart, which the axes contain too.
+    included_in_axes : layers that are not drawn, such as those of a neighbouring chart, which the axes contain too.
     keys : style and name of each entry of the legend; by default those of the layers, each name once.
     """
-    extents = [layer.extent() for layer in (*layers, *beside)]
+    extents = [layer.extent() for layer in (*layers, *included_in_axes)]
     x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])
     if not keys:
-        unnamed = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
-        style_of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
+        legend_layers = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
+        # reversed, so that the first layer of a name has the key
+        style_of_name = {layer.name: layer.style for layer in reversed(legend_layers)}
         keys = [(style_of_name[name], name) for name in reversed(style_of_name)]
     x_ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): tick_text(value, text) for value, text in y.ticks.items()}
-    grid = "".join([*(f"M{at} 0V{DRAWING_SIZE:g}" for at in x_ticks), *(f"M0 {at}H{DRAWING_SIZE:g}" for at in y_ticks)])
+    vertical_lines = [f"M{position} 0V{DRAWING_SIZE:g}" for position in x_ticks]
+    horizontal_lines = [f"M0 {position}H{DRAWING_SIZE:g}" for position in y_ticks]
+    grid = "".join([*vertical_lines, *horizontal_lines])
     return Chart(
         keys=keys,
-        x_ticks=[(percent(at), text) for at, text in x_ticks.items()],
+        x_ticks=[(percent(position), text) for position, text in x_ticks.items()],
         x_label=x_label,
-        y_ticks=[(percent(at), text) for at, text in y_ticks.items()],
+        y_ticks=[(percent(position), text) for position, text in y_ticks.items()],
         y_label=y_label,
         x_ends=f"{x.low:.12g} {x.high:.12g}",
         y_ends=f"{y.low:.12g} {y.high:.12g}",
@@ -241,7 +248,7 @@ def labels_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[L
 
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
-    """Return an axis over all finite values; a logarithmic axis is over those above zero."""
+    """Return an axis over all finite values, of which a logarithmic axis takes those above zero."""
     pooled = np.concatenate(values)
     finite = pooled[np.isfinite(pooled) & ((pooled > 0.0) | (not log))]
     return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)

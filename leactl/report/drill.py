@@ -1,4 +1,4 @@
-"""A drill as text before and after it, as a page of Markdown, and its progress with the time that is left."""
+"""A planned or finished drill as text, a finished one as Markdown, and the progress of a drill on the terminal."""
 
 import io
 import sys
@@ -17,7 +17,7 @@ from leactl.runner.drill.finding import Drilled, DrillFinding, PlannedDrill, Tel
 
 NARROWEST = 72
 WIDEST = 160  # characters: the longest reason then stands on two lines
-LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault, of a device and what became of it
+LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault's name, of the final state of the devices
 VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
 
 
@@ -43,17 +43,15 @@ def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     buffer = io.StringIO()
     Console(file=buffer, width=width, color_system=None, markup=False, highlight=False, emoji=False).print(table)
     lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
-    lines += ["", *(wrapped("NOT AS IT OUGHT:", [text], width) for text in _wrong(drilled))]
+    lines += ["", *(wrapped("NOT AS IT OUGHT:", [text], width) for text in _failures(drilled))]
     lines += [wrapped("note:", [text], width) for text in _notes(drilled)]
-    lines += [
-        wrapped("not rehearsed:", [f"{name_width}: {why}"], width) for name_width, why in drilled.left_out.items()
-    ]
+    lines += [wrapped("not rehearsed:", [f"{name}: {reason}"], width) for name, reason in drilled.left_out.items()]
     lines.append(wrapped(summary(drilled), [], width))
     return encodable("\n".join(lines) + "\n", encoding)
 
 
 def planned_body(planned: PlannedDrill) -> dict[str, Any]:
-    """Return what a drill would do now as JSON takes it: each rehearsal with its longest duration and peak demands."""
+    """Return a planned drill as a JSON object: each rehearsal with its longest duration and peak demands."""
     return {
         "bench": planned.bench,
         "emulated": planned.emulated,
@@ -68,12 +66,12 @@ def planned_body(planned: PlannedDrill) -> dict[str, Any]:
             }
             for rehearsal in planned.rehearsals
         ],
-        "not_rehearsed": [{"name": name, "why": why} for name, why in planned.left_out.items()],
+        "not_rehearsed": [{"name": name, "why": reason} for name, reason in planned.left_out.items()],
     }
 
 
 def planned_text(body: Mapping[str, Any]) -> str:
-    """Return what a drill would do now as text.
+    """Return a planned drill as text.
 
     Parameters
     ----------
@@ -98,20 +96,20 @@ def markdown(drilled: Drilled) -> str:
     for finding in drilled.findings:
         cells = ["ok" if finding.held else "**NOT**", *_cells(finding)]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    lines += ["", *(f"- not as it ought: {text}" for text in _wrong(drilled))]
+    lines += ["", *(f"- not as it ought: {text}" for text in _failures(drilled))]
     lines += [f"- {text}" for text in _notes(drilled)]
-    lines += [f"- not rehearsed: {name}: {why}" for name, why in drilled.left_out.items()]
+    lines += [f"- not rehearsed: {name}: {reason}" for name, reason in drilled.left_out.items()]
     return "\n".join(lines) + "\n"
 
 
 def summary(drilled: Drilled) -> str:
     """Return how many faults were rehearsed and how many ended as they ought to."""
-    held = sum(finding.held for finding in drilled.findings)
+    passed = sum(finding.held for finding in drilled.findings)
     kind = "emulated" if drilled.emulated else "real or served"
-    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {held} ended as they ought to"
+    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {passed} ended as they ought to"
 
 
-def _wrong(drilled: Drilled) -> list[str]:
+def _failures(drilled: Drilled) -> list[str]:
     return [f"{_name(finding)}: {'; '.join(finding.faults)}" for finding in drilled.findings if not finding.held]
 
 
@@ -120,55 +118,59 @@ def _notes(drilled: Drilled) -> list[str]:
 
 
 def _name(finding: DrillFinding) -> str:
+    """Return a fault's name, the device that it acts on, and its parameters."""
     parameters = [
-        f"{name} {value:g}" if isinstance(value, float) else f"0x{value:X}" if name == "code" else _word(name, value)
+        f"{name} {value:g}" if isinstance(value, float) else f"0x{value:X}" if name == "code" else _flag(name, value)
         for name, value in finding.parameters.items()
         if name != "unit"
     ]
     return " ".join(filter(None, (finding.name, finding.on, *parameters)))
 
 
-def _word(name: str, value: object) -> str:
+def _flag(name: str, value: object) -> str:
+    """Return the name of a parameter that is true, else its value."""
     return name if value is True else str(value)
 
 
 def _cells(finding: DrillFinding) -> tuple[str, ...]:
+    """Return the cells of a fault's row after its verdict."""
     return (
         _name(finding),
         finding.reason or finding.status,
         "" if finding.ended_s is None else f"{finding.ended_s:.2f}",
         "" if finding.zero_torque_s is None else f"{finding.zero_torque_s:.2f}",
-        _end(finding),
+        _final_state(finding),
     )
 
 
-def _end(finding: DrillFinding) -> str:
-    powered = [name for name, end in finding.devices.items() if end.without_power is False]
-    doubtful = [name for name, end in finding.devices.items() if not end.confirmed and name not in powered]
+def _final_state(finding: DrillFinding) -> str:
+    """Return the devices that have power, and those whose safe state is not confirmed; else `safe`."""
+    powered = [name for name, state in finding.devices.items() if state.without_power is False]
+    doubtful = [name for name, state in finding.devices.items() if not state.confirmed and name not in powered]
     off = "off, " if finding.zero_torque_s is not None else ""
-    parts = [f"{', '.join(powered)} HAS POWER"] if powered else []
-    parts += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
-    return "; ".join(parts) or "safe"
+    texts = [f"{', '.join(powered)} HAS POWER"] if powered else []
+    texts += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
+    return "; ".join(texts) or "safe"
 
 
 @contextmanager
 def progress(console: Console | None = None) -> Iterator[Tell]:
     """Show which fault is rehearsed and the remaining time: one line on a terminal, plain lines anywhere else."""
     console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
-    began = time.monotonic()
+    start = time.monotonic()
     if not console.is_terminal:
 
-        def tell(what: str, done: int, count: int) -> None:
-            remaining = f", about {(time.monotonic() - began) / done * (count - done):.0f} s left" if done else ""
-            print(f"{done + 1} of {count}: {what}{remaining}", file=console.file, flush=True)
+        def print_line(rehearsal: str, done: int, count: int) -> None:
+            remaining = f", about {(time.monotonic() - start) / done * (count - done):.0f} s left" if done else ""
+            print(f"{done + 1} of {count}: {rehearsal}{remaining}", file=console.file, flush=True)
 
-        yield tell
+        yield print_line
         return
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, refresh_per_second=4) as shown:
-        task: TaskID = shown.add_task("")
+    with Progress(*columns, console=console, transient=True, refresh_per_second=4) as bar:
+        task: TaskID = bar.add_task("")
 
-        def advance(what: str, done: int, count: int) -> None:
-            shown.update(task, description=f"{done + 1} of {count}: {what}", completed=done, total=count)
+        def advance(rehearsal: str, done: int, count: int) -> None:
+            bar.update(task, description=f"{done + 1} of {count}: {rehearsal}", completed=done, total=count)
 
         yield advance

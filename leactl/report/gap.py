@@ -1,4 +1,4 @@
-"""A diagnosis as text: verdict, causes, how far the gap shrinks, where it sits, calibration, notes."""
+"""A diagnosis as text: verdict, causes, reduction of the gap, regions with the largest gaps, calibration, notes."""
 
 import sys
 import textwrap
@@ -78,28 +78,30 @@ def verdict_part(answer: DiagnosisResult, width: int) -> str:
 
 
 def simulator_part(answer: DiagnosisResult, width: int) -> str:
-    """Return what a simulator that stands for the model contains and leaves over; empty where there is none."""
-    nominal = answer.simulator
-    if nominal is None:
+    """Return the contents of a simulator that stands for the model, and its floors; empty without such a simulator."""
+    simulator = answer.simulator
+    if simulator is None:
         return ""
-    sentences = [
-        filled(verdict_sentence, width) for verdict_sentence in simulator_sentences(nominal, claimed_effects(answer))
-    ]
-    return "\n\n".join(
-        ["\n".join(sentences), *(table(*headings_and_rows, width) for headings_and_rows in simulator_tables(nominal))]
-    )
+    sentences = [filled(sentence, width) for sentence in simulator_sentences(simulator, claimed_effects(answer))]
+    tables = [table(headings, rows, width) for headings, rows in simulator_tables(simulator)]
+    return "\n\n".join(["\n".join(sentences), *tables])
 
 
 def unexplained_part(answer: DiagnosisResult, width: int) -> str:
-    """Return what the unexplained rest depends on, the effects that come near, and the experiment that would decide."""
-    rest = answer.unexplained
-    if rest is None:
+    """Return the variables that the unexplained residual depends on, the nearest effects, and the deciding experiment.
+
+    The text is empty if nothing is unexplained.
+    """
+    residual = answer.unexplained
+    if residual is None:
         return ""
-    lines = [filled(f"not explained: {rest_channel(rest)}", width), filled(rest_words(rest), width, 2)]
-    lines += [filled(f"over {variable_words(picture)}: {picture_words(picture)}", width, 2) for picture in rest.shapes]
-    lines += [filled(f"near: {refusal_words(near)}", width, 2) for near in rest.nearest]
-    if rest.experiment:
-        lines.append(filled(f"to decide: leactl run {rest.experiment}", width, 2))
+    lines = [filled(f"not explained: {rest_channel(residual)}", width), filled(rest_words(residual), width, 2)]
+    lines += [
+        filled(f"over {variable_words(picture)}: {picture_words(picture)}", width, 2) for picture in residual.shapes
+    ]
+    lines += [filled(f"near: {refusal_words(near)}", width, 2) for near in residual.nearest]
+    if residual.experiment:
+        lines.append(filled(f"to decide: leactl run {residual.experiment}", width, 2))
     return "\n".join(lines)
 
 
@@ -189,30 +191,31 @@ def calibration_part(answer: DiagnosisResult, width: int) -> str:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, droppable: int | None = None) -> str:
-    """Return aligned columns; where they are too wide, column `droppable` goes, then last cells move to the next line.
+    """Return rows under headings in aligned columns.
 
-    Where that is still too wide, each row becomes its name and, below it, a list of headings and cells.
+    If they are too wide, the column `droppable` is left out and last cells move to the next line. If that is still too
+    wide, each row becomes its name and, below it, a list of headings and cells.
     """
-    whole = aligned(headings, rows)
-    if widest(whole) <= width:
-        return whole
-    kept = [k for k in range(len(headings)) if k != droppable]
-    headings, rows = [headings[k] for k in kept], [[row[k] for k in kept] for row in rows]
+    full_table = aligned(headings, rows)
+    if widest(full_table) <= width:
+        return full_table
+    columns = [column for column in range(len(headings)) if column != droppable]
+    headings, rows = [headings[column] for column in columns], [[row[column] for column in columns] for row in rows]
     without_last = aligned([*headings[:-1], ""], [[*row[:-1], ""] for row in rows]).splitlines()
     last_cells = [headings[-1], *(row[-1] for row in rows)]
     start = max(map(len, without_last)) + 2
     if start + len(headings[-1]) <= width and max(map(len, last_cells)) + 4 <= width:
         same_line, next_line = "{0:{1}}{2}", "{0}\n    {2}"
         joined = (
-            (same_line if start + len(last) <= width else next_line).format(line, start, last)
-            for line, last in zip(without_last, last_cells, strict=True)
+            (same_line if start + len(last_cell) <= width else next_line).format(line, start, last_cell)
+            for line, last_cell in zip(without_last, last_cells, strict=True)
         )
         return "\n".join(line.rstrip() for line in joined)
     lines = [headings[0]]
     for row in rows:
         pairs = [f"{heading} {cell}".strip() for heading, cell in zip(headings[1:], row[1:], strict=True) if cell]
-        whole = ", ".join(pair.replace(" ", NO_BREAK) if len(pair) < width - 8 else pair for pair in pairs)
-        lines += [f"  {row[0]}", filled(whole, width, 4).replace(NO_BREAK, " ")]
+        text = ", ".join(pair.replace(" ", NO_BREAK) if len(pair) < width - 8 else pair for pair in pairs)
+        lines += [f"  {row[0]}", filled(text, width, 4).replace(NO_BREAK, " ")]
     return "\n".join(lines)
 
 
@@ -222,8 +225,12 @@ def widest(text: str) -> int:
 
 
 def filled(text: str, width: int, indent: int = 0) -> str:
-    """Wrap a text to a width; long words such as paths stay whole."""
-    first, later = " " * indent, " " * (indent + 2)
+    """Wrap a text to a width, with `indent` spaces before it; long words such as paths stay whole."""
     return textwrap.fill(
-        text, width, initial_indent=first, subsequent_indent=later, break_long_words=False, break_on_hyphens=False
+        text,
+        width,
+        initial_indent=" " * indent,
+        subsequent_indent=" " * (indent + 2),
+        break_long_words=False,
+        break_on_hyphens=False,
     )

@@ -1,4 +1,4 @@
-"""The planted effect of a demonstration beside the effects that were named, as text, as JSON and for the page."""
+"""Comparison of a demonstration's planted effect with the named effects, as text, as JSON and for the page."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,18 +57,17 @@ def verdict(demonstration: Demonstration) -> str:
     """Return one sentence that says what was planted and what was named."""
     planted = f"Planted, at {demonstration.strength} strength: {demonstration.planted}"
     if demonstration.cause is None:
-        others = enumerated([cause.effect for cause in demonstration.others])
-        return f"{planted}. Missed: {f'named was {others}' if others else 'nothing was named'}."
+        named = enumerated([cause.effect for cause in demonstration.others])
+        return f"{planted}. Missed: {f'named was {named}' if named else 'nothing was named'}."
     chance = probability_text(demonstration.cause.probability)
     if not demonstration.others:
         return f"{planted}. Named: {demonstration.planted}, with a probability {_of(chance)}, and nothing else."
-    indistinguishable = [
-        c.effect for c in demonstration.others if c.effect in demonstration.cause.indistinguishable_from
-    ]
-    further = [c.effect for c in demonstration.others if c.effect not in demonstration.cause.indistinguishable_from]
+    similar = demonstration.cause.indistinguishable_from
+    indistinguishable = [cause.effect for cause in demonstration.others if cause.effect in similar]
+    further = [cause.effect for cause in demonstration.others if cause.effect not in similar]
     confused = f", which these runs cannot tell from {enumerated(indistinguishable)}" if indistinguishable else ""
-    beside = f"; named beside it, though not planted: {enumerated(further)}" if further else ""
-    return f"{planted}. Named: {demonstration.planted}{confused}, with a probability {_of(chance)}{beside}."
+    also_named = f"; named beside it, though not planted: {enumerated(further)}" if further else ""
+    return f"{planted}. Named: {demonstration.planted}{confused}, with a probability {_of(chance)}{also_named}."
 
 
 def _of(chance: str) -> str:

@@ -75,9 +75,9 @@ def effect_cards(answer: DiagnosisResult) -> list[Card]:
     ]
 
 
-def rest_cards(rest: Rest) -> list[Card]:
-    """Return a card for each variable that an unexplained rest depends on."""
-    return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in rest.shapes]
+def rest_cards(residual: Rest) -> list[Card]:
+    """Return a card for each variable that an unexplained residual depends on."""
+    return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in residual.shapes]
 
 
 def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Card:
@@ -89,8 +89,8 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
         mean = np.asarray([getattr(each_bin, model) for each_bin in drawn_bins])
         spread = np.asarray([getattr(each_bin, f"{model}_high") - getattr(each_bin, model) for each_bin in drawn_bins])
         layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
-    ends = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
-    layers.append(LineMarks("", "zero", ends, np.zeros(len(ends)), whole=True))
+    zero_line = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
+    layers.append(LineMarks("", "zero", zero_line, np.zeros(len(zero_line)), connected=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
     over = with_units(variable_words(picture), picture.variable_units)
     drawn = chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
@@ -98,7 +98,7 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
 
 
 def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Return name and legend of two models: around the effects, or around the calibration where no effect is added."""
+    """Return name and legend of two models: without and with the effects, else before and after calibration."""
     before, after = ("calibrated", "augmented") if effects else ("nominal", "calibrated")
     return (before, f"before ({before})"), (after, f"after ({after})")
 
@@ -106,8 +106,8 @@ def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
 def trace_figure(trace: Trace) -> CaptionedChart:
     """Return a chart of the measured and the simulated channel over a part of one run."""
     layers: list[Layer] = [LineMarks("measured", "measured", trace.time, trace.measured)]
-    both = compared_models(not np.array_equal(trace.calibrated, trace.augmented))
-    layers += [LineMarks(words, name, trace.time, getattr(trace, name)) for name, words in both]
+    models = compared_models(not np.array_equal(trace.calibrated, trace.augmented))
+    layers += [LineMarks(label, name, trace.time, getattr(trace, name)) for name, label in models]
     caption = f"Measured and simulated where the calibrated model is farthest off, {trace.run}"
     return CaptionedChart(caption, chart(layers, "time [s]", with_units(trace.quantity, trace.units)))
 
@@ -117,12 +117,12 @@ def profile_figure(profile: Profile, channel: Where) -> CaptionedChart:
     layers: list[Layer] = []
     if channel.region is not None:
         layers.append(AxisRange("region", "region", channel.region.low, channel.region.high))
-    for name, words in compared_models(not np.array_equal(profile.mean[1], profile.mean[2])):
+    for name, label in compared_models(not np.array_equal(profile.mean[1], profile.mean[2])):
         row = MODELS.index(name)
-        layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
+        layers.append(Bins(label, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
     layers.append(AxisRange("± floor", "floor", -channel.floor_rms, channel.floor_rms, upright=False))
-    where = region_text(channel.region, channel.share)
-    caption = f"Measured minus simulated: mean ± standard deviation in each bin; {where}"
+    region = region_text(channel.region, channel.share)
+    caption = f"Measured minus simulated: mean ± standard deviation in each bin; {region}"
     drawn = chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]")
     return CaptionedChart(caption, drawn)
 

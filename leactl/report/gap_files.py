@@ -1,4 +1,4 @@
-"""A diagnosis as files: JSON, a page, and an augmented model."""
+"""Output files of a diagnosis: JSON, a page, and an augmented model."""
 
 import json
 import sys
@@ -55,10 +55,10 @@ class Outputs:
 
 
 def publish(path: Path, text: str) -> None:
-    """Write a text file by replacing it at once; an interrupted write leaves no part behind."""
-    beside = path.with_name(f".{path.name}.part")
+    """Write a text file and replace an earlier one atomically; an interrupted write leaves no partial file behind."""
+    partial_file = path.with_name(f".{path.name}.part")
     try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
+        partial_file.write_text(text, encoding="utf-8")
+        partial_file.replace(path)
     finally:
-        beside.unlink(missing_ok=True)
+        partial_file.unlink(missing_ok=True)

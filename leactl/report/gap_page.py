@@ -54,7 +54,7 @@ def page(answer: DiagnosisResult) -> str:
 
 
 def content(answer: DiagnosisResult) -> dict[str, Any]:
-    """Return what the template `gap.html` shows of a diagnosis."""
+    """Return the variables of the template `gap.html` for a diagnosis."""
     model, empty = answer.extra.get("augmented"), closes_nothing(answer)
     return {
         "of_model": f": {model.name}" if model is not None else "",
@@ -92,7 +92,7 @@ def headline_facts(answer: DiagnosisResult) -> list[str]:
 
 
 def cause_content(cause: Cause, closes_no_gap: bool) -> dict[str, Any]:
-    """Return a cause's bar, meaning, parameters and similar effects, and what mends it or tells it apart."""
+    """Return a cause's bar, meaning, parameters, similar effects, remedy and separating experiment."""
     probability = min(max(cause.probability, 0.0), 1.0) if math.isfinite(cause.probability) else 0.0
     return {
         "effect": cause.effect,
@@ -110,7 +110,7 @@ def cause_content(cause: Cause, closes_no_gap: bool) -> dict[str, Any]:
 
 
 def simulator_content(simulator: SimulatorAnswer, beyond: Sequence[str]) -> dict[str, Any]:
-    """Return what a simulator that stands for the model contains and leaves over, and which runs are its."""
+    """Return the contents and floors of a simulator that stands for the model, and its runs with the real ones."""
     return {
         "summary": " ".join(simulator_sentences(simulator, beyond)),
         "tables": simulator_tables(simulator),
@@ -118,14 +118,14 @@ def simulator_content(simulator: SimulatorAnswer, beyond: Sequence[str]) -> dict
     }
 
 
-def rest_content(rest: Rest) -> dict[str, Any]:
-    """Return what the unexplained rest depends on, the effects that come near, and the experiment that would decide."""
+def rest_content(residual: Rest) -> dict[str, Any]:
+    """Return the dependences of the unexplained residual, the nearest effects, and the deciding experiment."""
     return {
-        "channel": rest_channel(rest),
-        "words": rest_words(rest),
-        "nearest": rest.nearest,
-        "experiment": rest.experiment,
-        "cards": rest_cards(rest),
+        "channel": rest_channel(residual),
+        "words": rest_words(residual),
+        "nearest": residual.nearest,
+        "experiment": residual.experiment,
+        "cards": rest_cards(residual),
     }
 
 

@@ -54,7 +54,7 @@ def verdict_sentence(answer: DiagnosisResult) -> str:
 
 
 def claimed_faults(answer: DiagnosisResult) -> list[str]:
-    """Return the faults of the set-up that are said to act; everything else in an answer is of the runs once mended."""
+    """Return the faults of the set-up that are said to act; the rest of an answer is about the runs without them."""
     return claimed_causes([cause for cause in answer.causes if cause.family == "setup"])
 
 
@@ -91,7 +91,9 @@ def effect_meaning(effect: str) -> str:
 def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel | SimulatorFloor]) -> str:
     """Return a channel's name, with its role where `channels` has the same quantity and set-up of another role."""
     roles = {
-        other.role for other in channels if (other.quantity, other.mechanical) == (channel.quantity, channel.mechanical)
+        candidate.role
+        for candidate in channels
+        if (candidate.quantity, candidate.mechanical) == (channel.quantity, channel.mechanical)
     }
     return ", ".join(filter(None, [channel.quantity, channel.mechanical, channel.role if len(roles) > 1 else ""]))
 
@@ -125,11 +127,11 @@ def closes_nothing(answer: DiagnosisResult) -> bool:
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:
-    """Return how many channels have no gap, and how many of these owe it to calibration."""
+    """Return a text on how many channels have no gap, and how many of these have none because of calibration."""
     at_floor = sum(not open_gap(channel) for channel in channels)
     by_calibration = len(closed_by_calibration(channels))
-    owed = f", {by_calibration} of them by calibration" if by_calibration else ""
-    return f"{at_floor} of {len(channels)} channels are within 1.1 times their floor{owed}"
+    suffix = f", {by_calibration} of them by calibration" if by_calibration else ""
+    return f"{at_floor} of {len(channels)} channels are within 1.1 times their floor{suffix}"
 
 
 def three_digits(value: float) -> str:
@@ -153,7 +155,7 @@ def with_std(value: float, std: float, units: str = "") -> str:
 
 
 def bare_units(units: str) -> str:
-    """Return units as they stand behind a number: none for a ratio."""
+    """Return units as they are printed behind a number: an empty text for a ratio."""
     return "" if units == "1" else units
 
 
@@ -163,7 +165,7 @@ def parameter_text(parameter: EffectParameter) -> str:
 
 
 def change_text(parameter: CalibratedParameter) -> str:
-    """Return how far calibration moved a parameter, in percent; empty for one of which no ratio says that."""
+    """Return the change of a parameter by calibration, in percent; empty if a ratio has no meaning for it."""
     if parameter.not_told_by_these_runs:
         return "not told by these runs"
     if not (parameter.has_ratio and math.isfinite(parameter.fitted)):
@@ -213,7 +215,7 @@ def multiple_of_floor(channel: Channel) -> str:
 
 
 def after_calibration(channel: Channel, floor: str) -> str:
-    """Return how far the calibrated model stands off a channel, as a multiple of a floor of this name."""
+    """Return a text with the calibrated gap as a multiple of the channel's floor, which is called `floor`."""
     return f"{multiple_of_floor(channel)} its {floor} after calibration" if channel.floor_rms > 0.0 else "no floor"
 
 
@@ -222,8 +224,8 @@ def region_text(region: Region | None, share: float) -> str:
     if region is None:
         return "no narrow region"
     if region.variable == "direction":
-        word = "forward" if region.low >= 0.0 else "backward" if region.high <= 0.0 else "of both signs"
-        return f"direction {word}, {percent_text(share)}"
+        direction = "forward" if region.low >= 0.0 else "backward" if region.high <= 0.0 else "of both signs"
+        return f"direction {direction}, {percent_text(share)}"
     span = f"{three_digits(region.low)} to {three_digits(region.high)} {bare_units(region.units)}".rstrip()
     folded = " within a turn" if region.within_turn else ""
     return f"{region.variable}{folded} {span}, {percent_text(share)}"
@@ -244,7 +246,7 @@ def residual_words(picture: Picture) -> str:
 
 
 def picture_words(picture: Picture) -> str:
-    """Return a picture's RMS before and after, and in how many bins the mean is off zero."""
+    """Return a text with a picture's RMS before and after, and the numbers of bins whose mean differs from zero."""
     units, bins = bare_units(picture.units), len(picture.bins)
     rms = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
     off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
@@ -252,29 +254,30 @@ def picture_words(picture: Picture) -> str:
     return f"{rms} (RMS of {bins} means); {off_zero}{alone}"
 
 
-def rest_channel(rest: Rest) -> str:
-    """Return the channel of an unexplained rest and its equation."""
-    return f"{rest.quantity}, {rest.mechanical} ({rest.equation})"
+def rest_channel(residual: Rest) -> str:
+    """Return the channel of an unexplained residual and its equation."""
+    return f"{residual.quantity}, {residual.mechanical} ({residual.equation})"
 
 
-def rest_words(rest: Rest) -> str:
-    """Return what an unexplained rest depends on, and the share that a free function of the state closes."""
-    if rest.closable is None:
+def rest_words(residual: Rest) -> str:
+    """Return a text on the variables of an unexplained residual, and the share that a free function of them closes."""
+    if residual.closable is None:
         return "held-out runs leave no gap beyond noise there"
-    labels = {name: shown.label for name, shown in VARIABLES.items()} | {"angle": "angle within a turn"}  # by waves
-    state, share = [labels[name] for name in rest.depends_on if name != TIME], percent_text(rest.closable)
-    repeats = None if rest.repeats_Hz is None else f"repeats in time, {rest.repeats_Hz:.4g} times a second"
+    # the free function of an angle is periodic in a turn
+    labels = {name: variable.label for name, variable in VARIABLES.items()} | {"angle": "angle within a turn"}
+    state, share = [labels[name] for name in residual.depends_on if name != TIME], percent_text(residual.closable)
+    repeats = None if residual.repeats_Hz is None else f"repeats in time, {residual.repeats_Hz:.4g} times a second"
     if state:
-        changes = f"; what that leaves {repeats or 'changes slowly with time'}" if TIME in rest.depends_on else ""
-        return f"it follows {enumerated(state)}: a free function closes {share} of the gap on held-out runs{changes}"
+        suffix = f"; what that leaves {repeats or 'changes slowly with time'}" if TIME in residual.depends_on else ""
+        return f"it follows {enumerated(state)}: a free function closes {share} of the gap on held-out runs{suffix}"
     closes = f"a free function of the logged state closes {share} of the gap on held-out runs"
     if repeats:
         return f"it {repeats}, whatever the state is; {closes}"
-    if TIME in rest.depends_on:
+    if TIME in residual.depends_on:
         return f"it changes slowly with time, each stretch of a run like its neighbours; {closes}"
     return f"it follows nothing that is logged, nor changes slowly with time; {closes}"
 
 
 def refusal_words(near: Near) -> str:
-    """Return why an effect that comes near is not named."""
+    """Return a text with a near effect and the reason why it is not named."""
     return f"{near.effect}, refused: {near.refused_because}"

@@ -145,8 +145,8 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
         below += [(text, "bold") for text in (progress.pause, progress.hint) if text]
     foot = [Text(line, style) for text, style in below for line in textwrap.wrap(_plain(text, encoding), across)]
     foot = foot[-height:]
-    step = _beside(progress.step or "starting", _how_far(progress), across, encoding)
-    title = _beside(progress.title, _so_far(progress), across, encoding, "bold")
+    step = _name_and_value(progress.step or "starting", _how_far(progress), across, encoding)
+    title = _name_and_value(progress.title, _so_far(progress), across, encoding, "bold")
     room = height - len(foot)
     head = [title, step, _bar(progress.share, min(across, WIDEST_BAR), encoding)] if room > 2 else [step][:room]
     return [*head, *_table(_values(progress), across, room - len(head), encoding), *foot]
@@ -168,7 +168,7 @@ def _bar(share: float, width: int, encoding: str) -> Text:
     return Text.assemble((done * filled, "green"), (open_ * (width - filled), "dim"))
 
 
-def _beside(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
+def _name_and_value(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
     """Return a line with a name at the left and a value at the right; the name is cut before the value is."""
     value = _plain(value, encoding)
     if cell_len(value) >= width:
@@ -197,7 +197,7 @@ def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: 
         return [*_table(cells[:shown], width, height - 1, encoding), more]
     lines = []
     for row in range(rows):
-        line = [_beside(name, value, across, encoding, "dim") for name, value in cells[row::rows]]
+        line = [_name_and_value(name, value, across, encoding, "dim") for name, value in cells[row::rows]]
         lines.append(Text("  ").join(line))
     return lines
 

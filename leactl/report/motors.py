@@ -1,4 +1,4 @@
-"""Motors side by side: figures that do not depend on the winding, torques that each carries, gaps in its file."""
+"""Comparison of motors: figures that do not depend on the winding, torques, and missing or contradictory values."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,9 +21,8 @@ from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
 PEAK_DURATION_S = 20.0  # as in the paper
-LONGEST_TIME_CONSTANT_S = (
-    0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
-)
+# inductance over resistance of real actuators is 0.1 to 20 ms; with an inductance in mH it is a thousand times that
+LONGEST_TIME_CONSTANT_S = 0.1
 SAME_CONSTANT_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
 
 
@@ -41,7 +40,7 @@ class ComparedMotor:
 
     sheet: MotorSheet
     carried: Nominal | None
-    lacks: tuple[str, ...]  # of what moving it takes
+    lacks: tuple[str, ...]  # keys that a motor which is to be moved needs
     conditions: OperatingConditions
 
 
@@ -138,10 +137,10 @@ def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
 
 
 def against_itself(sheet: MotorSheet) -> list[str]:
-    """Return a note for each two values of one file that contradict each other."""
+    """Return a note on each pair of values in one file that contradict each other."""
     contradictions = []
     torque, voltage = sheet.torque_constant, sheet.back_emf_constant
-    # what a winding takes of electrical power it gives as mechanical
+    # electrical power into the back-EMF is mechanical power, so both constants are equal
     if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > SAME_CONSTANT_WITHIN:
         contradictions.append(
             f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
@@ -159,13 +158,14 @@ def against_print(motor: ComparedMotor) -> list[str]:
     """Return a note for each printed figure of the source that does not follow from its other values."""
     sheet, printed = motor.sheet, motor.sheet.printed
     torques = continuous_torques(sheet, motor.conditions.ambient)
+    peak_torque = _carried(lambda currents: currents.peaks[0])
     pairs = [
         ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
         ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
         ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
         ("continuous current", "A", sheet.continuous_current, network_current(sheet, motor.conditions.ambient), 0.02),
         ("nominal torque", "N*m", printed.nominal_torque, torques.stated, 0.02),
-        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, _carried(lambda held: held.peaks[0])(motor), 0.02),
+        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, peak_torque(motor), 0.02),
     ]
     return [
         f"{quantity} printed as {printed_value:.3g} {units}, {derived:.3g} {units} here"
@@ -186,11 +186,11 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
-    """Return the figure that turns a current which the winding carries into torque [N*m]."""
+    """Return the function that computes a motor's torque [N*m] at one of the currents that its winding carries."""
 
     def torque(motor: ComparedMotor) -> float | None:
-        held = None if motor.carried is None else current(motor.carried)
-        return None if held is None or not math.isfinite(held) else _scaled(motor.sheet.torque_constant, held)
+        amperes = None if motor.carried is None else current(motor.carried)
+        return None if amperes is None or not math.isfinite(amperes) else _scaled(motor.sheet.torque_constant, amperes)
 
     return torque
 
@@ -273,9 +273,9 @@ FIGURES: list[Figure] = [
         "N*m/kg",
         lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).network_density,
     ),
-    ("standing_torque", "N*m", _carried(lambda held: held.standing)),
-    ("peak_torque_20_s", "N*m", _carried(lambda held: held.peaks[0])),
-    ("standing_peak_torque_20_s", "N*m", _carried(lambda held: held.standing_peaks[0])),
+    ("standing_torque", "N*m", _carried(lambda currents: currents.standing)),
+    ("peak_torque_20_s", "N*m", _carried(lambda currents: currents.peaks[0])),
+    ("standing_peak_torque_20_s", "N*m", _carried(lambda currents: currents.standing_peaks[0])),
     *_loop_rows("current", lambda sheet: sheet.control.current),
     *_loop_rows("position", lambda sheet: sheet.control.position),
 ]

@@ -47,7 +47,7 @@ def analysis_page(result: Result) -> str:
 
 def run_page(run: Run) -> str:
     """Return a page with the channels of a run, also of one whose file is closed by now."""
-    named = ("protocol", "actuator", "condition", "bench", "status", "status_reason")
+    attributes = ("protocol", "actuator", "condition", "bench", "status", "status_reason")
     rows = [
         [
             f"{stream}/{spec.name}",
@@ -61,7 +61,7 @@ def run_page(run: Run) -> str:
         for spec in specs
     ]
     headings = ["channel", "quantity", "role", "location", "units", "samples"]
-    about = ", ".join(filter(None, (str(run.attributes.get(name, "")) for name in named)))
+    about = ", ".join(filter(None, (str(run.attributes.get(name, "")) for name in attributes)))
     return _page(f"Run {run.path.name}", about, [("", headings, rows)])
 
 
@@ -99,7 +99,7 @@ def ending_page(
         rows = [[_judged(row), _number(row["value"]), _printed(row["units"]), _yes(row["met"])] for row in acceptance]
         tables.append(("Limits", ["limit on", "value", "units", "met"], rows))
     if safe:
-        rows = [[name, _yes(said.safe), said.detail] for name, said in safe.items()]
+        rows = [[name, _yes(confirmation.safe), confirmation.detail] for name, confirmation in safe.items()]
         tables.append(("Safe state", ["device", "confirmed", "what it answered"], rows))
     return _page(f"Run {run.name}", ending, tables, notes=notes)
 
@@ -115,9 +115,9 @@ def _page(
 
 
 def _judged(limit: Mapping[str, Any]) -> str:
-    """Return what a limit is on: a result, a bisection, or a statistic of a channel in a step."""
-    words = (limit.get(key, "") for key in ("result", "bisect", "statistic", "channel", "role", "step"))
-    return " ".join(plain(str(word)) for word in words if word)
+    """Return the name of the value that a limit judges: a result, a bisection, or a channel's statistic in a step."""
+    names = (limit.get(key, "") for key in ("result", "bisect", "statistic", "channel", "role", "step"))
+    return " ".join(plain(str(name)) for name in names if name)
 
 
 def _number(value: float | None) -> str:

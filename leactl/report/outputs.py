@@ -1,4 +1,4 @@
-"""Output files that are checked all at once, before minutes are spent on what could not be written."""
+"""Checks of output files and folders, before minutes are spent on results that could not be written."""
 
 import os
 import tempfile
@@ -9,7 +9,7 @@ from leactl.errors import InputError
 
 
 def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Sequence[str] = ()) -> None:
-    """Refuse files that could not be written; an existing file is replaced, but never an input.
+    """Refuse output files that cannot be written; an existing file may be replaced, but never an input.
 
     Parameters
     ----------
@@ -44,9 +44,12 @@ def check_folder(folder: Path) -> None:
 
 
 def refusal(folder: Path) -> str:
-    """Return why a folder takes no file, by trying, since a disk may be mounted read-only; empty where it takes one."""
+    """Return the reason why a folder takes no file; empty if it takes one.
+
+    A temporary file is written, since a disk may be mounted read-only.
+    """
     if not folder.is_dir():
-        return ""  # another fault
+        return ""  # reported as another fault
     try:
         with tempfile.TemporaryFile(dir=folder):
             return ""

@@ -26,16 +26,16 @@ class ChannelSummary:
 
 def readings(run: Run) -> list[ChannelSummary]:
     """Return a summary of every channel of a run, without the setpoints of drives that followed none."""
-    wanted = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
-    channels = [channel for quantity, role in wanted for channel in run.channels(quantity, role)]
-    end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=math.nan)
-    summaries = [_reading(channel, end) for channel in channels]
+    quantities_and_roles = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
+    channels = [channel for quantity, role in quantities_and_roles for channel in run.channels(quantity, role)]
+    run_end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=math.nan)
+    summaries = [_reading(channel, run_end) for channel in channels]
     return [summary for summary in summaries if summary.samples or not summary.quantity.endswith("_reference")]
 
 
-def _reading(channel: Channel, end: float) -> ChannelSummary:
-    known = np.isfinite(channel.values)
-    values = channel.values[known]
+def _reading(channel: Channel, run_end: float) -> ChannelSummary:
+    finite = np.isfinite(channel.values)
+    values = channel.values[finite]
     return ChannelSummary(
         channel.quantity,
         channel.role,
@@ -45,7 +45,7 @@ def _reading(channel: Channel, end: float) -> ChannelSummary:
         len(values),
         float(values.mean()) if len(values) else None,
         float(values.std(ddof=1)) if len(values) > 1 else None,
-        end - float(channel.time[known][-1]) if len(values) else None,
+        run_end - float(channel.time[finite][-1]) if len(values) else None,
     )
 
 

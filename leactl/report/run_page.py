@@ -55,8 +55,8 @@ def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, 
     layers: list[Layer] = [*shades]
     for trace in traces:
         style = "setpoint" if trace.channel.quantity.endswith("_reference") else "reading"
-        layers.append(LineMarks(trace.name, style, trace.time, trace.values, whole=True))
-    whole = LineMarks("", "", np.asarray([start, stop]), np.full(2, np.nan))
+        layers.append(LineMarks(trace.name, style, trace.time, trace.values, connected=True))
+    time_span = LineMarks("", "", np.asarray([start, stop]), np.full(2, np.nan))
     channel = traces[-1].channel
     quantity = channel.quantity.removesuffix("_reference").replace("_", " ") or traces[-1].name
     units = channel.units if channel.units not in ("", "1") else "no unit"
@@ -68,6 +68,6 @@ def figure(traces: Sequence[ChannelTrace], steps: Sequence[Step], start: float, 
     return {
         "title": f"{quantity}, {channel.role}" if channel.role else quantity,
         "remark": channel.long_name,
-        "chart": chart(layers, "time in s", f"{quantity} in {units}", beside=[whole]),
+        "chart": chart(layers, "time in s", f"{quantity} in {units}", included_in_axes=[time_span]),
         "caption": "; ".join(bin_notes),
     }

@@ -1,4 +1,4 @@
-"""A run's channels over time in characters: a panel each, the steps of the run along the foot."""
+"""Plot of a run's channels over time in characters: one panel for each channel, with the steps of the run below it."""
 
 import itertools
 from collections.abc import Sequence
@@ -18,31 +18,32 @@ SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
 
 
 def panels_text(
-    traces: Sequence[ChannelTrace], steps: Sequence[Step], part: tuple[float, float], width: int, screen_rows: int
+    traces: Sequence[ChannelTrace], steps: Sequence[Step], span_s: tuple[float, float], width: int, screen_rows: int
 ) -> str:
-    """Return the panels of a part of a run (start and stop [s]) for stdout: up to three fill the screen."""
+    """Return panels for stdout that show the time span `span_s` (start and stop [s]); up to three fill the screen."""
     encoding = encoding_of_stdout()
     height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LOWEST), HIGHEST)
-    lines = panels(traces, steps, part, width, height, not shows_all(encoding))
+    lines = panels(traces, steps, span_s, width, height, not shows_all(encoding))
     return encodable("\n".join(lines) + "\n", encoding)
 
 
 def panels(
     traces: Sequence[ChannelTrace],
     steps: Sequence[Step],
-    part: tuple[float, float],
+    span_s: tuple[float, float],
     width: int,
     height: int,
     ascii_only: bool = False,
 ) -> list[str]:
     """Return lines of text, none wider than `width`, one panel of `height` rows below the other.
 
-    A channel without a finite sample in this part has a line that says so in place of its panel.
+    The panels show the time span `span_s` (start and stop [s]). A channel without a finite sample in it has a line that
+    says so in place of its panel.
     """
-    start, stop = part
+    start, stop = span_s
     time = PlotAxis([start, stop], TICKS[0])
     axes = [value_axis(trace) for trace in traces]
-    labels = [panels_text for axis in axes if axis for panels_text in axis.ticks.values()]
+    labels = [label for axis in axes if axis for label in axis.ticks.values()]
     gutter = max(map(len, labels), default=0)
     columns = max(width - gutter - 2, 10)
     lines: list[str] = []
@@ -83,9 +84,9 @@ def step_ruler(steps: Sequence[Step], canvas: Canvas, start: float, stop: float)
     for index, step in enumerate(steps):
         if step.stop <= start or step.start >= stop:
             continue
-        first, last = canvas.column(max(step.start, start)), canvas.column(min(step.stop, stop))
+        left, right = canvas.column(max(step.start, start)), canvas.column(min(step.stop, stop))
         shade = SHADE[canvas.ascii_only] if index % 2 else " "
-        cells[first:last] = [shade] * (last - first)
-        if len(step.name) < last - first:
-            cells[first : first + len(step.name)] = without_control_characters(step.name)
+        cells[left:right] = [shade] * (right - left)
+        if len(step.name) < right - left:
+            cells[left : left + len(step.name)] = without_control_characters(step.name)
     return "".join(cells).rstrip()

@@ -1,4 +1,4 @@
-"""What a scan of wires tells: a line for each device, JSON, and the buses and devices of a bench file."""
+"""Results of a scan of wires: a line for each device, JSON, and the buses and devices of a bench file."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -19,11 +19,11 @@ Scanned = Sequence[tuple[ScannedWire, WireReport]]
 
 
 def lines(scanned: Scanned) -> Iterator[str]:
-    """A line for each device, and for each thing that is notable about a wire."""
+    """Yield a line for each device that answered, and a line for each note on a wire."""
     for wire, report in scanned:
-        for each in report.answered:
-            head = f"{wire.shown:<12} {_place(wire, each):<11} {_driver(each) or '-':<12} "
-            yield list_line(head, "; ".join(_told(each)))
+        for device in report.answered:
+            head = f"{wire.shown:<12} {_address(wire, device):<11} {_driver(device) or '-':<12} "
+            yield list_line(head, "; ".join(_description(device)))
         for note in report.notes:
             yield list_line(f"{wire.shown}: ", note)
         if report.asked and report.complete and not (report.answered or isinstance(wire.buses[0], LineBus)):
@@ -33,7 +33,7 @@ def lines(scanned: Scanned) -> Iterator[str]:
 
 
 def answer(scanned: Scanned) -> dict[str, Any]:
-    """The same for `--json`."""
+    """Return the results of a scan as `--json` prints them."""
     names = _names(scanned)
     wires = [
         {
@@ -50,129 +50,137 @@ def answer(scanned: Scanned) -> dict[str, Any]:
     devices = [
         {
             "wire": wire.shown,
-            "address": each.sighting.address,
-            "driver": _driver(each) or None,
-            "name": names.get(id(each)),
-            "model": each.sighting.identity.model,
-            "serial": each.sighting.identity.serial,
-            "firmware": each.sighting.identity.firmware,
-            "detail": each.sighting.detail,
-            "settings": dict(each.sighting.settings or {}),
-            "left_open": _left_open(each),
+            "address": device.sighting.address,
+            "driver": _driver(device) or None,
+            "name": names.get(id(device)),
+            "model": device.sighting.identity.model,
+            "serial": device.sighting.identity.serial,
+            "firmware": device.sighting.identity.firmware,
+            "detail": device.sighting.detail,
+            "settings": dict(device.sighting.settings or {}),
+            "left_open": _missing_settings(device),
         }
         for wire, report in scanned
-        for each in report.answered
+        for device in report.answered
     ]
     return {"wires": wires, "devices": devices, "bench_file": bench_file_part(scanned)}
 
 
 def bench_file_part(scanned: Scanned) -> str:
-    """The blocks `buses` and `devices` of a bench file, where FILL_IN stands for what no scan can know; or empty."""
+    """Return the blocks `buses` and `devices` of a bench file; empty if no device has a driver.
+
+    FILL_IN stands for values that a scan cannot find.
+    """
     names, buses, devices = _names(scanned), [], []
     for wire, report in scanned:
-        usable = [each for each in report.answered if _driver(each)]
+        usable = [device for device in report.answered if _driver(device)]
         if usable:
-            buses.append(f"  {wire.name}: {_flow(_as_written(wire, usable))}\n")
-        devices += [_device(names[id(each)], wire, each) for each in usable]
+            buses.append(f"  {wire.name}: {_flow_style(_bus_settings(wire, usable))}\n")
+        devices += [_device_block(names[id(device)], wire, device) for device in usable]
     if not devices:
         return ""
     head = f"# what answered a scan; {FILL_IN}: what it cannot know\n"
     return f"{head}buses:\n{''.join(buses)}devices:\n{''.join(devices)}"
 
 
-def _device(name: str, wire: ScannedWire, each: Answered) -> str:
-    told = "; ".join(_told(each)[:-1])
-    driver = registry.load(each.driver)
-    schema, told_by = driver.Settings.model_json_schema()["properties"], f"; leactl driver info {each.driver}"
-    text = f"  {name}:  # {told}\n    driver: {each.driver}\n    bus: {wire.name}\n    role: {FILL_IN}  # {ROLES}\n"
-    settings = [f"      {_flow({key: value})[1:-1]}\n" for key, value in (each.sighting.settings or {}).items()]
+def _device_block(name: str, wire: ScannedWire, device: Answered) -> str:
+    """Return the block of one device in a bench file."""
+    description = "; ".join(_description(device)[:-1])
+    driver = registry.load(device.driver)
+    schema, hint = driver.Settings.model_json_schema()["properties"], f"; leactl driver info {device.driver}"
+    head = f"  {name}:  # {description}\n    driver: {device.driver}\n    bus: {wire.name}\n"
+    text = f"{head}    role: {FILL_IN}  # {ROLES}\n"
+    settings = [f"      {_flow_style({key: value})[1:-1]}\n" for key, value in (device.sighting.settings or {}).items()]
     settings += [
-        f"      {key}: {FILL_IN}  # {_expected(schema[key], driver.example.get(key))}{told_by}\n"
-        for key in settings_left_open(driver, each.sighting)
+        f"      {key}: {FILL_IN}  # {_expected(schema[key], driver.example.get(key))}{hint}\n"
+        for key in settings_left_open(driver, device.sighting)
     ]
     return f"{text}    settings:\n{''.join(settings)}" if settings else text
 
 
 def _expected(field: dict[str, Any], example: Any) -> str:
-    """What a setting takes, in words; of a list an example."""
-    field = next((each for each in field.get("anyOf", ()) if each.get("type") != "null"), field)
+    """Return a text on the values that a setting takes, by its JSON schema; for a list, an example."""
+    field = next((option for option in field.get("anyOf", ()) if option.get("type") != "null"), field)
     if "enum" in field:
         return " or ".join(map(str, field["enum"]))
     if field.get("type") == "array" and example:
-        return f"such as {_flow(list(example))}"
+        return f"such as {_flow_style(list(example))}"
     return ", ".join(
-        (str(field.get("type", "")), *(f"{word} {field[key]}" for key, word in BOUNDS.items() if key in field))
+        (str(field.get("type", "")), *(f"{relation} {field[key]}" for key, relation in BOUNDS.items() if key in field))
     )
 
 
-def _as_written(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
-    """A bus as a bench file has it; a line as it was open when its device answered."""
+def _bus_settings(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
+    """Return the settings of a bus for a bench file; those of a line are the ones at which its device answered."""
     bus: Bus | LineBus = answered[0].line or wire.buses[0]
-    written = bus.model_dump(exclude_defaults=isinstance(bus, CanBus))
+    settings = bus.model_dump(exclude_defaults=isinstance(bus, CanBus))
     if isinstance(bus, CanBus):
         if not any(isinstance(probe, CanProbe) and probe.fd for probe in _probes_of(answered)):
-            written.pop("options", None)  # which the interface could have, and none of these devices needs
-        return {"kind": "can", "interface": bus.interface, "channel": bus.channel} | written
-    kept = ("kind", "number", "port", "baudrate", "resource")
-    return {key: value for key, value in written.items() if key in kept}
+            settings.pop("options", None)  # the scan may open the interface with options that no device here needs
+        return {"kind": "can", "interface": bus.interface, "channel": bus.channel} | settings
+    keys = ("kind", "number", "port", "baudrate", "resource")
+    return {key: value for key, value in settings.items() if key in keys}
 
 
 def _probes_of(answered: Sequence[Answered]) -> list[Probe | None]:
-    return [registry.load(each.driver).probe for each in answered]
+    return [registry.load(device.driver).probe for device in answered]
 
 
-def _flow(value: dict[str, Any] | list[Any]) -> str:
+def _flow_style(value: dict[str, Any] | list[Any]) -> str:
+    """Return a value as YAML on one line."""
     return str(yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000)).strip()
 
 
 def _names(scanned: Scanned) -> dict[int, str]:
-    """A name for each device that a driver is for, by its identity as an object."""
+    """Return a name for each device that has a driver, by the `id` of its `Answered`."""
     names: dict[int, str] = {}
     for _wire, report in scanned:
-        for each in report.answered:
-            if _driver(each):
-                address = "" if each.sighting.address is None else f"_{each.sighting.address}"
-                taken = sum(name.startswith(f"{each.driver}{address}") for name in names.values())
-                names[id(each)] = f"{each.driver}{address}{f'_{chr(97 + taken)}' if taken else ''}"
+        for device in report.answered:
+            if _driver(device):
+                address = "" if device.sighting.address is None else f"_{device.sighting.address}"
+                namesakes = sum(name.startswith(f"{device.driver}{address}") for name in names.values())
+                names[id(device)] = f"{device.driver}{address}{f'_{chr(97 + namesakes)}' if namesakes else ''}"
     return names
 
 
-def _driver(each: Answered) -> str:
-    """The driver that a device is for; empty if there is none."""
-    return each.driver if each.sighting.settings is not None else ""
+def _driver(device: Answered) -> str:
+    """Return the name of the driver for a device; empty if no driver is for it."""
+    return device.driver if device.sighting.settings is not None else ""
 
 
-def _left_open(each: Answered) -> list[str]:
-    if not _driver(each):
+def _missing_settings(device: Answered) -> list[str]:
+    """Return the keys of a device in a bench file that the scan leaves open."""
+    if not _driver(device):
         return []
-    return ["role", *settings_left_open(registry.load(each.driver), each.sighting)]
+    return ["role", *settings_left_open(registry.load(device.driver), device.sighting)]
 
 
-def _place(wire: ScannedWire, each: Answered) -> str:
-    if each.line is not None:
-        return how(each.line)
-    address = each.sighting.address or 0
+def _address(wire: ScannedWire, device: Answered) -> str:
+    """Return the address of a device on its bus; for a line, the settings at which it answered."""
+    if device.line is not None:
+        return how(device.line)
+    address = device.sighting.address or 0
     return f"0x{address:02X}" if isinstance(wire.buses[0], I2cBus) else f"node {address}"
 
 
-def _told(each: Answered) -> list[str]:
-    """What a device said of itself, and what it is in a bench file."""
-    identity, settings = each.sighting.identity, each.sighting.settings
-    parts = [
+def _description(device: Answered) -> list[str]:
+    """Return texts on the identity of a device, and as the last one its settings in a bench file."""
+    identity, settings = device.sighting.identity, device.sighting.settings
+    texts = [
         identity.model or "does not say what it is",
         f"firmware {identity.firmware}" if identity.firmware else "",
         f"serial number {identity.serial}" if identity.serial else "",
-        each.sighting.detail,
+        device.sighting.detail,
     ]
     if settings is not None:
-        given = [f"{key}: {value}" for key, value in settings.items()]
-        given += [f"{key}: {FILL_IN}" for key in _left_open(each)]
-        parts.append(f"in a bench file {', '.join(given)}")
+        entries = [f"{key}: {value}" for key, value in settings.items()]
+        entries += [f"{key}: {FILL_IN}" for key in _missing_settings(device)]
+        texts.append(f"in a bench file {', '.join(entries)}")
     else:
-        parts.append("no driver here is for it")
-    return [_on_a_line(part) for part in parts if part]
+        texts.append("no driver here is for it")
+    return [_printable(text) for text in texts if text]
 
 
-def _on_a_line(text: str) -> str:
-    """A device's text without line feeds, which would end a comment of YAML, and other controls."""
+def _printable(text: str) -> str:
+    """Return a device's text with control characters escaped; a line feed would end a comment of YAML."""
     return text if text.isprintable() else ascii(text)[1:-1]

@@ -1,4 +1,4 @@
-"""The keys of each kind of YAML file, by its pydantic model: JSON Schema for editors, tables for the manual."""
+"""Keys of each kind of YAML file, from its pydantic model: JSON Schema for editors, tables for the manual."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -10,7 +10,7 @@ from leactl import yamlfile
 JsonSchema = dict[str, Any]
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 REFERENCE = {"type": "string", "pattern": "^\\$[a-z][A-Za-z0-9_]*$", "description": "a parameter of the protocol"}
-# how a key's name ends, and the unit that this means
+# units by the ending of a key's name; the first ending that fits counts
 UNITS = {
     "A_per_s": "A/s",
     "V_per_s": "V/s",
@@ -35,17 +35,18 @@ UNITS = {
 }
 STEP = "Step"  # the block that has every kind of step
 LISTED = "InAmperes"
-# blocks of interlocks that differ from the listed one in the unit alone
+# blocks of interlocks that differ from the listed one only in the unit; the tables leave them out
 REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
 
 
 def _protocol() -> JsonSchema:
+    """Return the schema of a protocol: its head, its kinds of steps and of signals, and references to parameters."""
     from leactl.protocol.schema import Head
     from leactl.protocol.signals import SIGNALS
     from leactl.protocol.steps import KINDS
 
-    whole = Head.model_json_schema()
-    blocks: JsonSchema = whole.setdefault("$defs", {})
+    schema = Head.model_json_schema()
+    blocks: JsonSchema = schema.setdefault("$defs", {})
     steps: dict[str, JsonSchema] = {}
     for kind, adapter in KINDS.items():
         steps[kind] = _moved_to_blocks(adapter.json_schema(), blocks)
@@ -59,10 +60,10 @@ def _protocol() -> JsonSchema:
         "additionalProperties": False,
         "properties": steps,
     }
-    for block in (blocks["RepeatStep"], blocks["WhenStep"], whole):
+    for block in (blocks["RepeatStep"], blocks["WhenStep"], schema):
         block["properties"]["steps"] |= {"items": {"$ref": "#/$defs/Step"}}
-    whole["properties"]["parameters"] = {"type": "object"}
-    whole["properties"]["conditions"] = {"type": "object", "additionalProperties": {"type": "object"}}
+    schema["properties"]["parameters"] = {"type": "object"}
+    schema["properties"]["conditions"] = {"type": "object", "additionalProperties": {"type": "object"}}
     for role in ("test", "load"):
         blocks["SupplyStep"]["properties"][role]["anyOf"].append({"const": "off"})
     for name, block in blocks.items():
@@ -71,11 +72,11 @@ def _protocol() -> JsonSchema:
             block["properties"] = {
                 key: value if key == "kind" else _or_parameter(value) for key, value in properties.items()
             }
-    return whole
+    return schema
 
 
 def _or_parameter(value: JsonSchema) -> JsonSchema:
-    """Return a schema that accepts a value, or items of it, as a reference to a parameter too."""
+    """Return a schema that also accepts a reference to a parameter for a value, or for items of a list."""
     for choice in (value, *value.get("anyOf", ())):
         if "items" in choice:
             choice["items"] = {"anyOf": [choice["items"], REFERENCE]}
@@ -83,7 +84,10 @@ def _or_parameter(value: JsonSchema) -> JsonSchema:
 
 
 def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
-    """Move a model's schema and those that it needs among the blocks, and return the reference to it."""
+    """Add a model's schema and the schemas that it needs to the blocks; return a reference to it.
+
+    A schema without properties is returned itself.
+    """
     blocks.update(block.pop("$defs", {}))
     if "properties" not in block:
         return block
@@ -140,21 +144,21 @@ def schema_of(kind: str) -> JsonSchema:
     KeyError : a key has no meaning in key_meanings/.
     """
     make, meanings = KINDS[kind]
-    whole = _with_choices(make())
-    for name, block in _blocks(whole):
+    schema = _with_choices(make())
+    for name, block in _blocks(schema):
         if name == STEP:  # its keys are the kinds of steps, each described by its own block
             continue
         for key, value in block.get("properties", {}).items():
             value["description"] = _meaning(meanings, name, key)
             value.pop("title", None)
-    return {"$schema": DIALECT, **whole}
+    return {"$schema": DIALECT, **schema}
 
 
 def tables_of(kind: str) -> str:
     """Return a Markdown table for each block of a kind of file: key, unit, accepted values, default, meaning."""
-    whole = schema_of(kind)
+    schema = schema_of(kind)
     lines: list[str] = []
-    for name, block in _blocks(whole):
+    for name, block in _blocks(schema):
         if name in (*REPEATED, STEP) or "properties" not in block:
             continue
         lines += ["", f"### {name}", "", " ".join(block.get("description", "").split()), ""]
@@ -162,35 +166,36 @@ def tables_of(kind: str) -> str:
         for key, value in block["properties"].items():
             needed = key in block.get("required", ())
             default = "required" if needed else _default(value)
-            unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
+            unit = next((unit for suffix, unit in UNITS.items() if key.endswith(f"_{suffix}")), "")
             accepted = _accepted(value).replace("|", "\\|")
             lines.append(f"| `{key}` | {unit} | {accepted} | {default} | {value['description']} |")
     return "\n".join(lines).strip() + "\n"
 
 
-def _with_choices(whole: JsonSchema) -> JsonSchema:
-    """Return the schema with each named list of choices written out where it is used."""
-    choices = {name: block for name, block in whole.get("$defs", {}).items() if "enum" in block}
+def _with_choices(schema: JsonSchema) -> JsonSchema:
+    """Return the schema with each reference to a named list of choices replaced by these choices."""
+    choices = {name: block for name, block in schema.get("$defs", {}).items() if "enum" in block}
 
-    def written_out(part: Any) -> Any:
-        if isinstance(part, list):
-            return [written_out(part_of_list) for part_of_list in part]
-        if not isinstance(part, dict):
-            return part
-        name = str(part.get("$ref", "")).rpartition("/")[2]
+    def written_out(node: Any) -> Any:
+        if isinstance(node, list):
+            return [written_out(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        name = str(node.get("$ref", "")).rpartition("/")[2]
         if name in choices:
             return {"type": "string", "enum": choices[name]["enum"]}
         return {
-            key: written_out(value) for key, value in part.items() if not (key in choices and value in choices.values())
+            key: written_out(value) for key, value in node.items() if not (key in choices and value in choices.values())
         }
 
-    plain: JsonSchema = written_out(whole)
-    return plain
+    expanded: JsonSchema = written_out(schema)
+    return expanded
 
 
-def _blocks(whole: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
-    yield whole["title"], whole
-    yield from whole.get("$defs", {}).items()
+def _blocks(schema: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
+    """Yield the title and the schema of the file itself, then those of its blocks."""
+    yield schema["title"], schema
+    yield from schema.get("$defs", {}).items()
 
 
 @cache
@@ -201,7 +206,8 @@ def _meanings(file: str) -> dict[str, str]:
 
 
 def _meaning(file: str, block: str, key: str) -> str:
-    stem = next((key.removesuffix(f"_{end}") for end in UNITS if key.endswith(f"_{end}")), key)
+    """Return the meaning of a key in a block: that of `Block.key`, else of the key, each also without its unit."""
+    stem = next((key.removesuffix(f"_{suffix}") for suffix in UNITS if key.endswith(f"_{suffix}")), key)
     meanings = _meanings(file)
     listed = f"{LISTED}.{stem}" if block in REPEATED else f"{block}.{stem}"
     for name in (f"{block}.{key}", f"{block}.{stem}", listed, key, stem):
@@ -211,6 +217,7 @@ def _meaning(file: str, block: str, key: str) -> str:
 
 
 def _default(value: JsonSchema) -> str:
+    """Return the default of a key as Markdown code; empty without a default, or for an empty one or a mapping."""
     default = value.get("default")
     if default in (None, "", [], {}) or isinstance(default, dict):
         return ""
@@ -218,7 +225,7 @@ def _default(value: JsonSchema) -> str:
 
 
 def _accepted(value: JsonSchema) -> str:
-    """Return the values that a key accepts, in few words."""
+    """Return a short text on the values that a key accepts."""
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
         alternatives = [_accepted(choice) for choice in choices if choice.get("type") != "null" and choice != REFERENCE]
@@ -232,12 +239,12 @@ def _accepted(value: JsonSchema) -> str:
         items = value.get("items") or {}
         return f"list of {_accepted(items)}" if items else "list"
     if kind in ("number", "integer"):
-        ends = (
+        limits = (
             ("minimum", "from"),
             ("exclusiveMinimum", "above"),
             ("maximum", "to"),
             ("exclusiveMaximum", "below"),
         )
-        bounds = [f"{word} {value[end]:.10g}" for end, word in ends if end in value]
+        bounds = [f"{relation} {value[limit]:.10g}" for limit, relation in limits if limit in value]
         return " ".join(["whole number" if kind == "integer" else "number", *bounds])
     return {"string": "text", "boolean": "`true`, `false`", "object": "mapping"}.get(str(kind), "any")

@@ -13,7 +13,7 @@ from leactl.errors import Stopped
 
 
 class Steps:
-    """A callable that shows each step of a computation as it begins, and at the end how long all took.
+    """A callable that shows each step of a computation as it begins, and at the end the total duration.
 
     Raises
     ------
@@ -22,8 +22,8 @@ class Steps:
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
-        self._began = time.monotonic()
-        self._asked = False
+        self._start_s = time.monotonic()
+        self._interrupted = False
         self._shown: Progress | None = None
         if self._console.is_terminal:
             columns = (TextColumn("{task.description} ...", markup=False), TimeElapsedColumn())
@@ -32,7 +32,7 @@ class Steps:
 
     def __call__(self, step: str) -> None:
         """Show the step that begins; stop here where Ctrl-C was pressed before."""
-        if self._asked:
+        if self._interrupted:
             raise Stopped("stopped")
         if self._shown is not None:
             self._shown.update(self._task, description=step)
@@ -54,17 +54,17 @@ class Steps:
         if self._shown is not None:
             self._shown.stop()
         if kind is None:
-            self._say(f"done in {time.monotonic() - self._began:.1f} s")
+            self._say(f"done in {time.monotonic() - self._start_s:.1f} s")
 
     def _stop(self, number: int, frame: object) -> None:
-        # where HDF5 or a finalizer calls back, an exception is dropped: the flag is what the next step goes by
-        self._asked = True
+        # an exception in a callback of HDF5 or in a finalizer is dropped, so that the next step checks this flag
+        self._interrupted = True
         raise KeyboardInterrupt
 
-    def _dropped(self, what: "sys.UnraisableHookArgs") -> None:
+    def _dropped(self, unraisable: "sys.UnraisableHookArgs") -> None:
         """Hide the trace of a swallowed Ctrl-C from the terminal; the next step stops the computation."""
-        if not (self._asked and isinstance(what.exc_value, KeyboardInterrupt)):
-            self._unraisable(what)
+        if not (self._interrupted and isinstance(unraisable.exc_value, KeyboardInterrupt)):
+            self._unraisable(unraisable)
 
     def _say(self, line: str) -> None:
         print(line, file=self._console.file, flush=True)

@@ -178,10 +178,10 @@ def number(value: float, std: float) -> str:
 
 
 def without_uncertainty(value: float) -> str:
-    """Return a value to four decimals, or to as many as tell it from 1."""
+    """Return a value to four decimals, or to as many as distinguish it from 1."""
     if not math.isfinite(value):
         return "not known"
-    digits = next((n for n in range(4, 12) if value == 1.0 or float(f"{value:.{n}f}") != 1.0), 12)
+    digits = next((count for count in range(4, 12) if value == 1.0 or float(f"{value:.{count}f}") != 1.0), 12)
     return f"{value:.{digits}f}"
 
 
@@ -217,6 +217,8 @@ def duration(seconds: float, always_hours: bool = False) -> str:
 
     With `always_hours`, 75 s are `0:01:15`.
     """
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, whole_seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours or always_hours else f"{minutes}:{rest:02d}"
+    if hours or always_hours:
+        return f"{hours}:{minutes:02d}:{whole_seconds:02d}"
+    return f"{minutes}:{whole_seconds:02d}"

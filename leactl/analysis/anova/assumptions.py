@@ -24,18 +24,18 @@ class Check:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the assumption is broken by more than chance."""
+        """Return whether the assumption is broken by more than chance."""
         return self.p is not None and self.p < DOUBTFUL
 
 
 def checks(values: Values, anova: Anova) -> list[Check]:
-    """Check every assumption; notes say what another test gives where one does not hold."""
+    """Check every assumption; notes state the result of a test that does without a broken assumption."""
     by_condition = [anova.residuals[values.condition == condition] for condition in anova.design.conditions]
     raw = [values.value[values.condition == condition] for condition in anova.design.conditions]
     single = len(anova.design.actuators) == 1
     return [
         _normal(anova.residuals, raw if single else []),
-        _alike(by_condition, anova.unequal),
+        _equal_scatter(by_condition, anova.unequal),
         _without_drift(values, anova.residuals),
         _runs_alike(values),
     ]
@@ -53,19 +53,19 @@ def _normal(residuals: Array, raw: Sequence[Array]) -> Check:
     return Check("normal residuals (Shapiro-Wilk)", p, note)
 
 
-def _alike(groups: Sequence[Array], other: FTest | None) -> Check:
+def _equal_scatter(groups: Sequence[Array], welch: FTest | None) -> Check:
     from scipy.stats import levene
 
     name = "equal scatter (Brown-Forsythe)"
     if min(map(len, groups)) < FEWEST:
         return Check(name, None)
     p = float(levene(*groups, center="median").pvalue)
-    note = "" if other is None else f"without it (Welch) conditions differ with p = {other.p:.2g}"
+    note = "" if welch is None else f"without it (Welch) conditions differ with p = {welch.p:.2g}"
     return Check(name, p if math.isfinite(p) else None, note)
 
 
 def _without_drift(values: Values, residuals: Array) -> Check:
-    """Slope of the residuals over the order of the trials within their runs."""
+    """Test the slope of the residuals over the order of the trials within their runs."""
     from scipy.stats import t
 
     order = np.zeros(len(residuals))
@@ -86,7 +86,7 @@ def _without_drift(values: Values, residuals: Array) -> Check:
 
 
 def _runs_alike(values: Values) -> Check:
-    """Whether runs of one actuator under one condition differ by more than their trials."""
+    """Test whether runs of one actuator under one condition differ by more than the scatter of their trials."""
     name = "runs of a condition alike"
     cell_of = np.unique(np.stack([values.actuator, values.condition], axis=1), axis=0, return_inverse=True)[1].reshape(
         -1

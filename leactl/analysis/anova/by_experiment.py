@@ -1,4 +1,4 @@
-"""Comparisons of many runs, experiment by experiment, as `leactl analyze` takes them."""
+"""Comparisons of the conditions of many runs, experiment by experiment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class ExperimentComparison:
 
 
 def compare_each(
-    given: Sequence[Path], names: Sequence[str] = (), by_run: bool = False, **options: Any
+    files_and_folders: Sequence[Path], names: Sequence[str] = (), by_run: bool = False, **options: Any
 ) -> tuple[list[ExperimentComparison], list[str], list[str]]:
     """Compare the conditions of each experiment; folders stand for their runs.
 
@@ -41,10 +41,10 @@ def compare_each(
 
     Raises
     ------
-    InputError : the runs are of one experiment, which cannot be compared; nothing can; or a result or an option that
-        none of several experiments has.
+    InputError : the runs are of one experiment, which cannot be compared; no experiment can be compared; or none of
+        several experiments has a result or takes an option.
     """
-    paths = [file for path in given for file in (run_files([path]) if path.is_dir() else [path])]
+    paths = [file for path in files_and_folders for file in (run_files([path]) if path.is_dir() else [path])]
     groups, faults = by_experiment([path for path in paths if path.suffix != ".json"])
     for path in paths:
         if path.suffix == ".json":
@@ -54,20 +54,20 @@ def compare_each(
     if faults and not groups:
         raise InputError(faults)
     given_options = {name: value for name, value in options.items() if value is not None}
-    taken: set[str] = set()
+    used_options: set[str] = set()
     compared: list[ExperimentComparison] = []
     without: list[str] = []
     for experiment, members in groups.items():
         try:
-            own_options = {
+            accepted_options = {
                 key: given_options[key]
                 for key in options_of(analysis_of(experiment, str(members[0])))
                 if key in given_options
             }
-            taken |= own_options.keys()
-            comparison = ExperimentComparison(*compare_all(members, (), by_run, **own_options))
+            used_options |= accepted_options.keys()
+            comparison = ExperimentComparison(*compare_all(members, (), by_run, **accepted_options))
         except NotIdentifiable as fault:
-            without += [_of(experiment, line) for line in fault.faults]
+            without += [_prefixed(experiment, line) for line in fault.faults]
         except InputError as fault:
             faults += fault.faults
         else:
@@ -75,7 +75,9 @@ def compare_each(
     compared_names = {
         comparison.name for experiment_comparison in compared for comparison in experiment_comparison.comparisons
     }
-    lines = [f"--set {name}: none of {', '.join(groups)} takes it" for name in given_options if name not in taken]
+    lines = [
+        f"--set {name}: none of {', '.join(groups)} takes it" for name in given_options if name not in used_options
+    ]
     lines += [
         f"--result {name}: none of {', '.join(groups)} has it to compare"
         for name in names
@@ -85,8 +87,10 @@ def compare_each(
         raise InputError(lines)
     if names:
         compared = [
-            ExperimentComparison(o.experiment, [r for r in o.comparisons if r.name in names], o.refused)
-            for o in compared
+            ExperimentComparison(
+                group.experiment, [result for result in group.comparisons if result.name in names], group.refused
+            )
+            for group in compared
         ]
         compared = [comparison for comparison in compared if comparison.comparisons]
     if not compared:
@@ -94,5 +98,6 @@ def compare_each(
     return compared, without, faults
 
 
-def _of(experiment: str, fault: str) -> str:
+def _prefixed(experiment: str, fault: str) -> str:
+    """Return a fault that begins with the name of its experiment."""
     return fault if fault.startswith(f"{experiment}: ") else f"{experiment}: {fault}"

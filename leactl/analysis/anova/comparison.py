@@ -1,4 +1,4 @@
-"""One result over the conditions, whole: test, pairs, effect size, assumptions, and a sentence of what is supported."""
+"""Comparison of one result over conditions: test, pairs, effect size, assumptions, and a concluding sentence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """State in words what the data support, and what they do not."""
+        """Return a sentence that states the effects that the data show, and the size of an effect they could show."""
         test = self.anova.test
         statistics = (
             f"{in_words(test)}, omega squared {self.effect.value:.2f} [{self.effect.low:.2f}, {self.effect.high:.2f}]"
@@ -151,16 +151,16 @@ def compare(values: Values) -> Comparison:
 def compare_all(
     paths: Sequence[Path], names: Sequence[str] = (), by_run: bool = False, **options: Any
 ) -> tuple[str, list[Comparison], list[str]]:
-    """Compare the results of runs of one experiment; return its name, the comparisons, and why others failed.
+    """Compare the results of runs of one experiment; return its name, the comparisons, and a line for each failure.
 
     Parameters
     ----------
-    names : of the results; every one with an uncertainty by default.
-    by_run, options : see `values.of_runs`.
+    names : of the results; by default every result with an uncertainty.
+    by_run, options : see `values_of_runs`.
 
     Raises
     ------
-    InputError : see `values.of_runs`, or a result that there is not.
+    InputError : see `values_of_runs`, or a name in `names` is no result.
     NotIdentifiable : no result can be compared.
     """
     values_by_result = values_of_runs(paths, by_run, **options)
@@ -187,19 +187,19 @@ def compare_all(
             except NotIdentifiable as fault:
                 refused.append(str(fault))
     if not comparisons:
-        nothing = (
+        no_result = (
             f"{experiment}: no result with an uncertainty to compare; `leactl analyze` of one run says what it lacks"
         )
-        raise NotIdentifiable(refused or nothing)
+        raise NotIdentifiable(refused or no_result)
     return experiment, comparisons, refused
 
 
 def _best(trials: Values | None, runs: Values | None) -> Comparison:
-    """Compare single trials where they tell every condition, or else one value a run, or else what trials there are.
+    """Compare single trials if they cover every condition, else one value for each run, else the trials that exist.
 
     Raises
     ------
-    NotIdentifiable : what was tried first cannot be compared, and what comes after it neither.
+    NotIdentifiable : neither can be compared.
     """
     if runs is None or (trials is not None and set(runs.condition.tolist()) <= set(trials.condition.tolist())):
         assert trials is not None
@@ -213,12 +213,13 @@ def _best(trials: Values | None, runs: Values | None) -> Comparison:
 
 
 def in_words(test: FTest) -> str:
-    """Write a test as papers print it."""
+    """Return a test as papers print it: F with its degrees of freedom, and p."""
     p = f"p = {test.p:.2g}" if test.p >= 1e-300 else "p < 1e-300"
     return f"F({test.between:g}, {test.within:.4g}) = {test.f:.2f}, {p}"
 
 
 def _remarks(values: Values, anova: Anova, groups: list[ConditionSummary]) -> list[str]:
+    """Return notes on unequal numbers, on the actuators that the result holds for, and on missing conditions."""
     notes = []
     if len({group.count for group in groups}) > 1:
         notes.append("numbers are unequal: " + ", ".join(f"{group.condition} {group.count}" for group in groups))
@@ -236,10 +237,15 @@ def _remarks(values: Values, anova: Anova, groups: list[ConditionSummary]) -> li
             f"holds for these {len(actuators)} actuators, which answer alike as far as can be seen"
             f" ({in_words(anova.interaction)}); for actuators at large {in_words(anova.at_large)}"
         )
-    cells = {(a, c) for a, c in zip(values.actuator.tolist(), values.condition.tolist(), strict=True)}
-    missing_cells = [(a, c) for a in actuators for c in anova.design.conditions if (a, c) not in cells]
+    cells = set(zip(values.actuator.tolist(), values.condition.tolist(), strict=True))
+    missing_cells = [
+        f"{actuator} {condition}"
+        for actuator in actuators
+        for condition in anova.design.conditions
+        if (actuator, condition) not in cells
+    ]
     if missing_cells:
-        notes.append("not measured: " + ", ".join(f"{a} {c}" for a, c in missing_cells))
+        notes.append("not measured: " + ", ".join(missing_cells))
     if len(values.value) > len(np.unique(values.run)) == len(cells):
         notes.append(
             "each condition was set once an actuator: the scatter is that of trials, not that of setting it again"
@@ -248,6 +254,7 @@ def _remarks(values: Values, anova: Anova, groups: list[ConditionSummary]) -> li
 
 
 def _broken(checks: list[Check]) -> list[str]:
+    """Return a note on each doubtful assumption."""
     return [
         f"{check.name}: doubtful (p = {check.p:.2g})" + (f"; {check.note}" if check.note else "")
         for check in checks
@@ -256,7 +263,7 @@ def _broken(checks: list[Check]) -> list[str]:
 
 
 def _digits(value: float, count: int) -> str:
-    """Write a value with so many significant digits, trailing zeros included."""
+    """Return a value with `count` significant digits, trailing zeros included."""
     return f"{value:#.{count}g}".rstrip(".")
 
 

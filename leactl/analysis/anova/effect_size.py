@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from leactl.analysis.anova.one_way import FTest
 
-MOST = 1e5  # of a noncentrality; beyond it the share is 1 to four digits for any number of values here
+MOST = 1e5  # noncentrality; above it the share is 1 to four digits for any number of values here
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ def omega_squared(test: FTest) -> EffectSize:
     def lower_tail(noncentrality: float) -> float:
         return float(ncf.cdf(test.f, test.between, test.within, noncentrality))
 
-    low, high = (_where(lower_tail, tail) for tail in (0.975, 0.025))
+    low, high = (_noncentrality(lower_tail, tail) for tail in (0.975, 0.025))
     return EffectSize(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
 
 
-def _where(lower_tail: Callable[[float], float], tail: float) -> float:
-    """Return the noncentrality at which the lower tail of F has the probability `tail`; 0 where it is always less."""
+def _noncentrality(lower_tail: Callable[[float], float], tail: float) -> float:
+    """Return the noncentrality at which the lower tail of F has the probability `tail`; 0 if it is always less."""
     from scipy.optimize import brentq
 
     if lower_tail(1e-9) <= tail:

@@ -9,8 +9,9 @@ from interaction and error so that both expectations agree, with Satterthwaite's
 design it is the mean square of the interaction. (Searle, Casella and McCulloch, Variance Components, 1992, chapters 4
 and 5.)
 
-F takes the scatter for equal; where it is twice as large under one of three conditions, 6 % are shown instead of 5 %.
-An effect is therefore claimed where Welch's test, which takes no scatter for equal, shows it too (Biometrika 38, 1951).
+F assumes equal scatter under all conditions; if it is twice as large under one of three, chance alone shows an effect
+in 6 % of cases instead of 5 %. An effect is therefore claimed only if Welch's test, which does not assume equal
+scatter, shows it too (Biometrika 38, 1951).
 """
 
 import math
@@ -23,7 +24,7 @@ import numpy.typing as npt
 from leactl.analysis.anova.values import Array, Values
 from leactl.errors import NotIdentifiable
 
-FEWEST = 4  # values under a condition, below which its own scatter says too little for Welch's test
+FEWEST = 4  # values under a condition: fewer do not determine its scatter well enough for Welch's test
 SHOWN = 0.05  # probability below which a difference counts as shown, the paper's
 
 
@@ -33,12 +34,12 @@ class FTest:
 
     f: float
     between: float  # degrees of freedom of the numerator
-    within: float  # and of the denominator
+    within: float  # degrees of freedom of the denominator
     p: float
 
     @property
     def shown(self) -> bool:
-        """Whether the ratio is more than chance."""
+        """Return whether the ratio is more than chance."""
         return self.p < SHOWN
 
 
@@ -54,7 +55,7 @@ class Design:
 
     @property
     def additive(self) -> Array:
-        """Columns of conditions and actuators."""
+        """Return the columns of conditions and actuators side by side."""
         return np.hstack([self.condition, self.actuator])
 
 
@@ -63,24 +64,24 @@ class Anova:
     """Result of an analysis of variance; `actuator` and `interaction` are None where they cannot be tested."""
 
     design: Design
-    test: FTest  # of the conditions, by the error that `contrast` uses
+    test: FTest  # of the conditions; its error is also that of the pairwise differences
     error: "ErrorTerm"
     actuator: FTest | None
     actuator_std: float | None  # between actuators
     interaction: FTest | None
     at_large: FTest | None  # of the conditions, for all actuators of this make
     residuals: Array  # about conditions and actuators
-    unequal: FTest | None = None  # by Welch's test; None where it says too little, or the interaction judges
+    unequal: FTest | None = None  # Welch's test; None where it has too few values, or the interaction is the error
 
     @property
     def shown(self) -> bool:
-        """Whether the effect of the condition is more than chance, with equal scatter and without."""
+        """Return whether the effect of the condition is more than chance, with equal scatter and without."""
         return self.test.shown and (self.unequal is None or self.unequal.shown)
 
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """Mean squares that a difference is tested against: the error, and the interaction where it is significant."""
+    """Mean squares that a difference is tested against: the error, and the interaction if it is significant."""
 
     mean_square: float
     dof: float
@@ -92,7 +93,7 @@ def anova(values: Values) -> Anova:
 
     Raises
     ------
-    NotIdentifiable : fewer than two conditions, no repeats or no scatter, or actuators not told from conditions.
+    NotIdentifiable : fewer than two conditions, no repeats, no scatter, or conditions confounded with actuators.
     """
     design = design_of(values)
     y, count = values.value, len(values.value)
@@ -154,7 +155,7 @@ def anova(values: Values) -> Anova:
 
 
 def combined(error: ErrorTerm, error_factor: float, interaction_factor: float) -> tuple[float, float]:
-    """Combine error_factor x error + interaction_factor x interaction to a variance with Satterthwaite's dof."""
+    """Return the variance error_factor x error + interaction_factor x interaction, with Satterthwaite's dof."""
     if error.interaction is None:
         return error_factor * error.mean_square, error.dof
     mean_square, dof, c = error.interaction
@@ -162,14 +163,14 @@ def combined(error: ErrorTerm, error_factor: float, interaction_factor: float) -
         ((error_factor - interaction_factor / c) * error.mean_square, error.dof),
         (interaction_factor / c * mean_square, dof),
     ]
-    total = sum(part for part, _ in terms)
+    total = sum(term for term, _ in terms)
     if total <= 0.0:  # an interaction smaller than its error by chance
         return error_factor * error.mean_square, error.dof
-    return total, total**2 / sum(part**2 / part_dof for part, part_dof in terms)
+    return total, total**2 / sum(term**2 / term_dof for term, term_dof in terms)
 
 
 def f_test(numerator: float, between: float, denominator: float, within: float) -> FTest:
-    """Test a ratio of mean squares."""
+    """Test a ratio of mean squares with `between` and `within` degrees of freedom."""
     from scipy.stats import f
 
     ratio = numerator / denominator
@@ -177,22 +178,22 @@ def f_test(numerator: float, between: float, denominator: float, within: float) 
 
 
 def welch(groups: Sequence[Array]) -> FTest | None:
-    """Welch's test of equal means; None where a group has fewer than `FEWEST` values or no scatter."""
+    """Test equal means by Welch; None where a group has fewer than `FEWEST` values or no scatter."""
     if min(map(len, groups)) < FEWEST or min(float(np.ptp(group)) for group in groups) == 0.0:
         return None
     counts = np.array([len(group) for group in groups])
     means = np.array([group.mean() for group in groups])
     variances = np.array([group.var(ddof=1) for group in groups])
     weights = counts / variances
-    parts = weights / weights.sum()
+    shares = weights / weights.sum()
     between = len(groups) - 1.0
-    loss = float(np.sum((1.0 - parts) ** 2 / (counts - 1.0))) / (between * (between + 2.0))
-    spread = float(weights @ (means - parts @ means) ** 2) / between
+    loss = float(np.sum((1.0 - shares) ** 2 / (counts - 1.0))) / (between * (between + 2.0))
+    spread = float(weights @ (means - shares @ means) ** 2) / between
     return f_test(spread, between, 1.0 + 2.0 * (between - 1.0) * loss, 1.0 / (3.0 * loss))
 
 
 def design_of(values: Values) -> Design:
-    """Columns of ones for the labels of values.
+    """Return the design matrices for the labels of values.
 
     Raises
     ------
@@ -202,14 +203,15 @@ def design_of(values: Values) -> Design:
     if len(conditions) < 2:
         description = f"one condition, '{conditions[0]}'" if conditions else "no value"
         raise NotIdentifiable(f"{values.name}: found {description}; two conditions or more are needed")
-    condition = _ones(values.condition, conditions)
-    actuator = _ones(values.actuator, actuators)
+    condition = _indicator_columns(values.condition, conditions)
+    actuator = _indicator_columns(values.actuator, actuators)
     cell = np.hstack([condition * column[:, np.newaxis] for column in actuator.T])
     return Design(conditions, actuators, condition, actuator, cell[:, cell.any(axis=0)])
 
 
-def _ones(labels: npt.NDArray[np.str_], known: tuple[str, ...]) -> Array:
-    return np.stack([(labels == label).astype(np.float64) for label in known], axis=1)
+def _indicator_columns(labels: npt.NDArray[np.str_], distinct: tuple[str, ...]) -> Array:
+    """Return a column for each distinct label that is one where a value has the label, else zero."""
+    return np.stack([(labels == label).astype(np.float64) for label in distinct], axis=1)
 
 
 def _residual(columns: Array, y: Array) -> tuple[Array, int]:
@@ -219,7 +221,7 @@ def _residual(columns: Array, y: Array) -> tuple[Array, int]:
 
 
 def _without_actuators(design: Design, y: Array) -> Array:
-    """Return the values less the differences between actuators."""
+    """Return the values without the fitted effects of the actuators."""
     coefficients = np.linalg.pinv(design.additive) @ y
     return np.asarray(y - design.actuator @ coefficients[len(design.conditions) :], np.float64)
 
@@ -229,15 +231,20 @@ def _squared(values: Array) -> float:
 
 
 def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis of the space that the columns span."""
     vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(vectors[:, sizes > 1e-9 * sizes[0]], np.float64)
 
 
 def _trace(smaller: Array, larger: Array, factor: Array) -> float:
-    """trace(Q Z Z') for the projection Q onto what the larger columns span beyond the smaller, Z being the factor's."""
+    """Return trace(Q Z Z'), where Z are the columns of a factor.
+
+    Q projects onto the space that the larger columns span and the smaller columns do not.
+    """
     return float(np.sum((_basis(larger).T @ factor) ** 2) - np.sum((_basis(smaller).T @ factor) ** 2))
 
 
 def _cells(design: Design) -> str:
+    """Return a text with the numbers of conditions and actuators."""
     actuators = f" and {len(design.actuators)} actuators" if len(design.actuators) > 1 else ""
     return f"{len(design.conditions)} conditions{actuators}"

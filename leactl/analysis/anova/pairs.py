@@ -29,12 +29,12 @@ class PairwiseDifference:
 
     @property
     def shown(self) -> bool:
-        """Whether the difference is more than chance."""
+        """Return whether the difference is more than chance."""
         return self.low > 0.0 or self.high < 0.0
 
     @property
     def p(self) -> float:
-        """Probability of so large a difference between any two conditions if there were none."""
+        """Return the probability of so large a difference between any two conditions if all were equal."""
         from scipy.stats import studentized_range
 
         return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
@@ -44,13 +44,13 @@ def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
     """Compare every pair of conditions."""
     design = anova.design
     columns, count = design.additive, len(design.conditions)
-    solve = np.linalg.pinv(columns)
+    inverse = np.linalg.pinv(columns)
     differences = []
     for first in range(count):
         for second in range(first + 1, count):
             contrast = np.zeros(columns.shape[1])
             contrast[first], contrast[second] = -1.0, 1.0
-            weights = contrast @ solve  # of the values in the difference
+            weights = contrast @ inverse  # of the values in the difference
             spread = float(np.sum((weights @ design.cell) ** 2)) if anova.error.interaction else 0.0
             variance, dof = combined(anova.error, float(weights @ weights), spread)
             std, difference = math.sqrt(variance), float(weights @ values.value)
@@ -81,9 +81,9 @@ def _critical(conditions: int, dof: float) -> float:
 
 @cache
 def _seen(critical: float, dof: float) -> float:
-    """Return the difference in standard errors that passes the critical one in `SEEN` of experiments.
+    """Return the true difference, in standard errors, that passes the test in a share `SEEN` of experiments.
 
-    The standard error scatters as chi does; its distribution is cut into parts of equal probability.
+    The estimated standard error has a chi distribution, which is divided into parts of equal probability.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2, norm

@@ -12,29 +12,30 @@ from leactl.errors import NotIdentifiable
 def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
     """Estimate the mean of one result over actuators of one make; actuators are a random factor, as in `anova`.
 
-    Scatter between them counts by Student's t. The mean half-width of their own intervals counts in full beside it:
-    instruments that they have in common are off for all of them alike. Without uncertainties it is the mean alone.
+    The interval combines the scatter between actuators, by Student's t, with the mean half-width of their own
+    intervals. The latter counts in full, since common instruments have the same error for all actuators. Without
+    uncertainties the estimate is the mean alone.
 
     Raises
     ------
     NotIdentifiable : no estimate has a value.
     """
-    known = [estimate for estimate in estimates if math.isfinite(estimate.value)]
-    if not known:
+    finite = [estimate for estimate in estimates if math.isfinite(estimate.value)]
+    if not finite:
         raise NotIdentifiable(f"{estimates[0].name}: not known of any actuator")
-    first, count = known[0], len(known)
+    first, count = finite[0], len(finite)
     if count == 1:
         return first
     from scipy.stats import t
 
-    values = np.array([estimate.value for estimate in known])
-    if not all(math.isfinite(estimate.std) for estimate in known):  # such as a coefficient of determination
+    values = np.array([estimate.value for estimate in finite])
+    if not all(math.isfinite(estimate.std) for estimate in finite):  # such as a coefficient of determination
         return Estimate(first.name, float(values.mean()), NAN, NAN, NAN, first.units)
     error = float(values.std(ddof=1)) / math.sqrt(count)
     mean = float(values.mean())
-    mean_std = _mean([estimate.std for estimate in known])
+    mean_std = _mean([estimate.std for estimate in finite])
     half_interval = math.hypot(
-        float(t.ppf(0.975, count - 1)) * error, _mean([(estimate.high - estimate.low) / 2.0 for estimate in known])
+        float(t.ppf(0.975, count - 1)) * error, _mean([(estimate.high - estimate.low) / 2.0 for estimate in finite])
     )
     return Estimate(
         first.name, mean, math.hypot(error, mean_std), mean - half_interval, mean + half_interval, first.units
@@ -42,7 +43,7 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def widest(bounds: Sequence[Estimate]) -> Estimate:
-    """Return the bounds that hold for every actuator, where none has a value; a side unknown of one stays unknown."""
+    """Return the bounds that hold for every actuator; a bound that is NaN for one actuator is NaN."""
     low, high = float(np.min([bound.low for bound in bounds])), float(np.max([bound.high for bound in bounds]))
     return Estimate(bounds[0].name, NAN, NAN, low, high, bounds[0].units)
 
@@ -56,6 +57,6 @@ def difference(first: Estimate, second: Estimate) -> Estimate:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Mean of the finite values; 0 without any."""
-    known = [value for value in values if math.isfinite(value)]
-    return float(np.mean(known)) if known else 0.0
+    """Return the mean of the finite values; 0 without any."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.mean(finite)) if finite else 0.0

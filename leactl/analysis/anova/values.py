@@ -1,6 +1,7 @@
-"""The values that are compared: one result of an analysis, once a trial, with its actuator and condition.
+"""Values for an analysis of variance: one result of an analysis for each trial, with its actuator and condition.
 
-Some analyses need more than one pass of the repeats, for a result or for anything: those are there once a run besides.
+Some analyses need more than one pass of the repeats, for one result or for all. The values of such results are also
+collected from whole runs, one for each run.
 """
 
 from collections.abc import Sequence
@@ -30,7 +31,7 @@ from leactl.runfile.read.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
 MOST_BYTES = 1 << 26  # of an answer; one of 50 runs has 200 kB
-Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a number still
+Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square must be finite
 
 
 class _Row(BaseModel):
@@ -58,7 +59,7 @@ class _Answer(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of one result; element k of each array is one trial or one run."""
+    """Values of one result; element k of each array belongs to trial k, or to run k."""
 
     name: str
     units: str
@@ -88,7 +89,7 @@ class _OneTrial(Run):
 
     @property
     def steps(self) -> list[Step]:
-        """The steps of that repeat."""
+        """Return the steps of this repeat, and those that belong to no repeat."""
         return [step for step in super().steps if step.parameters.get("repeat", self._repeat) == self._repeat]
 
 
@@ -98,14 +99,14 @@ class ExperimentValues:
 
     experiment: str
     trials: dict[str, Values]
-    runs: dict[str, Values]  # one a run; empty where single trials tell every result in each run
+    runs: dict[str, Values]  # one for each run; empty if the trials of each run have every result
 
 
 def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> ExperimentValues:
-    """Values of each result, from runs and from answers of `leactl analyze --json`.
+    """Return the values of each result, from runs and from answers of `leactl analyze --json`.
 
-    A run gives one value for each pass of its repeats, a run without repeats and an answer one. Where a result is not
-    in every run's trials, whole runs give one value each besides.
+    A run with repeats gives one value for each pass; a run without repeats, and an answer, gives one value. If the
+    trials of some run lack a result, each whole run gives one value too.
 
     Parameters
     ----------
@@ -114,30 +115,31 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
 
     Raises
     ------
-    InputError : files that are neither, of different experiments, given twice or altered, or without a condition.
+    InputError : a file is neither a run nor an answer, is given twice, was altered or has no condition, or the files
+        are of different experiments.
     NotIdentifiable : neither a trial nor a whole run could be analysed.
     """
     answers = [path for path in paths if path.suffix == ".json"]
     files = [path for path in paths if path.suffix != ".json"]
-    given = listed(name for name, value in options.items() if value is not None)
-    if answers and given:
-        raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given}; give runs")
+    given_options = listed(name for name, value in options.items() if value is not None)
+    if answers and given_options:
+        raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given_options}; give runs")
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
     trials: list[TrialResults] = []
     kinds: dict[str, Path] = {}
-    taken: dict[Path, Path] = {}  # which answer is of a run
+    answer_of_run: dict[Path, Path] = {}
     for path in answers:
         kind, answer_trials, answered_runs = _of_answer(path, len(trials))
         kinds.setdefault(kind, path)
         trials += answer_trials
         for file in answered_runs:
-            if file in taken:
-                raise InputError(f"{path}: it is of {file.name}, as {taken[file]} is; give each run once")
-        taken |= dict.fromkeys(answered_runs, path)
+            if file in answer_of_run:
+                raise InputError(f"{path}: it is of {file.name}, as {answer_of_run[file]} is; give each run once")
+        answer_of_run |= dict.fromkeys(answered_runs, path)
     for path in files:
-        if path.resolve() in taken:
-            raise InputError(f"{path}: {taken[path.resolve()]} is an answer of it; give each run once")
+        if path.resolve() in answer_of_run:
+            raise InputError(f"{path}: {answer_of_run[path.resolve()]} is an answer of it; give each run once")
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in files]
         refuse_repeated(runs)
@@ -147,33 +149,37 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
         if len(kinds) > 1:
             files_by_kind = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
             raise InputError(f"different experiments: {files_by_kind}; give runs of one experiment")
-        first = len(trials)  # number of the first run
-        single = joined(_of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first))
+        first_number = len(trials)  # of the first run
+        single = joined(_of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first_number))
         trials_lack_results = (
             not by_run
             and any(len(_repeats(run)) > 1 for run in runs)
-            and _lacking([*trials, *single.value], first, len(runs))
+            and _lack_results([*trials, *single.value], first_number, len(runs))
         )
-        analysed_whole = enumerate(runs if trials_lack_results else [], start=first)
-        whole = joined(_of_run(run, number, True, options) for number, run in analysed_whole)
+        analysed_whole = enumerate(runs if trials_lack_results else [], start=first_number)
+        whole_runs = joined(_of_run(run, number, True, options) for number, run in analysed_whole)
     experiment = next(iter(kinds))
-    every_trial, every_run = [*trials, *single.value], [*trials, *whole.value]
+    every_trial, every_run = [*trials, *single.value], [*trials, *whole_runs.value]
     if not every_trial and not (trials_lack_results and every_run):
         raise NotIdentifiable(
             f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(single.notes, 2)}"
         )
-    partly = "single trials give no uncertainty of it, or not under every condition"
-    reason = partly if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
-    run_notes = (f"one value a run, its repeats together: {reason}", *whole.notes)
+    missing_in_trials = "single trials give no uncertainty of it, or not under every condition"
+    reason = missing_in_trials if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
+    run_notes = (f"one value a run, its repeats together: {reason}", *whole_runs.notes)
     by_trial = _columns(every_trial, single.notes)
     return ExperimentValues(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
-def _lacking(trials: Sequence[TrialResults], first: int, count: int) -> bool:
-    """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
+def _lack_results(trials: Sequence[TrialResults], first_number: int, count: int) -> bool:
+    """Return whether some run has a result without an uncertainty in all its trials.
+
+    The runs are the `count` ones from number `first_number` on.
+    """
     names = {item.name for trial in trials for item in trial.results}
-    known = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
-    return any(not names or (run, name) not in known for run in range(first, first + count) for name in names or {""})
+    with_std = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    numbers = range(first_number, first_number + count)
+    return any(not names or (run, name) not in with_std for run in numbers for name in names or {""})
 
 
 def _repeats(run: Run) -> list[int]:
@@ -185,33 +191,37 @@ def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Not
     """Analyse each pass of a run's repeats, or the whole run; a note names the passes that give no result."""
     experiment = experiment_of(run)
     analysis = analysis_of(experiment, str(run.path))
-    given = {name: value for name, value in options.items() if value is not None}
-    refuse_unknown(analysis, given)
+    given_options = {name: value for name, value in options.items() if value is not None}
+    refuse_unknown(analysis, given_options)
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
     notes = [*channel_doubts(run), *remarks_on(run)]
     repeats = _repeats(run)
-    parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
-    trials, lost = [], []
-    for repeat, part in zip(repeats or [1], parts, strict=False):
+    passes = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
+    trials, failures = [], []
+    for repeat, one_pass in zip(repeats or [1], passes, strict=False):
         try:
-            trials.append(TrialResults(actuator, condition, number, _analysed(analysis, part, given)))
+            trials.append(TrialResults(actuator, condition, number, _analysed(analysis, one_pass, given_options)))
         except NotIdentifiable as fault:
-            lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
-    if lost:
-        which = listed(repeat for repeat, _ in lost)
-        what = f"{len(lost)} of {len(parts)} trials gave nothing ({which})" if len(parts) > 1 else "it gave nothing"
-        notes.append(f"{run.path}: {what}: {lost[0][1]}")
+            failures.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
+    if failures:
+        failed = listed(repeat for repeat, _ in failures)
+        count = f"{len(failures)} of {len(passes)} trials gave nothing ({failed})"
+        summary = count if len(passes) > 1 else "it gave nothing"
+        notes.append(f"{run.path}: {summary}: {failures[0][1]}")
     return Noted(trials, tuple(notes))
 
 
-def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
-    return analysis.answer([part], **options).results
+def _analysed(analysis: Experiment, run: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
+    return analysis.answer([run], **options).results
 
 
-def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Path]]:
-    """Return experiment, trials (one for each actuator and condition) and runs of an answer."""
+def _of_answer(path: Path, first_number: int) -> tuple[str, list[TrialResults], set[Path]]:
+    """Return experiment, trials and runs of an answer.
+
+    It has one trial for each actuator and condition; these are numbered from `first_number` on.
+    """
     try:
         with open_regular(path, MOST_BYTES) as stream:
             answer = _Answer.model_validate_json(stream.read())
@@ -229,7 +239,7 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[TrialResults], set[Pat
         )
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
-    pairs = enumerate(groups.items(), start=first)
+    pairs = enumerate(groups.items(), start=first_number)
     trials = [TrialResults(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
@@ -239,35 +249,40 @@ def experiment_of_answer(path: Path) -> str:
 
     Raises
     ------
-    InputError : the file is none.
+    InputError : the file is no such answer.
     """
     return _of_answer(path, 0)[0]
 
 
 def _columns(trials: Sequence[TrialResults], notes: Sequence[str]) -> dict[str, Values]:
-    """Collect the values of each result that has an uncertainty and is not part of another, such as one direction."""
-    named: dict[str, str] = {}
+    """Collect the values of each result that has an uncertainty.
+
+    Results that are part of another one, such as those of one direction, are left out: their name begins with its name.
+    """
+    units_of_result: dict[str, str] = {}
     for trial in trials:
         for item in trial.results:
-            is_part = any(item.name.startswith(f"{other}_") for other in named)
-            if np.isfinite(item.std) and not is_part and named.setdefault(item.name, item.units) != item.units:
-                raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
+            is_part = any(item.name.startswith(f"{name}_") for name in units_of_result)
+            if np.isfinite(item.std) and not is_part:
+                units = units_of_result.setdefault(item.name, item.units)
+                if units != item.units:
+                    raise InputError(f"{item.name} is in {units} and in {item.units}; one unit was expected")
     columns = {}
-    for name, units in named.items():
+    for name, units in units_of_result.items():
         by_trial = [next((item.value for item in trial.results if item.name == name), np.nan) for trial in trials]
         values = np.array(by_trial, np.float64)
         finite = np.isfinite(values)
         column_notes = list(notes)
         if not finite.all():
             column_notes.append(f"{name}: {int((~finite).sum())} of {len(values)} values are missing and left out")
-        kept = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
+        with_value = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
         columns[name] = Values(
             name,
             units,
             values[finite],
-            np.array([trial.actuator for trial in kept], np.str_),
-            np.array([trial.condition for trial in kept], np.str_),
-            np.array([trial.run for trial in kept], np.int64),
+            np.array([trial.actuator for trial in with_value], np.str_),
+            np.array([trial.condition for trial in with_value], np.str_),
+            np.array([trial.run for trial in with_value], np.int64),
             tuple(column_notes),
         )
     return columns

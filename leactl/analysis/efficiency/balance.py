@@ -1,8 +1,8 @@
-"""Power of one actuator at every point: electrical and mechanical, and where the difference goes.
+"""Power balance of one actuator at every operating point: electrical, mechanical, copper loss and friction loss.
 
-Electrical power is V i of the q axis. A run whose drives tell their q-axis voltages has V measured; the paper's have
-not, and V = R i + Kb w is that of an actuator at the winding temperature that R is for. Mechanical power is that at the
-torque sensor. Kb w i goes to the rotor; what of it does not reach the shaft is lost in friction.
+Electrical power is V i of the q axis. V is measured where the drives report their q-axis voltages; the paper's drives
+do not, and there V = R i + Kb w, at the winding temperature that R holds for. Mechanical power is that at the torque
+sensor. Kb w i is the power on the rotor; the part of it that does not reach the shaft is lost in friction.
 """
 
 from collections.abc import Mapping
@@ -13,15 +13,15 @@ import numpy as np
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.statistics.regression import Array
 
-SENSE = {"test": 1.0, "load": -1.0}  # of the shaft's torque: the sensor tells what the test actuator puts onto it
+SENSE = {"test": 1.0, "load": -1.0}  # sign of an actuator's torque: the sensor reads that of the test actuator
 
 
 @dataclass(frozen=True)
 class PowerCalibration:
-    """Numbers that turn readings into powers; `replace` one of them to see its effect."""
+    """Constants that powers are computed with; `replace` one of them to see its effect."""
 
-    resistance: float  # ohm, of the q axis; NaN where not known
-    back_emf_constant: float  # V*s/rad; NaN where not known
+    resistance: float  # ohm, of the q axis; NaN if unknown
+    back_emf_constant: float  # V*s/rad; NaN if unknown
     by_measured_voltage: bool
     torque_gain: float = 1.0
     current_gain: float = 1.0
@@ -31,7 +31,7 @@ class PowerCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Powers of one actuator [W], shape (holds,), electrical and mechanical positive where it drives."""
+    """Powers of one actuator [W], shape (holds,); electrical and mechanical power are positive where it drives."""
 
     speed: Array  # rad/s
     current: Array  # A
@@ -44,24 +44,24 @@ class Balance:
 
     @property
     def loss(self) -> Array:
-        """Power that goes in and does not come out [W]."""
+        """Return the electrical less the mechanical power [W]."""
         return self.electrical - self.mechanical
 
     @property
     def friction(self) -> Array:
-        """Loss that is not in the copper [W]."""
+        """Return the loss without the copper loss [W]."""
         return self.loss - self.copper
 
     @property
     def efficiency(self) -> Array:
-        """Power out over power in; negative where a driven actuator takes electrical power too."""
-        out, taken = (self.mechanical, self.electrical) if self.driving else (self.electrical, self.mechanical)
+        """Return output over input power; negative where a driven actuator takes electrical power too."""
+        output, supplied = (self.mechanical, self.electrical) if self.driving else (self.electrical, self.mechanical)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return out / taken
+            return output / supplied
 
 
 def balance(points: OperatingPoints, role: str, driving: bool, calibration: PowerCalibration) -> Balance:
-    """Compute the powers of one role's actuator at points at which it drives, or is driven."""
+    """Compute the powers of a role's actuator at points at which it drives, or is driven where `driving` is false."""
     speeds = [
         points.value["velocity", speed_role]
         for speed_role in (role, OTHER_ROLE[role])

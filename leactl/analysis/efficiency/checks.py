@@ -14,19 +14,19 @@ from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 MOST_WRONG = 0.5  # of the points: if more have signs that contradict the roles, a sign is swapped
-FEWEST = 12  # points, for a drift to be distinguished from the effects of speed and torque
-ALONE = 0.5  # of the spread of time, that speed and torque must leave unexplained
-CLEAR = 4.0  # standard errors
+FEWEST = 12  # points: fewer do not distinguish a drift from the effects of speed and torque
+ALONE = 0.5  # of the spread of time: least part of it that speed and torque must leave unexplained
+CLEAR = 4.0  # standard errors: a smaller drift or gain error may be chance
 SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
-GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
+GAIN_OFF = 0.02  # relative difference between torque sensor and currents; a note names a larger one
 
 
-def refuse_swapped(points: OperatingPoints, place: str) -> None:
-    """Raise if the signs of most readings contradict which actuator drives.
+def refuse_swapped(points: OperatingPoints, error_prefix: str) -> None:
+    """Raise if the signs of most readings contradict the roles of the driving and the driven actuator.
 
     Raises
     ------
-    InputError : with the channels that contradict each other.
+    InputError : signs contradict the roles; the message names the channels, and `error_prefix` opens it.
     """
     driving = np.array([grid_hold.driving for grid_hold in points.holds])
     faults = []
@@ -34,32 +34,35 @@ def refuse_swapped(points: OperatingPoints, place: str) -> None:
         expected = np.where(driving == role, 1.0, -1.0)
         speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER_ROLE[role])))
         current = points.value.get(("q_axis_current", role))
-        if current is not None and speed is not None and _wrong(expected * current * speed):
+        if current is not None and speed is not None and _mostly_negative(expected * current * speed):
             faults.append(f"current and velocity of the {role} actuator")
         voltage = points.value.get(("q_axis_voltage", role))
-        if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
+        if current is not None and voltage is not None and _mostly_negative((voltage * current)[driving == role]):
             faults.append(f"voltage and current of the {role} actuator")
         elif current is not None and voltage is not None and speed is not None:
             low_current = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
-            if _wrong((voltage * speed)[low_current]):
+            if _mostly_negative((voltage * speed)[low_current]):
                 faults.append(f"voltage and velocity of the {role} actuator")
     velocity = next(points.value["velocity", role] for role in OTHER_ROLE if ("velocity", role) in points.value)
-    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * velocity):
+    if _mostly_negative(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * velocity):
         faults.append("torque and velocity")
     if faults:
-        raise InputError(f"{place}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}")
+        raise InputError(
+            f"{error_prefix}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}"
+        )
 
 
-def _wrong(products: np.ndarray) -> bool:
+def _mostly_negative(products: np.ndarray) -> bool:
     finite = products[np.isfinite(products)]
     return bool(len(finite)) and float(np.mean(finite < 0.0)) > MOST_WRONG
 
 
 def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerCalibration) -> Noted[OperatingPoints]:
-    """Widen the uncertainty of the torque sensor's zero by its drift; a note says where a run has one.
+    """Widen the uncertainty of the torque sensor's zero by its drift; a note names the runs with a drift.
 
-    Each actuator's friction is Kt i less the torque that it gives. The two frictions add up to no torque reading at
-    all; their difference is twice the torque's error and what the actuators differ by, which goes with the speed.
+    Each actuator's friction is Kt i less the torque that it gives. In the sum of both frictions the torque reading
+    cancels; their difference is twice the error of the torque, plus the difference between the actuators, which depends
+    on the speed.
     """
     currents_known = all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     if not currents_known or not np.isfinite(calibration.back_emf_constant):
@@ -73,30 +76,32 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
         by_current = signed_currents * calibration.back_emf_constant / 2.0
         speed = np.array([grid_hold.speed for grid_hold in run_points.holds])
         time = np.array([grid_hold.hold.start for grid_hold in run_points.holds])
-        good = np.isfinite(torque) & np.isfinite(by_current)
-        if good.sum() < FEWEST:
+        complete = np.isfinite(torque) & np.isfinite(by_current)
+        if complete.sum() < FEWEST:
             continue
-        run_time = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
-        others = np.column_stack([torque, speed, np.ones_like(run_time)])[good]
-        unexplained = run_time[good] - others @ np.linalg.lstsq(others, run_time[good], rcond=None)[0]
-        if np.std(unexplained) < ALONE * np.std(run_time[good]):
+        run_time = (time - time[complete].mean()) / max(float(np.ptp(time[complete])), 1e-9)
+        torque_and_speed = np.column_stack([torque, speed, np.ones_like(run_time)])[complete]
+        explained = torque_and_speed @ np.linalg.lstsq(torque_and_speed, run_time[complete], rcond=None)[0]
+        unexplained = run_time[complete] - explained
+        if np.std(unexplained) < ALONE * np.std(run_time[complete]):
             notes.append(
                 f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
                 " currents cannot be told from them, and is in no interval"
             )
             continue
-        design = np.column_stack([run_time[good], others])
+        design = np.column_stack([run_time[complete], torque_and_speed])
         try:
-            fit = least_squares(design, (torque - by_current)[good], design, str(run.path))
+            fit = least_squares(design, (torque - by_current)[complete], design, str(run.path))
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
             continue
         drift, std = fit.combined(np.eye(design.shape[1])[0])
-        if abs(drift) > CLEAR * std and abs(drift) > SHARE * float(np.max(np.abs(torque[good]))):
+        if abs(drift) > CLEAR * std and abs(drift) > SHARE * float(np.max(np.abs(torque[complete]))):
             notes.append(
                 f"{run.path}: torque drifts by {drift:.2g} N*m over the run against the currents; its zero is taken as"
                 " uncertain as that"
             )
-            zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))  # root mean square of 0 to all
+            # the root mean square of a straight drift from zero
+            zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))
         gain, std = fit.combined(np.eye(design.shape[1])[1])
         if abs(gain) > GAIN_OFF and abs(gain) > CLEAR * std:
             notes.append(

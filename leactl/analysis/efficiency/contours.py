@@ -1,11 +1,11 @@
-"""Contour lines over a warped grid: each cell is two triangles, in which the level is crossed along a straight line."""
+"""Contour lines and bands over a warped grid: each cell is two triangles in which z is linear."""
 
 import numpy as np
 
 from leactl.analysis.statistics.regression import Array
 
 Crossing = tuple[int, int]  # the two corners of an edge that a line crosses, the lower number first
-Line = tuple[tuple[float, ...], tuple[float, ...]]
+Line = tuple[tuple[float, ...], tuple[float, ...]]  # x and y of its points
 Corner = tuple[float, float, float]  # x, y, z
 Polygon = tuple[tuple[float, float], ...]  # x, y of each corner
 
@@ -33,11 +33,14 @@ def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
     def crossing_point(edge: Crossing) -> tuple[float, float]:
         a, b = edge
         share = (level - flat[a]) / (flat[b] - flat[a])
-        return tuple(float(c.flat[a] + share * (c.flat[b] - c.flat[a])) for c in (x, y))  # type: ignore[return-value]
+        x_value, y_value = (
+            float(coordinate.flat[a] + share * (coordinate.flat[b] - coordinate.flat[a])) for coordinate in (x, y)
+        )
+        return x_value, y_value
 
     lines = []
     while neighbours:
-        start = next((edge for edge, others in neighbours.items() if len(others) == 1), next(iter(neighbours)))
+        start = next((edge for edge, adjacent in neighbours.items() if len(adjacent) == 1), next(iter(neighbours)))
         path = [start]
         while ahead := neighbours.get(path[-1]):
             current, following = path[-1], ahead.pop()
@@ -47,12 +50,12 @@ def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
             if edge in neighbours and not neighbours[edge]:
                 del neighbours[edge]
         points = [crossing_point(edge) for edge in path]
-        lines.append((tuple(p[0] for p in points), tuple(p[1] for p in points)))
+        lines.append((tuple(point[0] for point in points), tuple(point[1] for point in points)))
     return lines
 
 
 def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]:
-    """Polygons of the grid where `low <= z < high`, z being linear in each triangle; cells with a NaN corner have none.
+    """Return polygons that cover the grid where `low <= z < high`; cells with a NaN corner have no polygon.
 
     Parameters
     ----------
@@ -61,30 +64,33 @@ def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]
     corners = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
     polygons = []
     for numbers in triangles(*z.shape):
-        polygon: list[Corner] = [(float(a), float(b), float(c)) for a, b, c in corners[list(numbers)]]
+        polygon: list[Corner] = [tuple(corner) for corner in corners[list(numbers)].tolist()]
         if not np.isfinite(polygon).all():
             continue
         for level, upwards in ((low, True), (high, False)):
             polygon = above(polygon, level, upwards)
         if len(polygon) > 2:
-            polygons.append(tuple((a, b) for a, b, _ in polygon))
+            polygons.append(tuple((corner[0], corner[1]) for corner in polygon))
     return polygons
 
 
 def above(polygon: list[Corner], level: float, upwards: bool) -> list[Corner]:
-    """Cut a polygon at a level and return the part on one side (Sutherland, Hodgman 1974)."""
+    """Cut a polygon at a level and return the part above it, or below it where `upwards` is false.
+
+    The algorithm is that of Sutherland and Hodgman (1974).
+    """
     if not np.isfinite(level):
         return polygon
-    kept: list[Corner] = []
+    clipped: list[Corner] = []
     for corner, next_corner in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
         inside = (corner[2] >= level) == upwards
         if inside:
-            kept.append(corner)
+            clipped.append(corner)
         if inside != ((next_corner[2] >= level) == upwards):
             share = (level - corner[2]) / (next_corner[2] - corner[2])
-            a, b = (start + share * (end - start) for start, end in zip(corner[:2], next_corner[:2], strict=True))
-            kept.append((a, b, level))
-    return kept
+            x, y = (start + share * (stop - start) for start, stop in zip(corner[:2], next_corner[:2], strict=True))
+            clipped.append((x, y, level))
+    return clipped
 
 
 def triangles(rows: int, columns: int) -> list[tuple[int, int, int]]:
@@ -92,7 +98,6 @@ def triangles(rows: int, columns: int) -> list[tuple[int, int, int]]:
     corners = []
     for row in range(rows - 1):
         for column in range(columns - 1):
-            a = row * columns + column
-            b, c, d = a + 1, a + columns, a + columns + 1
-            corners += [(a, b, d), (a, d, c)]
+            this, right, below, opposite = (row * columns + column + offset for offset in (0, 1, columns, columns + 1))
+            corners += [(this, right, opposite), (this, opposite, below)]
     return corners

@@ -1,4 +1,4 @@
-"""What the drives themselves lose: power of their DC link less that of both actuators' terminals."""
+"""Loss of the drives: power of their DC link less the power at the terminals of both actuators."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.runfile.read.reader import Channel, Run
 
-FEWEST = 2
+FEWEST = 2  # holds
 
 
 def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:

@@ -1,4 +1,4 @@
-"""Parameters of actuators and instruments that are not measured: from the runs' model, or given by the caller."""
+"""Parameters of actuators and instruments for the power balance: from the runs' model, or given by the caller."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from leactl.runfile.read.reader import Run
 
 @dataclass(frozen=True)
 class GivenParameters:
-    """Parameters of the actuators that the caller gives, in place of the model's."""
+    """Parameters of the actuators that the caller gives; each replaces that of the model."""
 
     phase_resistance: float | None = None  # ohm
     back_emf_constant: float | None = None  # V*s/rad
@@ -26,17 +26,17 @@ class GivenParameters:
 def calibration_of(
     runs: Sequence[Run], points: OperatingPoints, given: GivenParameters, relative: Mapping[str, float | None]
 ) -> Noted[tuple[PowerCalibration, dict[str, float]]]:
-    """Return the numbers that turn readings into powers, and the standard uncertainties of those that have one.
+    """Return the constants of the power balance, and the standard uncertainties of those that have one.
 
     Parameters
     ----------
     given : values that replace those of the runs' model.
-    relative : relative standard uncertainty of each number by its name, None where the caller gave none.
+    relative : relative standard uncertainty of each constant by its name, None where the caller gave none.
 
     Raises
     ------
-    InputError : a number that makes no sense, or runs whose models differ.
-    NotIdentifiable : no voltage was measured and none can be worked out.
+    InputError : a number out of range, or runs whose models differ.
+    NotIdentifiable : no voltage was measured, and resistance or back-EMF constant is not known.
     """
     stds = {name: std or 0.0 for name, std in relative.items()}
     for name, std in stds.items():
@@ -44,8 +44,8 @@ def calibration_of(
             raise InputError(f"{name}_std {std:g}: a relative standard uncertainty of zero or more was expected")
     if relative["torque_gain"] is None:
         stds["torque_gain"] = max(run.channel("torque", role="test").scale_std for run in runs)
-    back_emf = _number(runs, "back_emf_constant", given.back_emf_constant)
-    cold = _number(runs, "phase_resistance", given.phase_resistance)
+    back_emf = _given_or_modelled(runs, "back_emf_constant", given.back_emf_constant)
+    cold = _given_or_modelled(runs, "phase_resistance", given.phase_resistance)
     measured = all(
         ("q_axis_voltage", role) in points.value for role in OTHER_ROLE if ("q_axis_current", role) in points.value
     )
@@ -60,8 +60,8 @@ def calibration_of(
             f"{runs[0].path}: no q-axis voltage was measured, and the run's model lacks phase_resistance or"
             " back_emf_constant; give --set phase_resistance= and --set back_emf_constant="
         )
-    reference = _number(runs, "reference_temperature", None)
-    temperature, slope = given.winding_temperature, _number(runs, "resistance_coefficient", None)
+    reference = _given_or_modelled(runs, "reference_temperature", None)
+    temperature, slope = given.winding_temperature, _given_or_modelled(runs, "resistance_coefficient", None)
     warm = cold
     if temperature is not None:
         if not (math.isfinite(slope) and math.isfinite(reference) and -50.0 <= temperature <= 400.0):
@@ -72,16 +72,16 @@ def calibration_of(
         warm = cold * (1.0 + slope * (temperature - reference))
     elif math.isfinite(reference):
         temperature = reference
-    where = f" at {temperature:g} degC" if temperature is not None else ""
+    at_temperature = f" at {temperature:g} degC" if temperature is not None else ""
     note = (
-        f"no measured voltage: electrical power is that of windings of {warm:.4g} ohm{where} and a back-EMF constant of"
-        f" {back_emf:g} V*s/rad, as the paper has it; warmer ones take more (--set winding_temperature=)"
+        f"no measured voltage: electrical power is that of windings of {warm:.4g} ohm{at_temperature} and a back-EMF"
+        f" constant of {back_emf:g} V*s/rad, as the paper has it; warmer ones take more (--set winding_temperature=)"
     )
     return Noted((PowerCalibration(warm, back_emf, False), _absolute(stds, warm, back_emf)), (note,))
 
 
 def sources_of(stds: Mapping[str, float]) -> str:
-    """Return a note on which instruments' uncertainties the intervals include."""
+    """Return a note that names the uncertainties which the intervals include."""
     included = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
     if included:
         return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(included)}"
@@ -93,12 +93,18 @@ def sources_of(stds: Mapping[str, float]) -> str:
 
 
 def _absolute(stds: dict[str, float], resistance: float, back_emf: float) -> dict[str, float]:
+    """Return absolute standard uncertainties from relative ones, without zeros; a gain is nominally one."""
     scale = {"resistance": resistance, "back_emf_constant": back_emf}
     return {name: std * scale.get(name, 1.0) for name, std in stds.items() if std > 0.0}
 
 
-def _number(runs: Sequence[Run], name: str, given: float | None) -> float:
-    """Return the given number, else that of the runs' models; NaN where neither has it."""
+def _given_or_modelled(runs: Sequence[Run], name: str, given: float | None) -> float:
+    """Return the given value of a parameter, else that of the runs' models; NaN where neither has it.
+
+    Raises
+    ------
+    InputError : the given value is not positive, or the models of the runs differ.
+    """
     if given is not None:
         if not (math.isfinite(given) and given > 0.0):
             raise InputError(f"{name} {given:g}: a positive number was expected")

@@ -1,4 +1,4 @@
-"""Maps as the paper draws them: torque over speed, current over voltage, driven points to the left of zero."""
+"""Efficiency maps as in the paper: torque over speed and current over voltage, driven points to the left of zero."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -40,7 +40,11 @@ def speeds_and_torques(maps: Sequence[MapMeans]) -> Plot:
         return np.abs(means.over_map("speed")) * (1.0 if means.driving else -1.0)
 
     return _plot(
-        maps, "speed, negative where driven [rad/s]", "shaft torque [N*m]", x, lambda m: np.abs(m.over_map("torque"))
+        maps,
+        "speed, negative where driven [rad/s]",
+        "shaft torque [N*m]",
+        x,
+        lambda means: np.abs(means.over_map("torque")),
     )
 
 
@@ -51,7 +55,11 @@ def currents_and_voltages(maps: Sequence[MapMeans]) -> Plot:
         return np.asarray(means.over_map("voltage") * np.sign(means.over_map("current")))
 
     return _plot(
-        maps, "voltage, negative where power is given [V]", "current [A]", x, lambda m: np.abs(m.over_map("current"))
+        maps,
+        "voltage, negative where power is given [V]",
+        "current [A]",
+        x,
+        lambda means: np.abs(means.over_map("current")),
     )
 
 
@@ -72,14 +80,14 @@ def _plot(
             lines += [Series(f"{level:.0%}", *line) for line in contours(x_values, y_values, efficiency, level)]
         for level_polygons, (low, high) in zip(polygons, steps, strict=True):
             level_polygons += band(x_values, y_values, efficiency, low, high)
-    series = tuple(Series(label, tuple(a), tuple(b)) for label, (a, b) in points.items() if a)
+    series = tuple(Series(label, tuple(xs), tuple(ys)) for label, (xs, ys) in points.items() if xs)
     bands = tuple(
-        Band(words_of(*step), tuple(level_polygons)) for step, level_polygons in zip(steps, polygons, strict=True)
+        Band(band_label(*step), tuple(level_polygons)) for step, level_polygons in zip(steps, polygons, strict=True)
     )
     return Plot(x_label, y_label, series, tuple(lines), bands=bands)
 
 
-def words_of(low: float, high: float) -> str:
+def band_label(low: float, high: float) -> str:
     """Return the label of the band between two efficiencies, one of which may be infinite."""
     if low == -np.inf:
         return f"below {high:.0%}"

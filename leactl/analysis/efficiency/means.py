@@ -1,9 +1,9 @@
-"""Means over the map with their uncertainty: scatter of the readings, the sensor's zero in each run, calibrations.
+"""Means over an efficiency map with their uncertainty: scatter, the sensor's zero in each run, calibrations.
 
-Every figure is a mean over points of something that follows from a point's readings. What moves one reading moves one
-point; what moves a calibration or a zero moves all of them together, so each is moved by its standard uncertainty and
-the figure is looked at again (GUM, 5.1.3, note 2). Passes through the grid that lie further apart than that explains
-have the uncertainty of their mean instead.
+Every result is a mean over points of a quantity computed from each point's readings. An error of one reading affects
+one point; an error of a calibration or a zero affects all points together. Each input is therefore shifted by its
+standard uncertainty and the result computed again (GUM, 5.1.3, note 2). Where passes through the grid differ by more
+than these uncertainties explain, the standard error of the mean of the passes replaces scatter and zero.
 """
 
 import math
@@ -20,7 +20,7 @@ from leactl.analysis.statistics.regression import POOLING_P_VALUE, Array, t_quan
 
 
 class MapMeans:
-    """Means over one actuator's map, driving or driven: points, powers, and means over the points that were held."""
+    """Map of one actuator, driving or driven: its points, their powers, and means over the points that were held."""
 
     def __init__(
         self,
@@ -31,31 +31,34 @@ class MapMeans:
         stds: Mapping[str, float],
     ) -> None:
         self.points, self.role, self.driving = points, role, driving
-        self._told, self._stds = calibration, stds
+        self._calibration, self._stds = calibration, stds
         self.balance = self._balance(points, calibration)
         self.held = np.isfinite(self.balance.efficiency)
         setpoints = np.array([(grid_hold.speed, grid_hold.current) for grid_hold in points.holds])
         self.speeds, self.currents = np.unique(setpoints[:, 0]), np.unique(setpoints[:, 1])
-        self.places = np.searchsorted(self.speeds, setpoints[:, 0]), np.searchsorted(self.currents, setpoints[:, 1])
+        self.cells = np.searchsorted(self.speeds, setpoints[:, 0]), np.searchsorted(self.currents, setpoints[:, 1])
         self.counts = np.zeros((len(self.speeds), len(self.currents)))
-        np.add.at(self.counts, self.places, self.held)
+        np.add.at(self.counts, self.cells, self.held)
 
     @property
     def reached(self) -> int:
-        """Number of points of the grid that were held at least once."""
+        """Return the number of points of the grid that were held at least once."""
         return int(np.sum(self.counts > 0))
 
     @cached_property
     def weights(self) -> Array:
-        """Weight of each hold in a mean over the map, shape (holds,): every point counts once, whatever its repeats."""
-        repeats = np.where(self.held, self.counts[self.places], np.inf)
+        """Return the weight of each hold in a mean over the map, shape (holds,): every point has the same weight."""
+        repeats = np.where(self.held, self.counts[self.cells], np.inf)
         return np.asarray(1.0 / repeats / self.reached)
 
     def over_map(self, quantity: str, column: Array | None = None) -> Array:
-        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without one."""
+        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without a repeat.
+
+        `column`, shape (holds,), replaces the values of the quantity.
+        """
         values = getattr(self.balance, quantity) if column is None else column
         total = np.zeros_like(self.counts)
-        np.add.at(total, self.places, np.where(self.held, values, 0.0))
+        np.add.at(total, self.cells, np.where(self.held, values, 0.0))
         with np.errstate(invalid="ignore"):
             return np.asarray(total / np.where(self.counts > 0, self.counts, np.nan))
 
@@ -63,22 +66,23 @@ class MapMeans:
         """Return the standard uncertainty of a quantity at each point, shape (speeds, currents)."""
         nominal = self.over_map(quantity)
         independent_square = sum(
-            self.over_map(quantity, change**2) for change in self._changes_of_one(quantity)
+            self.over_map(quantity, change**2) for change in self._changes_by_channel(quantity)
         ) / np.fmax(self.counts, 1.0)
-        common_changes = [self.over_map(quantity, column) - nominal for column in self._moved_together(quantity)]
+        shifted_columns = [*self._with_shifted_zeros(quantity), *self._with_shifted_calibrations(quantity)]
+        common_changes = [self.over_map(quantity, column) - nominal for column in shifted_columns]
         return np.sqrt(independent_square + sum(change**2 for change in common_changes))
 
     def mean(self, quantity: str, name: str, units: str) -> Estimate:
         """Estimate the mean of a quantity of `Balance` over the map."""
-        value = self._weighed(getattr(self.balance, quantity))
+        value = self._weighted_mean(getattr(self.balance, quantity))
         independent = sum(
             float(np.sum((self.weights * np.where(self.held, change, 0.0)) ** 2))
-            for change in self._changes_of_one(quantity)
+            for change in self._changes_by_channel(quantity)
         )
-        zero_variance = sum((self._weighed(column) - value) ** 2 for column in self._moved_zeros(quantity))
-        variance, dof = self._by_passes(quantity, independent + zero_variance)
+        zero_variance = sum((self._weighted_mean(column) - value) ** 2 for column in self._with_shifted_zeros(quantity))
+        variance, dof = self._variance_by_passes(quantity, independent + zero_variance)
         calibration_variance = sum(
-            (self._weighed(column) - value) ** 2 for column in self._moved_calibrations(quantity)
+            (self._weighted_mean(column) - value) ** 2 for column in self._with_shifted_calibrations(quantity)
         )
         std = math.sqrt(variance + calibration_variance)
         effective = dof * (std**2 / variance) ** 2 if variance > 0.0 else math.inf
@@ -86,7 +90,7 @@ class MapMeans:
         return Estimate(name, value, std, value - half, value + half, units)
 
     def spread(self, name: str) -> Estimate:
-        """Return the standard deviation of the efficiency over the map, three of which the paper prints."""
+        """Return the standard deviation of the efficiency over the map; the paper prints three times this value."""
         return Estimate(
             name, float(np.nanstd(self.over_map("efficiency"), ddof=1)) if self.reached > 1 else NAN, NAN, NAN, NAN, "1"
         )
@@ -99,8 +103,8 @@ class MapMeans:
         half = t_quantile(math.inf) * std
         return Estimate(name, value, std, value - half, value + half, "1")
 
-    def remarks(self, whose: str) -> list[str]:
-        """Return notes on points without a value, and on points with fewer repeats than others."""
+    def remarks(self, prefix: str) -> list[str]:
+        """Return notes on points without a value, and on points with fewer repeats than others; `prefix` opens them."""
         notes = []
         point_count = self.counts.size
         if self.reached < point_count:
@@ -108,44 +112,45 @@ class MapMeans:
                 f"{self.speeds[row]:g} rad/s {self.currents[column]:g} A"
                 for row, column in np.argwhere(self.counts == 0)
             ]
-            notes.append(f"{whose}: {self.reached} of {point_count} points were held; no value at {listed(absent, 6)}")
-        repeats_asked = np.zeros_like(self.counts)
-        np.add.at(repeats_asked, self.places, 1.0)
-        fewer = int(np.sum((self.counts > 0) & (self.counts < repeats_asked.max())))
+            notes.append(f"{prefix}: {self.reached} of {point_count} points were held; no value at {listed(absent, 6)}")
+        planned_repeats = np.zeros_like(self.counts)
+        np.add.at(planned_repeats, self.cells, 1.0)
+        fewer = int(np.sum((self.counts > 0) & (self.counts < planned_repeats.max())))
         if fewer:
             notes.append(
-                f"{whose}: {fewer} points have fewer than {repeats_asked.max():g} repeats; each point counts once"
+                f"{prefix}: {fewer} points have fewer than {planned_repeats.max():g} repeats; each point counts once"
                 " all the same"
             )
         return notes
 
-    def _weighed(self, column: Array) -> float:
+    def _weighted_mean(self, column: Array) -> float:
         return float(np.sum(self.weights * np.where(self.held, column, 0.0)))
 
     def _balance(self, points: OperatingPoints, calibration: PowerCalibration) -> Balance:
         return balance(points, self.role, self.driving, calibration)
 
-    def _changes_of_one(self, quantity: str) -> list[Array]:
-        """Change of a quantity in each hold when one channel's mean there moves by its standard error."""
+    def _changes_by_channel(self, quantity: str) -> list[Array]:
+        """Return, for each channel, the change of a quantity in each hold if the mean moves by its standard error."""
         nominal = getattr(self.balance, quantity)
-        balances = [self._balance(self.points.shifted(key), self._told) for key in self.points.std]
-        return [np.nan_to_num(getattr(moved, quantity) - nominal) for moved in balances]
+        balances = [self._balance(self.points.shifted(key), self._calibration) for key in self.points.std]
+        return [np.nan_to_num(getattr(shifted, quantity) - nominal) for shifted in balances]
 
-    def _moved_together(self, quantity: str) -> list[Array]:
-        return [*self._moved_zeros(quantity), *self._moved_calibrations(quantity)]
-
-    def _moved_zeros(self, quantity: str) -> list[Array]:
+    def _with_shifted_zeros(self, quantity: str) -> list[Array]:
+        """Return, for each run, a quantity in each hold if that run's zero moves by its standard uncertainty."""
         zeros = [{run: float(std)} for run, std in enumerate(self.points.zero_std)]
-        return [getattr(self._balance(self.points, replace(self._told, zero=zero)), quantity) for zero in zeros]
+        return [getattr(self._balance(self.points, replace(self._calibration, zero=zero)), quantity) for zero in zeros]
 
-    def _moved_calibrations(self, quantity: str) -> list[Array]:
-        calibrations = [
-            replace(self._told, **{name: getattr(self._told, name) + std}) for name, std in self._stds.items()
-        ]
+    def _with_shifted_calibrations(self, quantity: str) -> list[Array]:
+        """Return, for each constant, a quantity in each hold if that constant moves by its standard uncertainty."""
+        nominal = self._calibration
+        calibrations = [replace(nominal, **{name: getattr(nominal, name) + std}) for name, std in self._stds.items()]
         return [getattr(self._balance(self.points, calibration), quantity) for calibration in calibrations]
 
-    def _by_passes(self, quantity: str, explained: float) -> tuple[float, float]:
-        """Variance and degrees of freedom of the mean, from the passes where they scatter more than is explained."""
+    def _variance_by_passes(self, quantity: str, explained: float) -> tuple[float, float]:
+        """Return variance and degrees of freedom of the mean over the map.
+
+        They follow from complete passes through the grid where these scatter by more than the variance `explained`.
+        """
         column = getattr(self.balance, quantity)
         labels = np.array([(grid_hold.run, grid_hold.pass_number) for grid_hold in self.points.holds])
         means = []

@@ -1,7 +1,7 @@
 """Settled means at every point of a grid of speeds and opposing currents, and which points the bench did not hold.
 
-A point is a step `hold` that tells a velocity and a current; its `role` is that of the current, whose actuator is
-driven, the other one drives.
+A point is a step `hold` whose parameters state a velocity and a current. Its `role` is that of the current: the
+actuator of this role is driven, and the actuator of the other role drives.
 """
 
 import math
@@ -19,20 +19,20 @@ from leactl.errors import MissingChannel, NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
 OTHER_ROLE = {"test": "load", "load": "test"}
-HELD = 0.02  # of the setpoint: how far a mean may be off it
-OPPOSITE = 0.5  # of the setpoint: a reading that opposes it by more has its sign swapped
-STEADY = 0.02  # of the mean: how far the means of the quarters of a settled part may lie apart
+HELD = 0.02  # of the setpoint: largest difference of a mean from it
+OPPOSITE = 0.5  # of the setpoint: a reading of opposite sign beyond this has its sign swapped
+STEADY = 0.02  # of the mean: largest difference between the quarters of a settled part
 ChannelKey = tuple[str, str]  # quantity and role of a channel
 
 
 @dataclass(frozen=True)
 class GridHold:
-    """One point of the grid, held once."""
+    """One hold of one point of the grid."""
 
     run: int
-    speed: float  # rad/s, as asked for
-    current: float  # A, of the driven actuator, as asked for
-    driving: str
+    speed: float  # rad/s, setpoint
+    current: float  # A, setpoint of the driven actuator
+    driving: str  # role of the driving actuator
     pass_number: int
     hold: Hold
 
@@ -42,7 +42,7 @@ class GridHold:
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
-    """Means of every hold of the grid; element k of each array belongs to one hold, NaN where it was not held."""
+    """Means of every hold of the grid; element k of each array belongs to hold k, NaN where the bench missed it."""
 
     holds: tuple[GridHold, ...]
     value: Mapping[ChannelKey, Array]  # settled means; no entry where a run has no such channel
@@ -51,20 +51,20 @@ class OperatingPoints:
 
     @property
     def run(self) -> npt.NDArray[np.int64]:
-        """Number of each hold's run."""
+        """Return the number of each hold's run, shape (holds,)."""
         return np.array([grid_hold.run for grid_hold in self.holds])
 
     def shifted(self, key: ChannelKey) -> "OperatingPoints":
-        """Return the points with the means of one channel moved by their standard errors."""
+        """Return the points with the means of one channel increased by their standard errors."""
         return replace(self, value={**self.value, key: self.value[key] + self.std[key]})
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> "OperatingPoints":
-        """Return the holds for which `kept`, of shape (holds,), is true."""
+    def where(self, mask: npt.NDArray[np.bool_]) -> "OperatingPoints":
+        """Return the holds for which `mask`, of shape (holds,), is true."""
         return replace(
             self,
-            holds=tuple(grid_hold for grid_hold, keep in zip(self.holds, kept, strict=True) if keep),
-            value={key: column[kept] for key, column in self.value.items()},
-            std={key: column[kept] for key, column in self.std.items()},
+            holds=tuple(grid_hold for grid_hold, selected in zip(self.holds, mask, strict=True) if selected),
+            value={key: column[mask] for key, column in self.value.items()},
+            std={key: column[mask] for key, column in self.std.items()},
         )
 
 
@@ -73,8 +73,8 @@ def gather_grid(runs: Sequence[Run]) -> Noted[OperatingPoints]:
 
     Raises
     ------
-    MissingChannel : a run has no torque, or no velocity.
-    NotIdentifiable : a run has no such hold.
+    MissingChannel : a run has no torque, no velocity, or no current of either actuator.
+    NotIdentifiable : a run has no hold with a velocity and a current.
     """
     holds: list[GridHold] = []
     columns: dict[ChannelKey, list[tuple[float, float]]] = {}
@@ -126,7 +126,12 @@ def grid_holds(run: Run, number: int = 0) -> list[GridHold]:
 
 
 def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, Channel]]:
-    """Return the channels of a run that powers follow from, NaN for saturated and repeated readings."""
+    """Return the channels that powers are computed from, with NaN for saturated and repeated readings.
+
+    Raises
+    ------
+    MissingChannel : the run has no torque, no velocity, or no current of either actuator.
+    """
     current_holds = [grid_hold.hold for grid_hold in holds]
     channels = {("torque", "test"): run.channel("torque", role="test")}
     for quantity in ("velocity", "q_axis_current", "q_axis_voltage"):
@@ -140,11 +145,13 @@ def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, C
     speed_holds = [replace(grid_hold.hold, setpoint=grid_hold.speed) for grid_hold in holds]
     notes: list[str] = []
     for (quantity, role), channel in channels.items():
-        kept, ends = within_range(channel, speed_holds if quantity == "velocity" else current_holds)
-        for value, reached in ends.items():
-            where = f"{quantity} of {role} is saturated at {value:g} in {len(reached)} holds"
-            notes.append(f"{run.path}: {where}, which do not count")
-        without_repeats = without_repeated_readings(kept, current_holds, str(run.path))
+        unsaturated, saturated_holds = within_range(channel, speed_holds if quantity == "velocity" else current_holds)
+        for value, at_value in saturated_holds.items():
+            notes.append(
+                f"{run.path}: {quantity} of {role} is saturated at {value:g} in {len(at_value)} holds, which do not"
+                " count"
+            )
+        without_repeats = without_repeated_readings(unsaturated, current_holds, str(run.path))
         channels[quantity, role] = without_repeats.value
         notes += without_repeats.notes
     absent = [role for role in OTHER_ROLE if ("q_axis_current", role) not in channels]
@@ -155,7 +162,7 @@ def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, C
 def means_of(
     holds: Sequence[GridHold], channels: Mapping[ChannelKey, Channel]
 ) -> list[tuple[GridHold, dict[ChannelKey, SettledMean | None]]]:
-    """Average each channel over each hold; None for a channel with too few readings in it."""
+    """Average each channel over each hold; None for a channel with too few readings in the hold."""
     return [
         (
             grid_hold,
@@ -169,27 +176,27 @@ def means_of(
 
 
 def fault_of(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]) -> str:
-    """Return why a hold does not count; empty where it counts."""
+    """Return the reason to leave out a hold; empty if the hold counts."""
     lacking = sorted({key[0] for key, mean in means.items() if mean is None})
     if lacking:
         return f"too little {' and '.join(lacking)} in the settled part"
-    known = {key: mean for key, mean in means.items() if mean is not None}
-    for key, mean in known.items():
+    complete_means = {key: mean for key, mean in means.items() if mean is not None}
+    for key, mean in complete_means.items():
         setpoint = grid_hold.speed if key[0] == "velocity" else grid_hold.current
         follows = key[0] == "velocity" or key == ("q_axis_current", OTHER_ROLE[grid_hold.driving])
         if follows and mean.value * setpoint < 0.0 and abs(mean.value) > OPPOSITE * abs(setpoint):
             return f"{key[0]} of {key[1]} has the opposite sign of its setpoint"
         if follows and abs(mean.value - setpoint) > HELD * abs(setpoint):
             return f"{key[0]} was not reached"
-    for key, mean in known.items():
-        moved = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
-        if key[0] != "q_axis_voltage" and moved > STEADY * abs(mean.value):  # a voltage rises as the winding warms
+    for key, mean in complete_means.items():
+        change = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
+        if key[0] != "q_axis_voltage" and change > STEADY * abs(mean.value):  # a voltage rises as the winding warms
             return f"{key[0]} was not steady"
     return ""
 
 
 def zero_of(run: Run, torque: Channel) -> Noted[tuple[float, float]]:
-    """Return the torque sensor's zero and its standard error [N*m]: the mean over the steps `zero`."""
+    """Return the torque sensor's zero and its standard error [N*m]: the mean over the steps `zero`, else exactly 0."""
     steps = [step for step in run.steps if step.name == "zero"]
     averaged = [settled_mean(torque, step.start + step.settle, step.stop) for step in steps]
     means = [mean for mean in averaged if mean is not None]

@@ -72,7 +72,7 @@ def analyze(
     Parameters
     ----------
     runs : of one actuator under one condition, unpowered, whose steps `hold` a velocity of the shaft.
-    torque_constant : [N*m/A], for the ratio; in place of the one in the runs' model.
+    torque_constant : [N*m/A], for the ratio; by default that of the runs' model.
     torque_constant_std : [N*m/A], its standard uncertainty.
 
     Raises
@@ -103,7 +103,7 @@ def analyze(
     whole_machine = [poles * hold.mean_of_pairs for hold in holds]
     all_complete = all(hold.complete for hold in holds)
     line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if all_complete else shares.of_one_pair)
-    if any(hold.left_over > MOST_SUM_OF_THREE for hold in holds):
+    if any(hold.sum_of_three > MOST_SUM_OF_THREE for hold in holds):
         widened = widened_by_scatter(line, series)
         line = widened.value
         notes += widened.notes
@@ -166,7 +166,7 @@ def pole_pairs_of(holds: Sequence[TurningHold], error_prefix: str) -> Noted[tupl
 
 
 def winding_of(run: Run) -> Noted[WindingType]:
-    """Return `wye` or `delta` as the run's model states it; `wye` where it states neither."""
+    """Return the winding that a run's model states, `wye` or `delta`; `wye` and a note where it states neither."""
     winding = model_of(run).get("winding")
     if winding not in FRAMES:
         return Noted("wye", (f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)",))
@@ -250,28 +250,28 @@ def measurement_notes(
     if not complete:
         notes.append("fewer than two pairs: how uneven the others are is not in the uncertainty of the constant")
     for hold in holds:
-        where = f"{hold.run.path} from {hold.start:.2f} s"
-        notes += [f"{where}: {text}" for text in hold.findings]
+        opening = f"{hold.run.path} from {hold.start:.2f} s"
+        notes += [f"{opening}: {text}" for text in hold.findings]
         if hold.shaft.ripple > MOST_UNEVEN:
             notes.append(
-                f"{where}: the speed ripples by {hold.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
+                f"{opening}: the speed ripples by {hold.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
                 " quarter of that, and their mean by nothing"
             )
-        if hold.left_over > MOST_SUM_OF_THREE:
+        if hold.sum_of_three > MOST_SUM_OF_THREE:
             notes.append(
-                f"{where}: the three voltages leave {hold.left_over:.1%} of a pair, and not zero: a channel's scale is"
-                " off, or a pair is not measured at the motor's leads"
+                f"{opening}: the three voltages leave {hold.sum_of_three:.1%} of a pair, and not zero: a channel's"
+                " scale is off, or a pair is not measured at the motor's leads"
             )
         for name, offset in hold.offsets.items():
-            if abs(offset) > MOST_OFFSET * hold.volts[name]:
-                notes.append(f"{where}: pair {name} is offset by {offset:+.3g} V, which does not count")
-        moved = {name: drift_of(size) / float(np.nanmean(size)) for name, size in hold.sizes.items()}
-        drifting = {name: change for name, change in moved.items() if change}
+            if abs(offset) > MOST_OFFSET * hold.amplitudes[name]:
+                notes.append(f"{opening}: pair {name} is offset by {offset:+.3g} V, which does not count")
+        drifts = {name: drift_of(size) / float(np.nanmean(size)) for name, size in hold.sizes.items()}
+        drifting = {name: change for name, change in drifts.items() if change}
         changes = ", ".join(f"{name} by {change:+.2%}" for name, change in drifting.items())
-        if len(drifting) == len(moved) and len(moved) > 1:
-            notes.append(f"{where}: all pairs drift ({changes}): the magnets' temperature, or the converter's scale")
+        if len(drifting) == len(drifts) and len(drifts) > 1:
+            notes.append(f"{opening}: all pairs drift ({changes}): the magnets' temperature, or the converter's scale")
         elif drifting:
-            notes.append(f"{where}: pair {changes} drifts, others do not: its channel, or the contacts of its leads")
+            notes.append(f"{opening}: pair {changes} drifts, others do not: its channel, or the contacts of its leads")
     spread = [float(np.nanmean(np.concatenate(wave_constants))) for wave_constants in series.values()]
     if max(spread) - min(spread) > MOST_UNEVEN * max(spread):
         notes.append(

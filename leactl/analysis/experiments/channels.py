@@ -55,12 +55,14 @@ def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Res
     for label, members in by_protocol(runs).items():
         answers = [result_of_run(run, channel) for run in members]
         comparable_runs = comparable_indices(members, answers)
-        kept = comparable_runs.value
+        averaged = comparable_runs.value
         notes += [*(note for answer in answers for note in answer.notes), *comparable_runs.notes]
-        means = mean_results([answers[index].results for index in kept], [str(members[index].path) for index in kept])
+        means = mean_results(
+            [answers[index].results for index in averaged], [str(members[index].path) for index in averaged]
+        )
         results += [replace(estimate, name=f"{label}{estimate.name}") for estimate in means]
-        plots += [plot for index in kept for plot in answers[index].plots]
-        grids += [grid for index in kept for grid in answers[index].grids]
+        plots += [plot for index in averaged for plot in answers[index].plots]
+        grids += [grid for index in averaged for grid in answers[index].grids]
     if not channel and any(len(chosen_channels(run, channel)) > MOST_PLOTTED for run in runs):
         notes.append("plots and histograms are those of chosen channels: --channel NAME")
     paths = tuple(str(run.path) for run in runs)
@@ -129,31 +131,36 @@ def comparable_indices(runs: Sequence[Run], answers: Sequence[Result]) -> Noted[
     names = [{estimate.name for estimate in answer.results} for answer in answers]
     complete = [run.status in ("complete", "") for run in runs]
     first = max(range(len(runs)), key=lambda index: (complete[index], len(names[index]), -index))
-    kept = [index for index in range(len(runs)) if complete[index] or names[index] == names[first]]
+    usable = [index for index in range(len(runs)) if complete[index] or names[index] == names[first]]
     reason = f"left out: it ended early and has other steps or channels than {runs[first].path}"
-    return Noted(kept, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept))
+    return Noted(usable, tuple(f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in usable))
 
 
-def chosen_channels(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
-    """Return the wanted channels, or all measured ones, by name: role unless test, quantity, location."""
+def chosen_channels(run: Run, names: Sequence[str] | None) -> dict[str, Channel]:
+    """Return the channels of these names or paths, or all measured ones, by name: role unless test, quantity, location.
+
+    Raises
+    ------
+    MissingChannel : the run lacks a channel.
+    """
     path_of_name = {}
     for stream, specs in run.streams.items():
         for spec in specs:
             role = "" if spec.role == "test" else f"{spec.role}_"
             location = f"_{spec.location}" if spec.location else ""
             path_of_name[f"{role}{spec.quantity or spec.name}{location}".replace(" ", "_")] = f"{stream}/{spec.name}"
-    lacking = [name for name in wanted or () if name not in path_of_name and name not in path_of_name.values()]
+    lacking = [name for name in names or () if name not in path_of_name and name not in path_of_name.values()]
     if lacking:
         raise MissingChannel(f"{run.path}: no channel {', '.join(lacking)}; the run has {', '.join(path_of_name)}")
-    if wanted:
-        kept = {
-            name: channel_path
-            for name, channel_path in path_of_name.items()
-            if name in wanted or channel_path in wanted
+    if names:
+        selected = {
+            name: channel_path for name, channel_path in path_of_name.items() if name in names or channel_path in names
         }
     else:
-        kept = {name: channel_path for name, channel_path in path_of_name.items() if not name.endswith("_reference")}
-    return {name: run.channel_at(channel_path) for name, channel_path in kept.items()}
+        selected = {
+            name: channel_path for name, channel_path in path_of_name.items() if not name.endswith("_reference")
+        }
+    return {name: run.channel_at(channel_path) for name, channel_path in selected.items()}
 
 
 def labelled_holds(run: Run) -> list[tuple[str, Step]]:
@@ -170,8 +177,10 @@ def labelled_holds(run: Run) -> list[tuple[str, Step]]:
 
 def is_hold(step: Step) -> bool:
     """Return whether the setpoint stands still over a step, by the step's name or its parameters."""
-    stands = any(key in step.parameters for key in SETPOINT_KEYS) or step.parameters.keys() in KEPT_SETPOINT_KEYS
-    return step.name == "hold" or ("kind" not in step.parameters and stands and step.stop > step.start)
+    states_setpoint = (
+        any(key in step.parameters for key in SETPOINT_KEYS) or step.parameters.keys() in KEPT_SETPOINT_KEYS
+    )
+    return step.name == "hold" or ("kind" not in step.parameters and states_setpoint and step.stop > step.start)
 
 
 def labelled_excitations(run: Run) -> list[tuple[str, Step]]:
@@ -201,8 +210,8 @@ def hold_estimates(
         if mean is None:
             lacking.append(name)
             continue
-        part = span(channel, start, step.stop)
-        estimates += record_estimates(f"{label}_{name}", channel.time[part], channel.values[part], channel.units)
+        settled = span(channel, start, step.stop)
+        estimates += record_estimates(f"{label}_{name}", channel.time[settled], channel.values[settled], channel.units)
     if lacking:
         too_few.setdefault(tuple(lacking), []).append(label)
     return estimates
@@ -253,10 +262,10 @@ def mean_results(results_by_run: Sequence[Sequence[Estimate]], paths: Sequence[s
     if len(results_by_run) == 1:
         return list(results_by_run[0])
     by_name = [{estimate.name: estimate for estimate in estimates} for estimates in results_by_run]
-    for path, other in zip(paths[1:], by_name[1:], strict=True):
-        if differing := sorted(other.keys() ^ by_name[0].keys()):
+    for path, by_name_of_run in zip(paths[1:], by_name[1:], strict=True):
+        if differing := sorted(by_name_of_run.keys() ^ by_name[0].keys()):
             raise InputError(f"{path}: other steps or channels than {paths[0]} ({differing[0]}); analyse them apart")
-    return [mean_of([other[name] for other in by_name]) for name in by_name[0]]
+    return [mean_of([by_name_of_run[name] for by_name_of_run in by_name]) for name in by_name[0]]
 
 
 def mean_of(repeats: Sequence[Estimate]) -> Estimate:

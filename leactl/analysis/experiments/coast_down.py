@@ -100,9 +100,9 @@ def analyze(
     notes += usable_run_outs.notes
     sides = {run_out.trial.side for run_out in run_outs}
     if len(run_outs) <= len(sides) or not run_outs:
-        why = f" ({'; '.join(notes)})" if notes else ""
+        reasons = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
-            f"{error_prefix}: found {len(run_outs)} run-outs in {len(sides)} directions{why}; "
+            f"{error_prefix}: found {len(run_outs)} run-outs in {len(sides)} directions{reasons}; "
             "two or more in one direction are needed for their scatter"
         )
     if len(sides) == 1:
@@ -163,7 +163,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
 
     Raises
     ------
-    NotIdentifiable : the run-out cannot be used, with the reason.
+    NotIdentifiable : the run-out cannot be used; the message is the reason.
     """
     before = [hold for hold in HELD.holds_of(run) if hold.stop <= step.start + 1e-9]
     if not before:
@@ -175,20 +175,22 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
         raise NotIdentifiable("no current held the speed before it")
     if abs(speed.value - before[-1].setpoint) > MOST_MISSED * abs(before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
-    side = 1 if speed.value > 0.0 else -1
-    part = span(velocity, step.start + step.settle, step.stop)
-    time, along = velocity.time[part], side * velocity.values[part]
-    seen = np.isfinite(along)
+    direction = 1 if speed.value > 0.0 else -1
+    coasting = span(velocity, step.start + step.settle, step.stop)
+    time, along = velocity.time[coasting], direction * velocity.values[coasting]
+    usable = np.isfinite(along)
     if run.has(ENABLED):
         enabled = run.channel(ENABLED)
-        on = np.interp(time, enabled.time, np.nan_to_num(enabled.values)) if len(enabled.time) else np.zeros(len(time))
-        if (on > 0.0).mean() > 0.5:
+        is_on = (
+            np.interp(time, enabled.time, np.nan_to_num(enabled.values)) if len(enabled.time) else np.zeros(len(time))
+        )
+        if (is_on > 0.0).mean() > 0.5:
             raise NotIdentifiable("the drive was on")
-        seen &= on == 0.0
+        usable &= is_on == 0.0
     slow = np.flatnonzero(along < SLOWEST_PART * abs(speed.value))
     if len(slow):
-        seen[slow[0] :] = False
-    time, along = time[seen], along[seen]
+        usable[slow[0] :] = False
+    time, along = time[usable], along[usable]
     if len(time) < FEWEST_SAMPLES:
         raise NotIdentifiable(f"fewer than {FEWEST_SAMPLES} readings before the rotor stood: record faster")
     if along.max() > (1.0 + MOST_ABOVE_HELD) * abs(speed.value):
@@ -196,9 +198,9 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     fitted, fit = fit_of(time - time[0], along)
     held_current = current.values[span(current, before[-1].start, before[-1].stop)]
     rounding = rounding_std(held_current, quantisation_step(current.values)) / abs(drive.value)
-    along_motion = side * drive.value
+    along_motion = direction * drive.value
     run_out = RunOut(
-        TrialLabel(number, side), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit
+        TrialLabel(number, direction), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit
     )
     if run_out.deceleration <= 0.0:
         raise NotIdentifiable("the rotor did not slow down")
@@ -209,22 +211,22 @@ def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]
     """Return the fitted speed, shape (samples,), and the three coefficients of the deceleration."""
     design = np.column_stack([np.ones_like(time), -time, -integral(speed, time), -integral(speed**2, time)])
     fit = least_squares(design, speed, design, COAST)
-    _, d, a, q = fit.coefficients.tolist()
-    return speed - fit.residuals, (d, a, q)
+    _, constant, linear, quadratic = fit.coefficients.tolist()
+    return speed - fit.residuals, (constant, linear, quadratic)
 
 
 def integral(values: Array, time: Array) -> Array:
     """Integrate by trapezoids with their first correction; without it, J is 0.02 % off in a run-out of 20 readings."""
     steps, slope = np.diff(time), np.gradient(values, time)
-    parts = 0.5 * steps * (values[1:] + values[:-1]) - steps**2 / 12.0 * np.diff(slope)
-    return np.concatenate([[0.0], np.cumsum(parts)])
+    areas = 0.5 * steps * (values[1:] + values[:-1]) - steps**2 / 12.0 * np.diff(slope)
+    return np.concatenate([[0.0], np.cumsum(areas)])
 
 
 def plot_of(run_outs: Sequence[RunOut]) -> Plot:
     """Plot the speed of every run-out over time, and the fit to the first run-out in each direction."""
     points, lines = [], []
-    for label, side in (("forward", 1), ("backward", -1)):
-        same_side = [run_out for run_out in run_outs if run_out.trial.side == side]
+    for label, direction in (("forward", 1), ("backward", -1)):
+        same_side = [run_out for run_out in run_outs if run_out.trial.side == direction]
         if same_side:
             time = np.concatenate([run_out.time for run_out in same_side])
             speed = np.concatenate([run_out.speed for run_out in same_side])

@@ -60,7 +60,7 @@ RESULTS = {
     "drives_loss": "W",
 }
 
-MEANS = {  # name of a result after `driving_` or `driven_`: what of `Balance`, and its unit
+MEANS = {  # name of a result after `driving_` or `driven_`: attribute of `Balance`, and its unit
     "loss": ("loss", "W"),
     "loss_copper": ("copper", "W"),
     "loss_friction": ("friction", "W"),
@@ -94,15 +94,15 @@ def analyze(
     runs : of one actuator under one condition, coupled, whose steps `hold` a speed of one actuator and a current of the
         other.
     phase_resistance, back_emf_constant : [ohm], [V*s/rad], q axis, in place of those of the runs' model.
-    winding_temperature : [degC], at which electrical power is stated; that of the model's resistance unless told. Where
-        the runs have q-axis voltages, power is that measured, unless this is told.
+    winding_temperature : [degC], at which electrical power is stated; by default that of the model's resistance. Where
+        the runs have q-axis voltages, power is measured, unless this temperature is given.
     resistance_std, back_emf_constant_std, torque_gain_std, current_gain_std, voltage_gain_std : relative standard
-        uncertainties of what they name, 0 unless told; that of torque is the channel's own where it has one.
+        uncertainties of resistance, constant and calibrations; by default 0, and for torque that of its channel.
 
     Raises
     ------
     MissingChannel : a run has no torque, no velocity, or no current of either actuator.
-    NotIdentifiable : no hold of a grid, none that was held, or no voltage and no resistance to work it out from.
+    NotIdentifiable : no hold of a grid, no point that was held, or neither voltages nor a resistance.
     InputError : an uncertainty below zero, or readings whose signs contradict each other.
     """
     error_prefix = f"{paths_of(runs)}: efficiency"
@@ -113,29 +113,29 @@ def analyze(
         "current_gain": current_gain_std, "voltage_gain": voltage_gain_std,
     }  # fmt: skip
     gathered = gather_grid(runs)
-    known = calibration_of(runs, gathered.value, given, relative)
-    calibration, stds = known.value
+    known_parameters = calibration_of(runs, gathered.value, given, relative)
+    calibration, stds = known_parameters.value
     refuse_swapped(gathered.value, error_prefix)
     drifting = with_drift(gathered.value, runs, calibration)
     points = drifting.value
-    notes += [*gathered.notes, *known.notes, *drifting.notes]
+    notes += [*gathered.notes, *known_parameters.notes, *drifting.notes]
     results: list[Estimate] = []
     grids: list[Grid] = []
     maps: list[MapMeans] = []
     for role, prefix in (("test", ""), ("load", "load_")):
-        for driving, word in ((True, "driving"), (False, "driven")):
+        for driving, mode in ((True, "driving"), (False, "driven")):
             in_map = np.array([(grid_hold.driving == role) == driving for grid_hold in points.holds], np.bool_)
             map_points = points.where(in_map)
             if not map_points.holds or ("q_axis_current", role) not in map_points.value:
                 continue
             means = MapMeans(map_points, role, driving, calibration, stds)
             if not means.reached:
-                notes.append(f"no point was held at which the {role} actuator was {word}")
+                notes.append(f"no point was held at which the {role} actuator was {mode}")
                 continue
-            results += estimates(means, f"{prefix}{word}")
-            grids.append(grid_of(means, f"{prefix}{word}"))
+            results += estimates(means, f"{prefix}{mode}")
+            grids.append(grid_of(means, f"{prefix}{mode}"))
             maps.append(means)
-            notes += means.remarks(f"{role} {word}")
+            notes += means.remarks(f"{role} {mode}")
     if not results:
         raise NotIdentifiable("\n".join([f"{error_prefix}: no point of the grid was held", *notes]))
     drives = drives_loss(runs, points, calibration)
@@ -150,7 +150,7 @@ def estimates(means: MapMeans, name: str) -> list[Estimate]:
     """Return efficiency, powers and losses of one map; `name` opens the names of the results."""
     results = [means.mean("efficiency", f"{name}_efficiency", "1")]
     results += [means.spread(f"{name}_efficiency_spread"), means.highest(f"{name}_efficiency_highest")]
-    results += [means.mean(quantity, f"{name}_{word}", units) for word, (quantity, units) in MEANS.items()]
+    results += [means.mean(quantity, f"{name}_{suffix}", units) for suffix, (quantity, units) in MEANS.items()]
     if not means.driving:
         efficiency = means.over_map("efficiency")
         share = float(np.mean(efficiency[np.isfinite(efficiency)] < 0.0))

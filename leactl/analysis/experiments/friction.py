@@ -189,25 +189,25 @@ def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> N
         "the velocity was not steady": uneven,
         "the rotor turned against its current": velocity * current < 0.0,
     }
-    kept = np.ones(len(levels), np.bool_)
+    usable = np.ones(len(levels), np.bool_)
     left_out: dict[tuple[int, str], list[str]] = {}
     for reason, applies in reasons.items():
-        for index in np.flatnonzero(applies & kept):
+        for index in np.flatnonzero(applies & usable):
             left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
-        kept &= ~applies
+        usable &= ~applies
     notes = [
         note
         for (number, reason), holds in sorted(left_out.items())
         for note in tally({reason: holds}, f"{runs[number].path}")
     ]
-    distinct = len(np.unique(np.round(levels.setpoint[kept], 9)))
+    distinct = len(np.unique(np.round(levels.setpoint[usable], 9)))
     if distinct < 2:
-        why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
+        reasons_text = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
         raise NotIdentifiable(
             f"{error_prefix}: found {distinct} levels of current at which the rotor turned steadily"
-            f"{f' ({why})' if why else ''}; two or more are needed"
+            f"{f' ({reasons_text})' if reasons_text else ''}; two or more are needed"
         )
-    return Noted(levels.where(kept), tuple(notes))
+    return Noted(levels.where(usable), tuple(notes))
 
 
 def regressors(levels: HoldMeans, sign: Array) -> dict[str, Array]:

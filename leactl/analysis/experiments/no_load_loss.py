@@ -87,7 +87,7 @@ def analyze(
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, held=HELD), HELD)
+    gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, hold_selector=HELD), HELD)
     turning = at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]

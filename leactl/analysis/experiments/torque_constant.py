@@ -77,7 +77,7 @@ def analyze(
     expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
     unit = levels.units[TORQUE]
     notes += fit_notes(line, expected, unit)
-    notes += [f"{run.path}: {what}" for run in runs for what in convention_notes(run, line.slope("torque_constant"))]
+    notes += [f"{run.path}: {note}" for run in runs for note in convention_notes(run, line.slope("torque_constant"))]
     notes += calibration_notes({"torque": torque_std, "current": current_std}, "the torque constants")
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]

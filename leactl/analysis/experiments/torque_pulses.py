@@ -130,7 +130,7 @@ def analyze(
     bent = SaturationCurve(line, peak)
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += fit_notes(line, expected, levels.units[TORQUE])
-    notes += [f"{run.path}: {what}" for run in runs for what in convention_notes(run, bent.constant)]
+    notes += [f"{run.path}: {note}" for run in runs for note in convention_notes(run, bent.constant)]
     notes += calibration_notes({"torque": torque_std, "current": current_std}, "torques and torque_constant")
     notes.append("a torque sensor that bends is in the loss")
 

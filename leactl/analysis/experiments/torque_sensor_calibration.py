@@ -106,7 +106,7 @@ def analyze(
     error_prefix = f"{paths_of(runs)}: torque sensor calibration"
     weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
     reference = weighed.value
-    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, held=HELD), HELD)
+    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=HELD), HELD)
     levels = gathered.value
     notes = [*weighed.notes, *gathered.notes]
     weights = np.unique(np.round(levels.setpoint, 9))
@@ -213,7 +213,7 @@ def sensitivity(line: LineFit, reference: ReferenceTorque) -> Estimate:
 
 
 def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
-    """Return notes on what the sensor's owner should change or look at."""
+    """Return notes on settings to change and on conditions that limit the calibration."""
     notes = []
     if factor < 0.0:
         notes.append("the reading falls as the torque rises: the sensor's sign is the other one; change `sign`")
@@ -223,9 +223,9 @@ def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float)
     swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
     swinging = swing > MOST_SWING * highest
     if swinging.any():
-        where = [str(hold) for hold, applies in zip(levels.holds, swinging, strict=True) if applies]
+        unsteady = [str(hold) for hold, swings in zip(levels.holds, swinging, strict=True) if swings]
         notes.append(
-            f"the weight swung or crept in {len(where)} holds ({listed(where)}): wait longer before confirming"
+            f"the weight swung or crept in {len(unsteady)} holds ({listed(unsteady)}): wait longer before confirming"
         )
     if len(np.unique(np.sign(levels.setpoint))) < 3 and not (levels.setpoint == 0.0).all():
         notes.append("weights in one sense only: whether the sensor reads alike in the other is not known")
@@ -254,11 +254,12 @@ def budget(
     if not dof:
         notes.append("no weight was hung twice: repeatability is not known, and not in the combined uncertainty")
     means = {
-        side: {
-            value: float(residuals[on_side & (levels.setpoint == value)].mean()) for value in levels.setpoint[on_side]
+        direction: {
+            value: float(residuals[in_direction & (levels.setpoint == value)].mean())
+            for value in levels.setpoint[in_direction]
         }
-        for side in (1, -1)
-        if (on_side := levels.direction == side).any()
+        for direction in (1, -1)
+        if (in_direction := levels.direction == direction).any()
     }
     loop_widths = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
     if not loop_widths:
@@ -277,12 +278,12 @@ def budget(
     return Noted(parts, tuple(notes))
 
 
-def combined_estimates(parts: Sequence[BudgetComponent]) -> list[Estimate]:
+def combined_estimates(components: Sequence[BudgetComponent]) -> list[Estimate]:
     """Return combined uncertainty, coverage factor and expanded uncertainty, without components that are unknown."""
-    known = [part for part in parts if math.isfinite(part.std)]
-    std = math.sqrt(sum(part.std**2 for part in known))
-    spread = sum(part.std**4 / part.dof for part in known)
-    factor = t_quantile(std**4 / spread if spread > 0.0 else math.inf)
+    known_components = [component for component in components if math.isfinite(component.std)]
+    std = math.sqrt(sum(component.std**2 for component in known_components))
+    dof_sum = sum(component.std**4 / component.dof for component in known_components)
+    factor = t_quantile(std**4 / dof_sum if dof_sum > 0.0 else math.inf)
     return [
         Estimate("combined_uncertainty", std, NAN, NAN, NAN, "N*m"),
         Estimate("coverage_factor", factor, NAN, NAN, NAN, "1"),
@@ -293,12 +294,15 @@ def combined_estimates(parts: Sequence[BudgetComponent]) -> list[Estimate]:
 def plot_of(levels: HoldMeans, line: LineFit, applied: Array) -> Plot:
     """Plot the residuals of the readings over the torque of the weights."""
     points = []
-    for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):
-        on_side = levels.direction == side
+    for label, direction in (("rising", 1), ("falling", -1), ("weights", 0)):
+        on_side = levels.direction == direction
         if on_side.any():
             shown = line.fit.residuals[on_side]
             points.append(Series(label, tuple(applied[on_side].tolist()), tuple(shown.tolist())))
-    ends = (float(applied.min()), float(applied.max()))
+    torque_range = (float(applied.min()), float(applied.max()))
     return Plot(
-        "torque of the weights [N*m]", "reading less the line [N*m]", tuple(points), (Series("line", ends, (0.0, 0.0)),)
+        "torque of the weights [N*m]",
+        "reading less the line [N*m]",
+        tuple(points),
+        (Series("line", torque_range, (0.0, 0.0)),),
     )

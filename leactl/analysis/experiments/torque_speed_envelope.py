@@ -218,12 +218,12 @@ def zero_std(runs: Sequence[Run]) -> Noted[float]:
     stds, notes = [], []
     for run in runs:
         torque, steps = run.channel(TORQUE), run.steps
-        rest = torque.values[(torque.time < steps[0].start) & np.isfinite(torque.values)]
-        if len(rest) < FEWEST_AT_REST:
+        before_first_step = torque.values[(torque.time < steps[0].start) & np.isfinite(torque.values)]
+        if len(before_first_step) < FEWEST_AT_REST:
             notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
             continue
-        noise = float(np.median(np.abs(np.diff(rest)))) / (NORMAL_QUARTILE * math.sqrt(2.0))
-        stds.append(max(noise, quantisation_step(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
+        noise = float(np.median(np.abs(np.diff(before_first_step)))) / (NORMAL_QUARTILE * math.sqrt(2.0))
+        stds.append(max(noise, quantisation_step(torque.values) / math.sqrt(12.0)) / math.sqrt(len(before_first_step)))
     return Noted(max(stds, default=0.0), tuple(notes))
 
 

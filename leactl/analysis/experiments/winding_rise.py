@@ -57,7 +57,7 @@ class CopperCoefficient:
     """The temperature coefficient of the resistance, by the model of a run."""
 
     coefficient: float  # 1/K
-    within: float  # relative: it lies anywhere between as much less and as much more
+    within: float  # relative half width: the coefficient lies anywhere in this range
     reference: float  # degC
 
 
@@ -66,7 +66,7 @@ class MeasuredResistance:
     """A resistance [ohm] with its uncertainties."""
 
     value: float
-    std: float  # of what scatters
+    std: float  # by scatter
     dof: float
     limit: float  # of the rounding error of the voltage, which is evenly spread
     of_current: float  # relative standard uncertainty by the steps of the current, which both resistances share
@@ -77,8 +77,8 @@ class MeasuredResistance:
         std = math.hypot(self.std, shared)
         dof = self.dof * (std / self.std) ** 4 if self.std > 1e-9 * std else math.inf
         half = half_width(std, dof, self.limit)
-        whole = math.hypot(std, self.limit / math.sqrt(3.0))
-        return Estimate(name, self.value, whole, self.value - half, self.value + half, "ohm")
+        std_with_rounding = math.hypot(std, self.limit / math.sqrt(3.0))
+        return Estimate(name, self.value, std_with_rounding, self.value - half, self.value + half, "ohm")
 
 
 def analyze(
@@ -135,63 +135,63 @@ def heating_of(run: Run) -> HeatedResistance:
         refuse_clipped(run, channel)
     finite = np.isfinite(voltage.values)
     time, volts = voltage.time[finite], voltage.values[finite]
-    known = np.isfinite(current.values)
-    if known.sum() < FEWEST_READINGS or len(time) < FEWEST_READINGS:
+    with_current = np.isfinite(current.values)
+    if with_current.sum() < FEWEST_READINGS or len(time) < FEWEST_READINGS:
         raise NotIdentifiable(f"{run.path}: line_current or line_voltage of test has no readings")
-    amperes = np.interp(time, current.time[known], current.values[known])
-    on = np.abs(amperes) > max(ON_ABOVE * float(np.max(np.abs(amperes))), 1e-3)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-    parts = [
-        slice(int(a) + SKIPPED_READINGS, int(b))
-        for a, b in edges.reshape(-1, 2)
-        if b - a > FEWEST_READINGS + SKIPPED_READINGS
+    amperes = np.interp(time, current.time[with_current], current.values[with_current])
+    is_on = np.abs(amperes) > max(ON_ABOVE * float(np.max(np.abs(amperes))), 1e-3)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_on, [False]]).astype(int)))
+    stretches = [
+        slice(int(start) + SKIPPED_READINGS, int(stop))
+        for start, stop in edges.reshape(-1, 2)
+        if stop - start > FEWEST_READINGS + SKIPPED_READINGS
     ]
-    if not parts:
+    if not stretches:
         raise NotIdentifiable(f"{run.path}: no current flows for {FEWEST_READINGS} readings: nothing was heated")
-    longest = max(parts, key=lambda part: time[part.stop - 1] - time[part.start])
+    longest = max(stretches, key=lambda stretch: time[stretch.stop - 1] - time[stretch.start])
     resistance = volts[longest] / amperes[longest]
     if float(np.median(resistance)) <= 0.0:
         raise InputError(
             f"{run.path}: line_voltage over line_current is {np.median(resistance):.3g} ohm; above zero was expected:"
             " one of the two has its leads swapped"
         )
-    begun = float(time[longest.start - SKIPPED_READINGS])
+    heating_start = float(time[longest.start - SKIPPED_READINGS])
     mean = abs(float(np.mean(amperes[longest])))
     of_current = rounding_std(amperes[longest], quantisation_step(amperes[longest])) / mean
     return HeatedResistance(
-        time[longest] - begun, resistance, quantisation_step(volts[longest]) / mean, of_current, begun
+        time[longest] - heating_start, resistance, quantisation_step(volts[longest]) / mean, of_current, heating_start
     )
 
 
 def cold_resistance(heating: HeatedResistance, error_prefix: str) -> MeasuredResistance:
     """Extrapolate the resistance to the moment of switching on."""
-    first = heating.time < COLD_S
-    if int(np.sum(first)) < FEWEST_READINGS:
+    early = heating.time < COLD_S
+    if int(np.sum(early)) < FEWEST_READINGS:
         raise NotIdentifiable(
-            f"{error_prefix}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least"
+            f"{error_prefix}: {np.sum(early)} readings in the first {COLD_S:g} s of heating; at least"
             f" {FEWEST_READINGS} are needed to lead back to the cold winding"
         )
-    design = np.vander(heating.time[first], 3, increasing=True)
-    fit = least_squares(design, heating.resistance[first], design, error_prefix)
+    design = np.vander(heating.time[early], 3, increasing=True)
+    fit = least_squares(design, heating.resistance[early], design, error_prefix)
     value, std = fit.combined(np.array([1.0, 0.0, 0.0]))
     limit = remaining_rounding(
-        heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals
+        heating, heating.resistance[early] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals
     )
-    if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
+    if heating.step and limit:  # the residuals contain noise and rounding; rounding counts in the limit
         std *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
     return MeasuredResistance(value, std, fit.dof, limit, heating.of_current)
 
 
 def hot_resistance(heating: HeatedResistance) -> MeasuredResistance:
     """Return the mean resistance of the last half minute of heating."""
-    last = heating.time >= heating.time[-1] - HOT_S
-    value, std, limit = mean_of_part(heating, last)
-    return MeasuredResistance(value, std, float(np.sum(last)) - 1.0, limit, heating.of_current)
+    late = heating.time >= heating.time[-1] - HOT_S
+    value, std, limit = mean_where(heating, late)
+    return MeasuredResistance(value, std, float(np.sum(late)) - 1.0, limit, heating.of_current)
 
 
-def mean_of_part(heating: HeatedResistance, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Return mean, standard error and limit of the rounding error of some of the resistances [ohm]."""
-    time, values = heating.time[part], heating.resistance[part]
+def mean_where(heating: HeatedResistance, mask: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return mean, standard error and limit of the rounding error of the resistances [ohm] for which `mask` is true."""
+    time, values = heating.time[mask], heating.resistance[mask]
     design = np.column_stack([np.ones_like(time), time - time.mean()])
     residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
     limit = remaining_rounding(heating, values - residual, np.full(len(values), 1.0 / len(values)), residual)
@@ -199,7 +199,7 @@ def mean_of_part(heating: HeatedResistance, part: npt.NDArray[np.bool_]) -> tupl
 
 
 def remaining_rounding(heating: HeatedResistance, curve: Array, weights: Array, residual: Array) -> float:
-    """Return the limit of the rounding error [ohm] of a weighted sum, as far as noise does not average it out."""
+    """Return the limit of the rounding error [ohm] of a weighted sum, less the part that noise averages out."""
     if heating.step <= 0.0:
         return 0.0
     noise = math.sqrt(max(0.0, float(np.var(residual)) - heating.step**2 / 12.0))
@@ -209,12 +209,15 @@ def remaining_rounding(heating: HeatedResistance, curve: Array, weights: Array, 
 def winding_rise(
     cold: MeasuredResistance, hot: MeasuredResistance, per_ratio: float, at_first_std: float, copper: CopperCoefficient
 ) -> Estimate:
-    """Estimate the rise [K] from both resistances; the interval is wider away from zero: the coefficient divides."""
+    """Estimate the rise [K] from both resistances.
+
+    The interval is wider on the side away from zero, since the rise is inversely proportional to the coefficient.
+    """
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
     resistance_std = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
     scattered = math.hypot(resistance_std, rise * at_first_std / per_ratio)
-    steps = [per_ratio * ratio * known.limit / known.value for known in (hot, cold)]
+    steps = [per_ratio * ratio * resistance.limit / resistance.value for resistance in (hot, cold)]
     of_copper = rise / per_ratio * copper.within / copper.coefficient
     to_zero = math.copysign(copper.within, rise)
     below, above = (
@@ -271,14 +274,14 @@ def change(heating: HeatedResistance, kelvin_per_ohm: float) -> Noted[Estimate]:
     if heating.time[-1] < STEADY_S + BLOCK_S:
         note = f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min"
         return Noted(Estimate(name, NAN, NAN, NAN, NAN, "K"), (note,))
-    end = heating.time[-1]
-    earlier, now = (
-        mean_of_part(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
-        for stop in (end - STEADY_S, end)
+    heating_stop = heating.time[-1]
+    (earlier, earlier_std, earlier_limit), (latest, latest_std, latest_limit) = (
+        mean_where(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
+        for stop in (heating_stop - STEADY_S, heating_stop)
     )
-    value = (now[0] - earlier[0]) * kelvin_per_ohm
-    scattered = math.hypot(now[1], earlier[1]) * kelvin_per_ohm
-    limits = [part[2] * kelvin_per_ohm for part in (earlier, now)]
+    value = (latest - earlier) * kelvin_per_ohm
+    scattered = math.hypot(latest_std, earlier_std) * kelvin_per_ohm
+    limits = [limit * kelvin_per_ohm for limit in (earlier_limit, latest_limit)]
     half = half_width(scattered, math.inf, *limits)
     std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
     estimate = Estimate(name, value, std, value - half, value + half, "K")

@@ -1,4 +1,4 @@
-"""Estimates of a thermal fit, and what a reader must know of them."""
+"""Estimates of a thermal fit, and notes on how well the record determines them."""
 
 import itertools
 import math
@@ -25,12 +25,13 @@ from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import ResistanceLine
 from leactl.analysis.statistics.regression import t_quantile
 
-STEADY_K, STEADY_S, ENDS_S = 1.0, 1800.0, 60.0  # so much change in so long, between means over so long
-TELLING = 0.7  # correlation above which a note names it
-PLAIN = 1.05  # times the noise, up to which residuals count as noise
-LATE = 3.0  # standard deviations above which a lag or an offset is reported
-LEAST_SEEN = 1.0  # slow time constants that a record must show for a steady state
-STEADY = (
+STEADY_K, STEADY_S = 1.0, 1800.0  # steady state: a smaller change in this time
+ENDS_S = 60.0  # averaged at the beginning and end of that time
+TELLING = 0.7  # correlation; a note names a larger one
+PLAIN = 1.05  # times the noise from frame to frame; a note names larger residuals
+LATE = 3.0  # standard deviations; a larger lag or offset is reported
+LEAST_SEEN = 1.0  # slow time constants that a record must cover to determine a steady state
+STEADY = (  # results that follow from the steady state
     "winding_ambient_resistance",
     "housing_ambient_resistance",
     "parallel_thermal_resistance",
@@ -43,12 +44,12 @@ def network_results(parameters: FittedParameters, constants_seen: float) -> Note
     """Estimate the network's five parameters and its thermal resistance from winding to air.
 
     `constants_seen` is the longest heating or cooling of the record in slow time constants. Below one, parameters that
-    follow from the steady state are NaN: they would be the model's, not the record's.
+    follow from the steady state are NaN: they would be those of the model, not of the record.
     """
     notes = []
     estimates = [
-        parameters.estimate(name, units, lambda moved, k=k: float(natural(moved)[k]))  # type: ignore[misc]
-        for k, (name, units) in enumerate(zip(NAMES[:5], UNITS[:5], strict=True))
+        parameters.estimate(name, units, lambda moved, index=index: float(natural(moved)[index]))  # type: ignore[misc]
+        for index, (name, units) in enumerate(zip(NAMES[:5], UNITS[:5], strict=True))
     ]
     estimates.append(parameters.estimate("parallel_thermal_resistance", "K/W", parallel))
     if constants_seen < LEAST_SEEN:
@@ -60,8 +61,8 @@ def network_results(parameters: FittedParameters, constants_seen: float) -> Note
     notes += not_identifiable(estimates)
     if not math.isfinite(estimates[0].value):
         conductance, std = parameters.point[0], math.sqrt(parameters.covariance[0, 0])
-        if (most := conductance + t_quantile(math.inf) * std) > 0.0:
-            notes.append(f"winding_ambient_resistance is above {1.0 / most:.3g} K/W (97.5 %)")
+        if (highest := conductance + t_quantile(math.inf) * std) > 0.0:
+            notes.append(f"winding_ambient_resistance is above {1.0 / highest:.3g} K/W (97.5 %)")
     return Noted(estimates, tuple(notes))
 
 
@@ -86,13 +87,13 @@ def slow_constants_seen(fit: NetworkFit) -> float:
     """
     longest = 0.0
     for record in fit.records:
-        on, time, winding = record.supply.on, record.supply.time, record.winding
-        edges = [0, *(np.flatnonzero(np.diff(on)) + 1).tolist(), len(on) - 1]
+        is_on, time, winding = record.supply.on, record.supply.time, record.winding
+        edges = [0, *(np.flatnonzero(np.diff(is_on)) + 1).tolist(), len(is_on) - 1]
         rise = np.nanmax(winding) - np.nanmin(winding)
-        begun_warm = winding[np.isfinite(winding)][0] - np.nanmin(winding) > 0.5 * rise
-        for first, last in itertools.pairwise(edges):
-            if first or on[0] or begun_warm:
-                longest = max(longest, float(time[last] - time[first]))
+        started_warm = winding[np.isfinite(winding)][0] - np.nanmin(winding) > 0.5 * rise
+        for start, stop in itertools.pairwise(edges):
+            if start or is_on[0] or started_warm:
+                longest = max(longest, float(time[stop] - time[start]))
     return longest * -float(np.max(fit.network.modes()[0]))
 
 
@@ -115,22 +116,22 @@ def resistance_results(
 def residual_results(fit: NetworkFit, uncertainty: Uncertainty) -> Noted[list[Estimate]]:
     """Return the root mean squares of the residuals [K], and their ratio to the noise from frame to frame.
 
-    A note says how large a drift is where the residuals are clearly more than noise.
+    Where the ratio is above `PLAIN`, a note states the size and decay time of the drift.
     """
     residuals = [np.concatenate([residual[node] for residual in fit.residuals]) for node in (0, 1)]
     rms = [math.sqrt(float(np.nanmean(node_residuals**2))) for node_residuals in residuals]
-    whole = math.sqrt(float(np.nanmean(np.concatenate(residuals) ** 2)))
+    rms_of_both = math.sqrt(float(np.nanmean(np.concatenate(residuals) ** 2)))
     noise = [noise_of([measured(record)[node] for record in fit.records]) for node in (0, 1)]
     counts = [int(np.isfinite(node_residuals).sum()) for node_residuals in residuals]
-    expected = math.sqrt(sum(n * s**2 for n, s in zip(counts, noise, strict=True)) / sum(counts))
-    over_noise = whole / expected if expected > 0.0 else NAN
-    drift, lasts = np.sqrt(np.diag(uncertainty.scatter.drift)), uncertainty.scatter.decay_time
+    expected = math.sqrt(sum(count * std**2 for count, std in zip(counts, noise, strict=True)) / sum(counts))
+    over_noise = rms_of_both / expected if expected > 0.0 else NAN
+    drift, decay_time = np.sqrt(np.diag(uncertainty.scatter.drift)), uncertainty.scatter.decay_time
     note = (
         f"residuals are {over_noise:.2f} times the noise from frame to frame: a drift of {drift[0]:.2g} K at the"
-        f" winding and {drift[1]:.2g} K at the housing that lasts {lasts:.0f} s, of the camera, the air or of"
+        f" winding and {drift[1]:.2g} K at the housing that lasts {decay_time:.0f} s, of the camera, the air or of"
         " what two bodies do not show; the intervals count it in"
     )
-    in_kelvin = {"rmse": whole, "rmse_winding": rms[0], "rmse_housing": rms[1]}
+    in_kelvin = {"rmse": rms_of_both, "rmse_winding": rms[0], "rmse_housing": rms[1]}
     estimates = [
         *(Estimate(name, value, NAN, NAN, NAN, "K") for name, value in in_kelvin.items()),
         Estimate("rmse_over_noise", over_noise, NAN, NAN, NAN, "1"),
@@ -139,32 +140,35 @@ def residual_results(fit: NetworkFit, uncertainty: Uncertainty) -> Noted[list[Es
 
 
 def noise_of(columns: Sequence[Array]) -> float:
-    """Noise from frame to frame [K], by second differences, which a smooth curve hardly contributes to."""
+    """Return the noise from frame to frame [K], by second differences, to which a smooth curve contributes little."""
     second_differences = np.concatenate([column[2:] - 2.0 * column[1:-1] + column[:-2] for column in columns])
     second_differences = second_differences[np.isfinite(second_differences)]
     return math.sqrt(float(np.mean(second_differences**2)) / 6.0) if len(second_differences) else NAN
 
 
 def steadiness(records: Sequence[HeatingRecord]) -> Noted[list[Estimate]]:
-    """Return the largest change of winding or housing in the last half hour of heating [K]; steady is up to 1 K."""
+    """Return the largest change of winding or housing in the last half hour of heating [K].
+
+    The value is NaN for less than half an hour of heating; a note names a missing value, or one above `STEADY_K`.
+    """
     changes = []
     for record in records:
-        on = record.supply.time[record.supply.on]
-        if not len(on):
+        heated_times = record.supply.time[record.supply.on]
+        if not len(heated_times):
             continue
-        end = float(on[-1])
-        start = max(end - STEADY_S, float(record.time[0]))
-        if end - start < 0.99 * STEADY_S or not record.supply.on[record.supply.time > start + ENDS_S].any():
+        stop = float(heated_times[-1])
+        start = max(stop - STEADY_S, float(record.time[0]))
+        if stop - start < 0.99 * STEADY_S or not record.supply.on[record.supply.time > start + ENDS_S].any():
             changes.append(NAN)
             continue
-        early, late = ((record.time >= begin) & (record.time < begin + ENDS_S) for begin in (start, end - ENDS_S))
+        early, late = ((record.time >= begin) & (record.time < begin + ENDS_S) for begin in (start, stop - ENDS_S))
         with np.errstate(invalid="ignore"):
-            moved = [float(np.nanmean(row[late]) - np.nanmean(row[early])) for row in measured(record)]
-        changes.append(max(moved, key=abs))
-    known = [change for change in changes if math.isfinite(change)]
-    worst = max(known, key=abs, default=NAN)
+            node_changes = [float(np.nanmean(row[late]) - np.nanmean(row[early])) for row in measured(record)]
+        changes.append(max(node_changes, key=abs))
+    finite = [change for change in changes if math.isfinite(change)]
+    worst = max(finite, key=abs, default=NAN)
     notes = []
-    if not known:
+    if not finite:
         notes.append("heated for less than 30 min: no steady state, and what hangs on it has a wide interval")
     elif abs(worst) > STEADY_K:
         notes.append(
@@ -175,10 +179,10 @@ def steadiness(records: Sequence[HeatingRecord]) -> Noted[list[Estimate]]:
 
 
 def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float) -> Noted[list[Estimate]]:
-    """Estimate the lag of the camera's clock [s] and its offsets [K]; the list is empty for more than one record.
+    """Estimate the lag of the camera's clock [s] and the camera's offsets [K]; the list is empty for several records.
 
-    `offset_std` is the standard uncertainty of the camera's zero [K].
-    Notes name the clear lags and offsets of all records.
+    `offset_std` is the standard uncertainty of the camera's zero [K]. Notes name the lags and offsets of all records
+    that are more than `LATE` standard deviations.
     """
     units = {"lag": "s", "offset_winding": "K", "offset_housing": "K"}
     estimates, notes = [], []
@@ -193,38 +197,49 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
             estimates.append(Estimate(f"camera_{name}", value, std, value - half, value + half, unit))
             if name == "lag" and abs(value) > max(LATE * std, 2.0 * float(np.median(np.diff(record.time)))):
                 notes.append(
-                    f"{record.place}: the camera's clock is {value:.2f} s behind the supply's; taken into account"
+                    f"{record.run_path}: the camera's clock is {value:.2f} s behind the supply's; taken into account"
                 )
             if name != "lag" and abs(value) > LATE * math.hypot(offset_std, std):
                 notes.append(
-                    f"{record.place}: {name.removeprefix('offset_')} reads {value:+.1f} K off the sensor of the air,"
+                    f"{record.run_path}: {name.removeprefix('offset_')} reads {value:+.1f} K off the sensor of the air,"
                     f" more than the camera's {offset_std:g} K explain: units, emissivity, or air of another place"
                 )
     return Noted(estimates if len(fit.records) == 1 else [], tuple(notes))
 
 
-def remarks(known: FittedParameters, stretches: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
-    """Correlations, what the instruments were taken to be, and how far the air went."""
-    table, notes = correlation(natural_covariance(known)), []
-    pairs = [(abs(table[i, k]), i, k) for i in range(5) for k in range(i) if abs(table[i, k]) > TELLING]
-    told = [f"{table[i, k]:+.2f} of {NAMES[k]} and {NAMES[i]}" for _, i, k in sorted(pairs, reverse=True)[:4]]
-    if told:
-        notes.append(f"correlations: {'; '.join(told)}")
+def remarks(parameters: FittedParameters, records: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
+    """Return notes on correlations, the assumed uncertainties of the instruments, and the range of the ambient."""
+    table, notes = correlation(natural_covariance(parameters)), []
+    pairs = [
+        (abs(table[row, column]), row, column)
+        for row in range(5)
+        for column in range(row)
+        if abs(table[row, column]) > TELLING
+    ]
+    correlations = [
+        f"{table[row, column]:+.2f} of {NAMES[column]} and {NAMES[row]}"
+        for _, row, column in sorted(pairs, reverse=True)[:4]
+    ]
+    if correlations:
+        notes.append(f"correlations: {'; '.join(correlations)}")
     notes.append(
         f"standard uncertainties taken: camera {instruments.camera_offset:g} K and {instruments.camera_gain:.2%} of the"
         f" rise, voltage {instruments.voltage_gain:.2%}, current {instruments.current_gain:.2%}"
     )
     for name in ("current", "voltage"):
-        readings = readings_on(stretches, name)
+        readings = readings_on(records, name)
         if all(np.ptp(values) == 0.0 for values in readings):
             levels = " and ".join(f"{level:g}" for level in sorted({float(values[0]) for values in readings}))
             notes.append(f"line_{name} reads {levels} throughout: its resolution does not show; tell {name}_gain_std")
-    moved = [float(np.ptp(_smooth(one.ambient))) for one in stretches if one.ambient is not None]
-    if max(moved, default=0.0) > STEADY_K:
-        notes.append(f"the air went {max(moved):.1f} K up and down; the network is driven by what was read of it")
+    ambient_ranges = [float(np.ptp(_smooth(record.ambient))) for record in records if record.ambient is not None]
+    if max(ambient_ranges, default=0.0) > STEADY_K:
+        notes.append(
+            f"the air went {max(ambient_ranges):.1f} K up and down; the network is driven by what was read of it"
+        )
     return notes
 
 
 def _smooth(ambient: Array) -> Array:
+    """Return means of the ambient temperature over even parts, 50 to 99 for a long record."""
     size = max(len(ambient) // 50, 1)
     return np.array([float(np.mean(part)) for part in np.array_split(ambient, max(len(ambient) // size, 1))])

@@ -1,4 +1,4 @@
-"""Where the fit of a thermal network begins: a thinned record, first guesses, how late the camera's clock may be."""
+"""Starting point of the fit of a thermal network: a thinned record, first guesses, the lag of the camera's clock."""
 
 import math
 from collections.abc import Sequence
@@ -12,38 +12,39 @@ from leactl.analysis.heating.record import FEWEST, LONGEST_LAG_S, Array, Heating
 from leactl.errors import NotIdentifiable
 
 THIN_S = 2.0  # sampling interval of the thinned record for the first fit
-SHARES, BODIES = (0.05, 0.4), (10.0, 40.0)  # first tries: heat past the housing, housing's capacitance over winding's
-LAG_PACE_S, LAG_SPAN_S = 0.5, 6.0  # paces of the search for a lag; slopes are those over a span
-LAG_EDGE = 6.0  # times the median correlation, that the peak has to stand out by
-MARGIN_S = 1.0  # error of the lag that is left after the search
+SHARES = (0.05, 0.4)  # first guesses of the share of heat that bypasses the housing
+CAPACITANCE_RATIOS = (10.0, 40.0)  # first guesses of the housing's capacitance over the winding's
+LAG_PACE_S, LAG_SPAN_S = 0.5, 6.0  # resolution of the search for a lag; the time over which slopes are taken
+LAG_EDGE = 6.0  # times the median correlation, which the peak has to exceed
+MARGIN_S = 1.0  # error of the lag that remains after the search
 
 
 def covered(record: HeatingRecord, lag: float) -> HeatingRecord:
-    """Return the frames of a record at which its heat is known, if the camera's clock is late by `lag` [s].
+    """Return a record with only the frames at which its heat is known; the camera's clock is late by `lag` [s].
 
     Raises
     ------
-    NotIdentifiable : too few are left.
+    NotIdentifiable : fewer than `FEWEST` such frames have both temperatures.
     """
     ends = record.supply.time[[0, -1]] + lag + np.array([MARGIN_S, -MARGIN_S])
-    first, last = np.searchsorted(record.time, ends)
-    frames = slice(int(first), int(last))
+    start, stop = np.searchsorted(record.time, ends)
+    frames = slice(int(start), int(stop))
     covered_part = replace(
         record, **{name: getattr(record, name)[frames] for name in ("time", "winding", "housing", "active")}
     )
     if np.isfinite(covered_part.winding + covered_part.housing).sum() < FEWEST:
         raise NotIdentifiable(
-            f"{record.place}: the camera's clock is {lag:g} s late by the supply's, so that few frames have a heat"
+            f"{record.run_path}: the camera's clock is {lag:g} s late by the supply's, so that few frames have a heat"
         )
     return covered_part
 
 
 def thinned(record: HeatingRecord) -> HeatingRecord:
-    """Average frames and heat over `THIN_S`."""
+    """Return a record whose frames and heat are averaged over `THIN_S`."""
     supply = record.supply
     edges = np.arange(supply.time[0], supply.time[-1], THIN_S)
     heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_S
-    root = np.sqrt(np.maximum(heat, 0.0))  # as through 1 ohm: current and heat keep their proportion
+    root = np.sqrt(np.maximum(heat, 0.0))  # current and voltage at 1 ohm, so that their product is the heat
     means = SupplyRecord(edges, root, root, True)
     ambient = None if record.ambient is None else np.interp(edges, supply.time, record.ambient)
     bins = ((record.time - record.time[0]) / THIN_S).astype(np.int64)
@@ -54,30 +55,33 @@ def thinned(record: HeatingRecord) -> HeatingRecord:
 
 
 def energy(supply: SupplyRecord) -> Array:
-    """Return the energy that went in up to each stamp [J], shape (readings,)."""
+    """Return the electrical energy supplied up to each stamp [J], shape (readings,)."""
     if supply.means:
         return np.concatenate([[0.0], np.cumsum(supply.heat[1:] * np.diff(supply.time))])
     return np.asarray(cumulative_trapezoid(supply.heat, supply.time, initial=0.0), np.float64)
 
 
 def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
-    """Return starting points of the network's five unknowns, from the hottest record."""
+    """Return starting points of the network's five unknowns, from the record with the largest rise."""
     hottest = max(thin_records, key=lambda record: float(np.nanmax(record.winding) - np.nanmin(record.winding)))
     housing, winding, supply = hottest.housing, hottest.winding, hottest.supply
     cold = float(np.nanmin(housing)) if hottest.ambient is None else float(np.mean(hottest.ambient))
-    rise, warmed = float(np.nanmax(winding)) - cold, float(np.nanmax(housing)) - cold
-    warmed, across = max(warmed, 0.1 * rise, 1e-3), max(rise - warmed, 0.01 * rise, 1e-3)
+    winding_rise, housing_rise = float(np.nanmax(winding)) - cold, float(np.nanmax(housing)) - cold
+    housing_rise, difference = (
+        max(housing_rise, 0.1 * winding_rise, 1e-3),
+        max(winding_rise - housing_rise, 0.01 * winding_rise, 1e-3),
+    )
     heat = float(np.mean(supply.heat[supply.on]))
-    above_half = np.flatnonzero(housing - cold > 0.5 * warmed)
-    constant = (
+    above_half = np.flatnonzero(housing - cold > 0.5 * housing_rise)
+    time_constant = (
         max(float(hottest.time[above_half[0]] - hottest.time[0]), THIN_S) / math.log(2.0) if len(above_half) else 1e3
     )
     points = []
     for share in SHARES:
-        through = heat * (1.0 - share)
-        wh, ha = across / through, warmed / through
-        for capacitance_ratio in BODIES:
-            housing_capacitance = constant / ha
+        heat_into_housing = heat * (1.0 - share)
+        wh, ha = difference / heat_into_housing, housing_rise / heat_into_housing
+        for capacitance_ratio in CAPACITANCE_RATIOS:
+            housing_capacitance = time_constant / ha
             points.append(
                 np.array(
                     [share / (wh + ha), *np.log([wh, ha, housing_capacitance / capacitance_ratio, housing_capacitance])]
@@ -101,25 +105,26 @@ def starting_lag(record: HeatingRecord) -> float:
     span = round(LAG_SPAN_S / LAG_PACE_S)
     if min(len(heat), len(winding)) < 6 * span:
         return 0.0
-    summed = np.cumsum(heat)
-    heat_steps, temperature_bends = (_bend(values, span) for values in (summed, winding))
-    likeness = correlate(temperature_bends, heat_steps)
+    energies = np.cumsum(heat)
+    heat_steps, temperature_bends = (_slope_change(values, span) for values in (energies, winding))
+    correlation = correlate(temperature_bends, heat_steps)
     lags = correlation_lags(len(temperature_bends), len(heat_steps)) * LAG_PACE_S + float(
         grid[0] + 0.5 * LAG_PACE_S - edges[1]
     )
-    likeness = likeness[np.abs(lags) <= LONGEST_LAG_S]
+    correlation = correlation[np.abs(lags) <= LONGEST_LAG_S]
     lags = lags[np.abs(lags) <= LONGEST_LAG_S]
-    peak = int(np.argmax(likeness))
-    typical = float(np.median(np.abs(likeness)))
-    return float(lags[peak]) if likeness[peak] > LAG_EDGE * typical else 0.0
+    peak = int(np.argmax(correlation))
+    typical = float(np.median(np.abs(correlation)))
+    return float(lags[peak]) if correlation[peak] > LAG_EDGE * typical else 0.0
 
 
-def _bend(values: Array, span: int) -> Array:
+def _slope_change(values: Array, span: int) -> Array:
     """Return the slope over the span after each sample less that over the span before."""
     return values[2 * span :] - 2.0 * values[span:-span] + values[: -2 * span]
 
 
 def _binned(bins: np.ndarray[tuple[int], np.dtype[np.int64]], values: Array) -> Array:
+    """Return the mean of the finite values in each bin; NaN for a bin without any."""
     finite = np.isfinite(values)
     count = np.bincount(bins[finite], minlength=int(bins[-1]) + 1)
     total = np.bincount(bins[finite], values[finite], len(count))

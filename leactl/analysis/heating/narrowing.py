@@ -1,9 +1,9 @@
-"""A motor file narrowed to one actuator, by its own heated runs.
+"""Tolerances of a motor file narrowed to one actuator by its own heated runs.
 
 The gain errors of camera and supply need not be known. A camera that reads low by a share scales all fitted rises by
-that share; `temperature_rise` covers it, so that the guard stops earlier. A supply's error cancels as long as the same
-supply is used: `line_current` covers what its reading changes by from run to run, and `current`, the tolerance of any
-other meter, covers the error of this supply too. The rest is the error of the fit.
+that share; `temperature_rise` covers this error, so that the guard stops earlier. A supply's error cancels as long as
+the same supply is used: `line_current` covers the change of its reading from run to run, and `current`, the tolerance
+of any other meter, covers the error of this supply too. All other tolerances are the error of the fit.
 """
 
 import math
@@ -20,9 +20,9 @@ from leactl.model.motor import Motor
 from leactl.model.motor_schema import Thermal, Tolerances
 from leactl.runfile.read.reader import Run
 
-DEVIATIONS = 3.0  # standard errors of a fit that a tolerance spans
-FINEST = 0.001  # tolerance, and what tolerances are rounded up to
-FIGURES = 6  # of a value that is written
+DEVIATIONS = 3.0  # standard errors of a fit in a tolerance
+FINEST = 0.001  # smallest tolerance; tolerances are rounded up to multiples of it
+FIGURES = 6  # significant digits of a value in the motor file
 NETWORK = tuple(Thermal.model_fields)
 WINDING = ("phase_resistance", "resistance_coefficient")
 
@@ -31,24 +31,24 @@ WINDING = ("phase_resistance", "resistance_coefficient")
 class Accuracy:
     """Largest errors of the instruments of heated runs."""
 
-    camera_gain: float = 0.02  # of the rise that it shows; thermal cameras are sold with +-2 K or +-2 %
-    camera_offset: float = 2.0  # K, of its zero; also what the zero may drift by from cold to hot
-    current_repeats: float = 0.005  # of the supply's reading, from one run to the next
+    camera_gain: float = 0.02  # of the measured rise; thermal cameras are sold with +-2 K or +-2 %
+    camera_offset: float = 2.0  # K, of the camera's zero, and its drift from cold to hot
+    current_repeats: float = 0.005  # of the supply's reading, its change from one run to the next
 
 
 def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
-    """Return the motor file of the heated actuator: parameters as fitted, tolerances as the fit leaves them.
+    """Return the motor file with the fitted parameters of the heated actuator and the tolerances of the fit.
 
     Parameters
     ----------
-    motor : file with the tolerances that hold before, inside which the actuator has to be.
-    runs : heated ones of one actuator, as `leactl.analysis.experiments.thermal` takes them.
+    motor : the file before, whose tolerances must include the actuator.
+    runs : heated runs of one actuator, as `leactl.analysis.experiments.thermal` takes them.
 
     Raises
     ------
-    NotIdentifiable : the runs do not tell all of network and resistance.
+    NotIdentifiable : the runs do not determine every parameter of network and resistance.
     AcceptanceFailed : the actuator is outside of the motor file's tolerances.
-    InputError : a motor file without tolerances, or runs that cannot be used.
+    InputError : a motor file without tolerances, a winding that is no wye, or runs that cannot be used.
     """
     if motor.tolerances is None:
         raise InputError(f"motor '{motor.name}': no `tolerances:` to narrow")
@@ -74,9 +74,9 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         update=_tolerances(result, values, accuracy)
         | {
             "line_current": accuracy.current_repeats,
-            # at the worst the other meter reads low where the supply of the runs read high
+            # worst case: the other meter reads low and the supply of the runs read high
             "current": _rounded((1.0 + motor.tolerances.current) / (1.0 - supply) - 1.0),
-            "temperature_rise": _rounded(_camera(accuracy, runs) + _unexplained(values, runs)),
+            "temperature_rise": _rounded(_camera_error(accuracy, runs) + _misfit(values, runs)),
         }
     )
     return motor.model_copy(
@@ -90,14 +90,14 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
 
 
 def _tolerances(result: Result, values: dict[str, float], accuracy: Accuracy) -> dict[str, float]:
-    """Tolerances of network and resistance, from a fit with half of `camera_offset` as standard uncertainty.
+    """Return tolerances of network and resistance, from a fit with half of `camera_offset` as standard uncertainty.
 
     An offset of the camera shifts the temperature at which the resistance has its value, and leaves its slope in ohm/K.
-    So the whole offset counts for the resistance, in place of its standard uncertainty, and nothing for the
-    coefficient.
+    So the tolerance of the resistance takes the whole offset in place of its standard uncertainty, and the tolerance of
+    the coefficient leaves the offset out.
     """
     names, covariance = result.covariances[0].names, np.array(result.covariances[0].values)
-    relative_std = {name: math.sqrt(covariance[k, k]) / values[name] for k, name in enumerate(names)}
+    relative_std = {name: math.sqrt(covariance[index, index]) / values[name] for index, name in enumerate(names)}
     offset = values["resistance_coefficient"] * accuracy.camera_offset  # of the resistance, relative
     offset_std = 0.5 * offset
 
@@ -105,19 +105,22 @@ def _tolerances(result: Result, values: dict[str, float], accuracy: Accuracy) ->
         return DEVIATIONS * math.sqrt(max(relative_std[name] ** 2 - offset_std**2, 0.0))
 
     return {name: _rounded(DEVIATIONS * relative_std[name]) for name in NETWORK} | {
-        # relative, that of two phases in series is that of one
+        # the relative tolerance of two phases in series is that of one phase
         "phase_resistance": _rounded(without_offset("line_resistance") + offset),
         "resistance_coefficient": _rounded(without_offset("resistance_coefficient")),
     }
 
 
-def _camera(accuracy: Accuracy, runs: Sequence[Run]) -> float:
-    """Relative error of a rise that the camera may have: data sheets state kelvins or a share, whichever is more."""
+def _camera_error(accuracy: Accuracy, runs: Sequence[Run]) -> float:
+    """Return the relative error of a rise by the camera: data sheets state kelvins or a share, whichever is more."""
     return max(accuracy.camera_gain, accuracy.camera_offset / _rise(runs))
 
 
-def _unexplained(values: dict[str, float], runs: Sequence[Run]) -> float:
-    """Misfit of the network beyond noise, as a share of the largest rise; all of it where the noise is not known."""
+def _misfit(values: dict[str, float], runs: Sequence[Run]) -> float:
+    """Return the misfit of the network beyond noise, times `DEVIATIONS`, as a share of the largest rise.
+
+    Where the noise is not known, all residuals count as misfit.
+    """
     over_noise = values["rmse_over_noise"]
     misfit = 1.0 if not math.isfinite(over_noise) else math.sqrt(max(1.0 - 1.0 / over_noise**2, 0.0))
     return DEVIATIONS * misfit * values["rmse"] / _rise(runs)
@@ -130,6 +133,7 @@ def _rise(runs: Sequence[Run]) -> float:
 
 
 def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
+    """Raise AcceptanceFailed if a value is outside of the file's tolerances, widened by the instruments' errors."""
     nominal = motor.thermal.model_dump() | {
         "phase_resistance": motor.resistance(REFERENCE),
         "resistance_coefficient": motor.resistance_coefficient * motor.phase_resistance / motor.resistance(REFERENCE),
@@ -137,7 +141,7 @@ def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, floa
     current = max(tolerances.current, tolerances.line_current or 0.0)
     faults = []
     for name in (*NETWORK, *WINDING):
-        # the supply tells the heat by its current and its voltage, which may be as far off
+        # the heat is current times voltage, and the voltage may have as large an error as the current
         within = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * current
         low, high = (nominal[name] * (1.0 + sign * within) for sign in (-1.0, 1.0))
         if not low <= values[name] <= high:

@@ -1,9 +1,8 @@
-"""Network and resistance with their joint covariance, and what follows from them with 95 % intervals.
+"""Parameters of network and resistance with their joint covariance, and derived results with 95 % intervals.
 
-Four things make the covariance: noise, drift of the residuals, calibration of camera and supply, and the resolution
-of the supply. A gain of the camera scales all thermal resistances, and the capacitances by its inverse; so does an
-error of the heat. Nothing in the record shows either, so they come from the stated uncertainties of the
-instruments.
+The covariance has four sources: noise, drift of the residuals, calibration of camera and supply, and the resolution
+of the supply. A gain error of the camera scales all thermal resistances, and the capacitances by its inverse; so does
+an error of the heat. The record shows neither error, so both come from the stated uncertainties of the instruments.
 """
 
 import math
@@ -30,9 +29,9 @@ NAMES = (
     "resistance_coefficient",
 )
 UNITS = ("K/W", "K/W", "K/W", "J/K", "J/K", "ohm", "1/K")
-UNKNOWN = 0.5  # relative standard uncertainty from which a figure counts as not identifiable
+UNKNOWN = 0.5  # relative standard uncertainty from which a result counts as not identifiable
 STEP = 1e-4  # of central differences, relative
-FLOOR = 1e-15  # of the largest information, below which a direction has none
+FLOOR = 1e-15  # added to the scaled information matrix, so that it can be inverted
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Instruments:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintySource:
-    """One source of uncertainty: its covariance matrix, and the degrees of freedom of that."""
+    """Covariance of the parameters by one source of uncertainty, and the degrees of freedom of that covariance."""
 
     covariance: Array
     dof: float
@@ -55,19 +54,22 @@ class UncertaintySource:
 
 @dataclass(frozen=True, eq=False)
 class FittedParameters:
-    """Values of `NAMES` with the conductance past the housing [W/K] first, and the sources of their uncertainty."""
+    """Fitted parameters and the sources of their uncertainty.
+
+    `point` has the values of `NAMES`, shape (7,), but begins with the conductance from winding to ambient [W/K].
+    """
 
     point: Array
     sources: tuple[UncertaintySource, ...]
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the point, shape (7, 7)."""
+        """Return the covariance of the point, shape (7, 7)."""
         return np.asarray(sum(source.covariance for source in self.sources), np.float64)
 
     @property
     def network(self) -> Conductances:
-        """The thermal network; a negative conductance counts as zero."""
+        """Return the thermal network; a negative conductance counts as zero."""
         wa, wh, ha, cw, ch = self.point[:NETWORK].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
@@ -83,10 +85,10 @@ class FittedParameters:
         value, slopes = figure(self), np.zeros(len(self.point))
         steps = STEP * self.point
         steps[0] = STEP / self.point[2]
-        for k, step in enumerate(steps):
-            moved = np.zeros(len(self.point))
-            moved[k] = step
-            slopes[k] = (figure(self.moved(moved)) - figure(self.moved(-moved))) / (2.0 * step)
+        for index, step in enumerate(steps):
+            shift = np.zeros(len(self.point))
+            shift[index] = step
+            slopes[index] = (figure(self.moved(shift)) - figure(self.moved(-shift))) / (2.0 * step)
         variances = [float(slopes @ source.covariance @ slopes) for source in self.sources]
         std = math.sqrt(max(sum(variances), 0.0))
         if not (value > 0.0 and std < UNKNOWN * value):
@@ -103,7 +105,7 @@ def parallel(parameters: FittedParameters) -> float:
 
 
 def natural(parameters: FittedParameters) -> Array:
-    """Return the parameters in the order and units of `NAMES`, the resistance past the housing first."""
+    """Return the parameters in the order and units of `NAMES`: the first as a resistance, not as a conductance."""
     return np.concatenate([[1.0 / parameters.point[0]], parameters.point[1:]])
 
 
@@ -122,7 +124,7 @@ def correlation(covariance: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariances of all unknowns of a network's fit, by noise and by drift, shape (unknowns, unknowns)."""
+    """Covariances of all unknowns of a network's fit, by noise and by drift, shape (unknowns, unknowns) each."""
 
     noise: Array
     drift: Array
@@ -130,13 +132,13 @@ class Uncertainty:
 
 
 def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
-    """Compute the covariance of the unknowns of least squares from noise and drift of the residuals, and the priors."""
-    seen_frames = [np.isfinite(residual) for residual in fit.residuals]
+    """Compute the covariance of the least-squares unknowns from noise and drift of the residuals, and the priors."""
+    valid_frames = [np.isfinite(residual) for residual in fit.residuals]
     information = np.diag(fit.prior)
-    for columns, frames_seen in zip(fit.columns, seen_frames, strict=True):
+    for columns, valid in zip(fit.columns, valid_frames, strict=True):
         for node in (0, 1):
-            rows_seen = columns[node][frames_seen[node]]
-            information = information + rows_seen.T @ rows_seen
+            valid_rows = columns[node][valid[node]]
+            information = information + valid_rows.T @ valid_rows
     scale = 1.0 / np.sqrt(np.diag(information))
     scaled = information * np.outer(scale, scale)
     inverse = np.linalg.inv(scaled + FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
@@ -158,9 +160,9 @@ def thermal_parameters(
     jacobian = np.diag([1.0, *network[1:]])
     point = np.concatenate([network, [line.level, line.coefficient]])
 
-    def embedded(covariance: Array, first: int) -> Array:
+    def embedded(covariance: Array, start: int) -> Array:
         full = np.zeros((len(point), len(point)))
-        full[first : first + len(covariance), first : first + len(covariance)] = covariance
+        full[start : start + len(covariance), start : start + len(covariance)] = covariance
         return full
 
     sources = [
@@ -190,29 +192,31 @@ def thermal_parameters(
 
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
-    """Relative standard uncertainty of the mean heat by the noise of the supply's readings."""
-    heats = [record.supply.heat[on] for record, on in zip(records, switched_on(records), strict=True)]
-    bends = np.concatenate([np.diff(heat, 2) for heat in heats])  # within records: from one to the next the level jumps
+    """Return the relative standard uncertainty of the mean heat by the noise of the supply's readings."""
+    heats = [record.supply.heat[is_on] for record, is_on in zip(records, switched_on(records), strict=True)]
+    # within each record, since the heat jumps from one record to the next
+    second_differences = np.concatenate([np.diff(heat, 2) for heat in heats])
     heat = np.concatenate(heats)
-    noise = math.sqrt(float(np.mean(bends**2)) / 6.0)
+    noise = math.sqrt(float(np.mean(second_differences**2)) / 6.0)
     return noise / math.sqrt(len(heat)) / float(np.mean(heat))
 
 
 def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
-    """Relative standard uncertainty of the supply's readings by their resolution, where no noise averages it out.
+    """Return the relative standard uncertainty of the supply's readings by their resolution.
 
-    The largest of all records: roundings at different levels do not cancel for certain. Readings that are the same
-    throughout a record have the step that another shows; where none does, they count as exact.
+    It counts in records whose noise does not average the rounding out, and is the largest of these records, since
+    roundings at different levels need not cancel. For a record whose readings are all the same, the resolution is that
+    of another record; where no record shows a resolution, readings count as exact. `name` is `current` or `voltage`.
     """
     readings = readings_on(records, name)
     steps = [float(np.min(np.diff(np.unique(values)), initial=np.inf)) for values in readings]
-    shown = [step for values, step in zip(readings, steps, strict=True) if np.std(values) < step < np.inf]
-    step = min(shown, default=0.0)
-    unaveraged = [float(np.mean(values)) for values in readings if np.std(values) < step]
-    return step / math.sqrt(12.0) / min(unaveraged, default=np.inf)
+    rounding_steps = [step for values, step in zip(readings, steps, strict=True) if np.std(values) < step < np.inf]
+    resolution = min(rounding_steps, default=0.0)
+    unaveraged = [float(np.mean(values)) for values in readings if np.std(values) < resolution]
+    return resolution / math.sqrt(12.0) / min(unaveraged, default=np.inf)
 
 
 def readings_on(records: Sequence[HeatingRecord], name: str) -> list[Array]:
-    """Magnitudes of a supply's `current` or `voltage` while the current is switched on, of each record that has any."""
+    """Return the magnitudes of `current` or `voltage` with the current switched on, for each record that has any."""
     masks = zip(records, switched_on(records), strict=True)
-    return [np.abs(getattr(record.supply, name)[on]) for record, on in masks if on.any()]
+    return [np.abs(getattr(record.supply, name)[is_on]) for record, is_on in masks if is_on.any()]

@@ -1,4 +1,4 @@
-"""Plots of a thermal fit: temperatures measured and fitted, residuals, resistance, and what may be carried how long."""
+"""Plots of a thermal fit: measured and fitted temperatures, residuals, resistance, and peak current over duration."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from leactl.analysis.heating.network import NetworkFit, measured
 from leactl.analysis.heating.record import Array
 from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
 
-DRAWN = 120  # points of a curve
+MOST_POINTS = 120  # of a curve
 NODES = ("winding", "housing")
 
 
@@ -21,8 +21,8 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
             measured_points.append(drawn(name, record.time, measured(record)[node]))
             lines.append(drawn(f"{name}, fitted", record.time, fitted[node]))
             residual_points.append(drawn(name, record.time, residual[node]))
-    ends = np.array([line.temperature.min(), line.temperature.max()])
-    line_values = line.level * (1.0 + line.coefficient * (ends - REFERENCE))
+    temperatures = np.array([line.temperature.min(), line.temperature.max()])
+    resistances = line.level * (1.0 + line.coefficient * (temperatures - REFERENCE))
     order = np.argsort(line.temperature)
     measurements = drawn("voltage over current", line.temperature[order], line.resistance[order])
     return (
@@ -32,19 +32,21 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
             "active windings [degC]",
             "resistance of two leads [ohm]",
             (measurements,),
-            (Series("fit", tuple(ends.tolist()), tuple(line_values.tolist())),),
+            (Series("fit", tuple(temperatures.tolist()), tuple(resistances.tolist())),),
         ),
         plot_of_currents(currents),
     )
 
 
 def drawn(label: str, x: Array, y: Array) -> Series:
-    """Return a curve in at most `DRAWN` means over even parts."""
+    """Return a curve of at most `MOST_POINTS` points, each the mean over an even part of the finite values."""
     finite = np.isfinite(y)
     x, y = x[finite], y[finite]
-    parts = [part for part in np.array_split(np.arange(len(x)), min(DRAWN, len(x))) if len(part)]
+    parts = [indices for indices in np.array_split(np.arange(len(x)), min(MOST_POINTS, len(x))) if len(indices)]
     return Series(
-        label, tuple(float(np.mean(x[part])) for part in parts), tuple(float(np.mean(y[part])) for part in parts)
+        label,
+        tuple(float(np.mean(x[indices])) for indices in parts),
+        tuple(float(np.mean(y[indices])) for indices in parts),
     )
 
 

@@ -1,4 +1,4 @@
-"""A heated run as its analysis takes it: temperatures of three regions by a camera, heat by a supply, the air around.
+"""Records of a heated run: winding and housing temperatures by a camera, heat by a supply, ambient temperature.
 
 Direct current through two leads of a wye heats two of its three phases, the active windings; the third, the inactive
 ones, carries none. With a third of the capacitance and three times the resistances for each phase, the mean of the
@@ -27,31 +27,31 @@ WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambie
 CURRENT, VOLTAGE = "line_current", "line_voltage"
 NOT_CELSIUS = 200.0  # degC: no winding stays above it throughout, and a room in kelvin is at 290 to 300
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
-LEAKS = 0.02  # of the largest current of all records: one that has no more only cools, at 4e-4 of the heat
-LEAST_A = 0.1  # below, nothing is heated that a fit could use
-SEEN = 0.5  # of the frames of the best location, that a location must be seen in to count
-LONGEST_LAG_S = 900.0  # of the camera's clock by the supply's
-BRIDGED_S = 2.0  # without readings of the supply, that a straight line is drawn over
-SHORTEST_S, FEWEST = 60.0, 100  # of a stretch with heat and frames
+LEAKS = 0.02  # of the largest current of all records: a record without a larger one only cools, at 4e-4 of the heat
+LEAST_A = 0.1  # smallest largest current of a run: less heats too little for a fit
+SEEN = 0.5  # of the best location's valid frames: a location with fewer does not count
+LONGEST_LAG_S = 900.0  # of the camera's clock behind the supply's
+BRIDGED_S = 2.0  # without readings of the supply: longer gaps are not interpolated
+SHORTEST_S, FEWEST = 60.0, 100  # duration and frames of the shortest record
 
 
 @dataclass(frozen=True, eq=False)
 class SupplyRecord:
-    """Current and voltage of the two leads on one clock, none missing."""
+    """Current and voltage of the two leads on one clock, without missing readings."""
 
     time: Array  # s
     current: Array  # A
     voltage: Array  # V
-    means: bool  # over the interval that ends at a stamp
+    means: bool  # each reading is the mean over the interval that ends at its stamp
 
     @property
     def heat(self) -> Array:
-        """Electrical power into the winding [W], shape (readings,)."""
+        """Return the electrical power into the winding [W], shape (readings,)."""
         return self.current * self.voltage
 
     @property
     def on(self) -> Mask:
-        """Readings with the current switched on, shape (readings,)."""
+        """Return which readings have the current switched on, shape (readings,)."""
         return np.asarray(np.abs(self.current) > FLOWS * np.max(np.abs(self.current)))
 
     def within(self, part: slice) -> "SupplyRecord":
@@ -63,20 +63,20 @@ class SupplyRecord:
 class HeatingRecord:
     """Temperatures of a part of a run whose heat is known throughout; NaN where the camera missed a frame."""
 
-    place: str
+    run_path: str
     time: Array  # s, of the camera's clock
-    winding: Array  # degC, equivalent
+    winding: Array  # degC, mean of the phases, as the two-node network takes it
     housing: Array  # degC
-    active: Array  # degC
+    active: Array  # degC, of the windings that carry the current
     supply: SupplyRecord
     ambient: Array | None  # degC, at the stamps of the supply
 
 
 def switched_on(records: Sequence[HeatingRecord]) -> list[Mask]:
-    """Readings of each record's supply with the current switched on; none of a record in which all only cools."""
+    """Return which readings of each record have the current switched on; none in a record that only cools."""
     largest = [float(np.max(np.abs(record.supply.current))) for record in records]
     heated = [current > LEAKS * max(largest) for current in largest]
-    return [record.supply.on & heats for record, heats in zip(records, heated, strict=True)]
+    return [record.supply.on & is_heated for record, is_heated in zip(records, heated, strict=True)]
 
 
 def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
@@ -85,7 +85,7 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
     Raises
     ------
     MissingChannel : no temperatures of winding or housing, no line current or no line voltage.
-    NotIdentifiable : no current flows, or heat and frames never come together for long enough.
+    NotIdentifiable : no current flows, or heat and frames are never recorded together for `SHORTEST_S`.
     InputError : temperatures that are not in degC, or a resistance below zero.
     """
     supply = supply_of(run)
@@ -102,12 +102,12 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
         heat = supply.value.within(part)
         if not len(heat.time):
             continue
-        ends = heat.time[[0, -1]]
-        frames = slice(*np.searchsorted(camera.time, ends + np.array([-LONGEST_LAG_S, LONGEST_LAG_S])).tolist())
-        seen = int(np.sum(np.isfinite(winding[frames]) & np.isfinite(housing[frames])))
-        if seen < FEWEST or heat.time[-1] - heat.time[0] < SHORTEST_S:
-            if seen:
-                notes.append(f"{run.path}: left out {heat.time[0]:.0f} to {heat.time[-1]:.0f} s: {seen} frames of use")
+        start_and_stop = heat.time[[0, -1]] + np.array([-LONGEST_LAG_S, LONGEST_LAG_S])
+        frames = slice(*np.searchsorted(camera.time, start_and_stop).tolist())
+        valid = int(np.sum(np.isfinite(winding[frames]) & np.isfinite(housing[frames])))
+        if valid < FEWEST or heat.time[-1] - heat.time[0] < SHORTEST_S:
+            if valid:
+                notes.append(f"{run.path}: left out {heat.time[0]:.0f} to {heat.time[-1]:.0f} s: {valid} frames of use")
             continue
         ambient = None if air.value is None else np.interp(heat.time, *air.value)
         temperatures = (camera.time[frames], winding[frames], housing[frames], active[frames])
@@ -125,7 +125,13 @@ def frames_of(run: Run) -> int:
 
 
 def supply_of(run: Run) -> Noted[SupplyRecord]:
-    """Return current and voltage of the leads at the stamps of the voltage; a note counts the missing readings."""
+    """Return current and voltage of the leads at the stamps of the voltage; a note counts the missing readings.
+
+    Raises
+    ------
+    NotIdentifiable : too few readings, a clipped reading, or no current above `LEAST_A`.
+    InputError : a resistance below zero.
+    """
     current, voltage = run.channel(CURRENT), run.channel(VOLTAGE)
     amperes, volts = np.isfinite(current.values), np.isfinite(voltage.values)
     if amperes.sum() < 2 or volts.sum() < 2:
@@ -143,12 +149,12 @@ def supply_of(run: Run) -> Noted[SupplyRecord]:
         voltage.values[good],
         voltage.sampling == current.sampling == "mean",
     )
-    most = float(np.max(np.abs(supply.current), initial=0.0))
-    if most < LEAST_A:
-        raise NotIdentifiable(f"{run.path}: {CURRENT} of test never exceeds {most:.3g} A: nothing was heated")
-    on = supply.on
-    if float(np.mean(supply.voltage[on] * supply.current[on])) <= 0.0:
-        ohm = float(np.median(supply.voltage[on] / supply.current[on]))
+    largest = float(np.max(np.abs(supply.current), initial=0.0))
+    if largest < LEAST_A:
+        raise NotIdentifiable(f"{run.path}: {CURRENT} of test never exceeds {largest:.3g} A: nothing was heated")
+    is_on = supply.on
+    if float(np.mean(supply.voltage[is_on] * supply.current[is_on])) <= 0.0:
+        ohm = float(np.median(supply.voltage[is_on] / supply.current[is_on]))
         raise InputError(
             f"{run.path}: {VOLTAGE} over {CURRENT} of test is {ohm:.3g} ohm; a resistance above zero was expected:"
             " one of the two has its leads swapped"
@@ -167,8 +173,8 @@ def winding_of(run: Run, time: Array) -> Noted[tuple[Array, Array]]:
             f"{run.path}: one {WINDING} without a region is taken as the mean of all phases; the resistance goes with"
             " that of the active ones, so its coefficient comes out too high where the supply feeds two leads"
         )
-        whole = mean_of(run, channels, time)
-        return Noted((whole.value, whole.value), (note, *whole.notes))
+        mean = mean_of(run, channels, time)
+        return Noted((mean.value, mean.value), (note, *mean.notes))
     for region, region_channels in (("active", active), ("inactive", inactive)):
         if not region_channels:
             raise MissingChannel(
@@ -186,8 +192,8 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
     """Average the channels of a region [degC] at the camera's stamps; NaN where one of them has no reading.
 
     A channel with readings in fewer than half as many frames as the best does not count: a mean over whichever channels
-    have a reading would jump with the differences between them. A channel that hangs does not count either, if its
-    region has another.
+    have a reading would jump with the differences between them. A channel that hangs does not count either, if another
+    channel of its region does not hang.
     """
     moving = without_hanging(run, channels)
     channels, notes, columns = moving.value, [*moving.notes], []
@@ -195,19 +201,19 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
         refuse_not_celsius(run, channel)
         unclipped = without_clipped(run, channel)
         notes += unclipped.notes
-        same = len(channel.time) == len(time) and np.array_equal(channel.time, time)
-        columns.append(unclipped.value.values if same else onto(time, unclipped.value))
-    seen = np.array([np.isfinite(column).sum() for column in columns])
-    if not seen.max(initial=0):
+        same_clock = len(channel.time) == len(time) and np.array_equal(channel.time, time)
+        columns.append(unclipped.value.values if same_clock else onto(time, unclipped.value))
+    valid = np.array([np.isfinite(column).sum() for column in columns])
+    if not valid.max(initial=0):
         raise NotIdentifiable(f"{run.path}: {channels[0].quantity} of test was never seen at {_names(channels)}")
-    kept = seen >= SEEN * seen.max()
-    if not kept.all():
-        lost = [channel.location for channel, keep in zip(channels, kept, strict=True) if not keep]
+    counts = valid >= SEEN * valid.max()
+    if not counts.all():
+        lost = [channel.location for channel, keep in zip(channels, counts, strict=True) if not keep]
         notes.append(f"{run.path}: left out {listed(lost)}: not seen in most frames")
-    if kept.sum() == 1 and len(channels[0].location):
-        only = next(channel.location for channel, keep in zip(channels, kept, strict=True) if keep)
+    if counts.sum() == 1 and len(channels[0].location):
+        only = next(channel.location for channel, keep in zip(channels, counts, strict=True) if keep)
         notes.append(f"{run.path}: {only} alone stands for its region; differences within the region do not show")
-    mean = np.mean([column for column, keep in zip(columns, kept, strict=True) if keep], axis=0)
+    mean = np.mean([column for column, keep in zip(columns, counts, strict=True) if keep], axis=0)
     if missing := int(np.sum(~np.isfinite(mean))):
         notes.append(f"{run.path}: {_names(channels)}: {missing} of {len(mean)} frames missing; left out")
     return Noted(np.asarray(mean, np.float64), tuple(notes))
@@ -215,21 +221,26 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
 
 def without_hanging(run: Run, channels: Sequence[Channel]) -> Noted[list[Channel]]:
     """Leave out channels that hang; where all of them hang, replace only the repeated readings by NaN."""
-    rows = [longest_repeat(channel.values) for channel in channels]
-    hung = [row is not None and bool(hanging(run, channel, row)) for channel, row in zip(channels, rows, strict=True)]
-    if not any(hung):
+    repeats = [longest_repeat(channel.values) for channel in channels]
+    hanging_flags = [
+        repeat is not None and bool(hanging(run, channel, repeat))
+        for channel, repeat in zip(channels, repeats, strict=True)
+    ]
+    if not any(hanging_flags):
         return Noted(list(channels))
-    lost = [channel.location or channel.quantity for channel, hangs in zip(channels, hung, strict=True) if hangs]
-    if not all(hung):
-        moving = [channel for channel, hangs in zip(channels, hung, strict=True) if not hangs]
+    lost = [
+        channel.location or channel.quantity for channel, hangs in zip(channels, hanging_flags, strict=True) if hangs
+    ]
+    if not all(hanging_flags):
+        moving = [channel for channel, hangs in zip(channels, hanging_flags, strict=True) if not hangs]
         return Noted(moving, (f"{run.path}: left out {listed(lost)}, which hangs",))
-    cut = []
-    for channel, row in zip(channels, rows, strict=True):
-        assert row is not None  # it hangs
+    without_repeats = []
+    for channel, repeat in zip(channels, repeats, strict=True):
+        assert repeat is not None  # all channels hang
         values = channel.values.copy()
-        values[row.first + 1 : row.last + 1] = NAN
-        cut.append(replace(channel, values=values))
-    return Noted(cut, (f"{run.path}: {listed(lost)} hangs; those frames are left out",))
+        values[repeat.first + 1 : repeat.last + 1] = NAN
+        without_repeats.append(replace(channel, values=values))
+    return Noted(without_repeats, (f"{run.path}: {listed(lost)} hangs; those frames are left out",))
 
 
 def ambient_of(run: Run) -> Noted[tuple[Array, Array] | None]:
@@ -237,62 +248,62 @@ def ambient_of(run: Run) -> Noted[tuple[Array, Array] | None]:
     channels = run.channels(AMBIENT, "bench") or run.channels(AMBIENT)
     for channel in channels:
         refuse_not_celsius(run, channel)
-    read = [channel for channel in channels if np.isfinite(channel.values).sum() > 1]
-    if not read:
+    readable = [channel for channel in channels if np.isfinite(channel.values).sum() > 1]
+    if not readable:
         note = f"{run.path}: no {AMBIENT}: the air is taken as one temperature throughout, fitted with the network"
         return Noted(None, (note,))
-    time = read[0].time[np.isfinite(read[0].values)]
+    time = readable[0].time[np.isfinite(readable[0].values)]
     columns = [
-        np.interp(time, channel.time[good], channel.values[good])
-        for channel in read
-        for good in [np.isfinite(channel.values)]
+        np.interp(time, channel.time[finite], channel.values[finite])
+        for channel in readable
+        for finite in [np.isfinite(channel.values)]
     ]
     return Noted((time, np.asarray(np.mean(columns, axis=0), np.float64)))
 
 
-def refuse_exchanged(run: Run, warmer: Array, colder: Array, name: str, other: str) -> None:
-    """Raise if the region that carries the current stays colder than the other: their locations are exchanged.
+def refuse_exchanged(run: Run, warmer: Array, colder: Array, warmer_name: str, colder_name: str) -> None:
+    """Raise if the region that carries the current is colder than the other region: their locations are exchanged.
 
-    Judged at the tenth of the frames in which both lie furthest apart, that is while one of them is heated.
+    The mean difference is taken over the tenth of the frames with the largest differences, when the winding is heated.
     """
     both_finite = np.isfinite(warmer) & np.isfinite(colder)
     difference = (warmer - colder)[both_finite]
     if len(difference) and float(np.mean(difference[np.abs(difference) >= np.quantile(np.abs(difference), 0.9)])) < 0.0:
         raise InputError(
-            f"{run.path}: the {other} get {-float(difference.min()):.1f} K warmer than the {name}, which carry the"
-            " current: places of the camera are exchanged"
+            f"{run.path}: the {colder_name} get {-float(difference.min()):.1f} K warmer than the {warmer_name}, which"
+            " carry the current: places of the camera are exchanged"
         )
 
 
 def refuse_clipped(run: Run, channel: Channel) -> None:
-    """Raise if a reading of the supply is clipped: the heat beyond is not known."""
-    end = clipped(channel)
-    if end is not None:
-        share = float(np.mean(channel.values == end))
+    """Raise if a channel of the supply is clipped: the heat beyond its range is not known."""
+    range_end = clipped(channel)
+    if range_end is not None:
+        share = float(np.mean(channel.values == range_end))
         raise NotIdentifiable(
-            f"{run.path}: {channel.quantity} of {channel.role} is clipped at {end:.4g} {channel.units} in {share:.0%}"
-            " of its readings; the heat is not known: give its input a wider range"
+            f"{run.path}: {channel.quantity} of {channel.role} is clipped at {range_end:.4g} {channel.units} in"
+            f" {share:.0%} of its readings; the heat is not known: give its input a wider range"
         )
 
 
 def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
     """Replace readings at the end of a camera's range by NaN; a note says how many."""
-    end = clipped(channel)
-    if end is None:
+    range_end = clipped(channel)
+    if range_end is None:
         return Noted(channel)
-    at_end = channel.values == end
-    where = channel.location or channel.quantity
-    note = f"{run.path}: {where} is clipped at {end:.4g} {channel.units} in {at_end.sum()} frames; left out"
+    at_end = channel.values == range_end
+    name = channel.location or channel.quantity
+    note = f"{run.path}: {name} is clipped at {range_end:.4g} {channel.units} in {at_end.sum()} frames; left out"
     return Noted(replace(channel, values=np.where(at_end, NAN, channel.values)), (note,))
 
 
 def refuse_not_celsius(run: Run, channel: Channel) -> None:
     """Raise if a temperature can only be in kelvin."""
-    least = float(np.nanmin(channel.values, initial=np.inf))
-    if NOT_CELSIUS < least < np.inf:
-        where = f" at {channel.location}" if channel.location else ""
+    lowest = float(np.nanmin(channel.values, initial=np.inf))
+    if NOT_CELSIUS < lowest < np.inf:
+        location = f" at {channel.location}" if channel.location else ""
         raise InputError(
-            f"{run.path}: {channel.quantity} of {channel.role}{where} is never below {least:.1f} {channel.units};"
+            f"{run.path}: {channel.quantity} of {channel.role}{location} is never below {lowest:.1f} {channel.units};"
             " degC was expected, these look like kelvin"
         )
 
@@ -310,11 +321,11 @@ def onto(time: Array, channel: Channel) -> Array:
 
 
 def unbroken(time: Array) -> list[slice]:
-    """Return the parts of a clock without gaps that are too long to bridge."""
+    """Return the parts of a clock between gaps that are too long to interpolate over."""
     steps = np.diff(time)
     longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]
-    return [slice(a, b) for a, b in itertools.pairwise(cuts)]
+    return [slice(start, stop) for start, stop in itertools.pairwise(cuts)]
 
 
 def _names(channels: Sequence[Channel]) -> str:

@@ -1,4 +1,4 @@
-"""Relative standard uncertainty of the factor that instruments multiply their readings by: given, or the channel's."""
+"""Relative standard uncertainty of an instrument's calibration factor: the given value, or that of the channel."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +12,7 @@ def gain_std(runs: Sequence[Run], quantity: str, given: float | None) -> float:
 
     Raises
     ------
-    InputError : it is below zero or not finite.
+    InputError : the given uncertainty is below zero or not finite.
     """
     if given is None:
         return max((channel.scale_std for run in runs for channel in run.channels(quantity, role="test")), default=0.0)

@@ -1,4 +1,4 @@
-"""Wrong conventions of current and voltage, recognised by the factor that each puts on a torque constant.
+"""Wrong conventions of current and voltage, recognised by the factor that each causes in a torque constant.
 
 q-axis current, power-invariant, is sqrt(3/2) times the amplitude of a phase and sqrt(3) times its rms value.
 """
@@ -16,7 +16,7 @@ VOLTAGES = {
     math.sqrt(3): "the voltages may be those from lead to star point, taken for line to line",
     math.sqrt(1 / 3): "the voltages may be line to line already, and multiplied by sqrt(3) as if they were of a phase",
 }
-WITHIN = 0.02
+WITHIN = 0.02  # relative difference from a factor
 
 
 def reason_for_torque_constant(ratio: float) -> str:

@@ -1,8 +1,9 @@
 """Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
 
-A channel that contradicts its demand throughout is condemned: whoever reads it is refused with the reason, and where
-nothing reads it the reason is a note. A channel that repeats one reading for a part of the record, or lacks readings,
-gets a note. No threshold has a unit or depends on the sampling rate, except the plausible ambient temperatures.
+A channel that contradicts its demand throughout is condemned: an analysis that reads it is refused with the reason, and
+if no analysis reads it, the reason is a note. A channel that repeats one reading for a part of the record, or lacks
+readings, gets a note. No threshold has a unit or depends on the sampling rate, except the plausible ambient
+temperatures.
 """
 
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from leactl.analysis.quality.following import following
-from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_other_moves
+from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_companion_moves
 from leactl.analysis.quality.saturation import clipped
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
@@ -22,8 +23,8 @@ DEMANDS = {
     "velocity": "velocity_reference",
     "angle": "angle_reference",
 }
-HELD = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # the same in the parameters of a hold
-TOGETHER = {  # partners: while one moves far, the other must not stand
+HELD = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # keys of the demand in the parameters of a hold
+TOGETHER = {  # partners: while one changes far, the other must change too
     "line_voltage": "line_current",
     "line_current": "line_voltage",
     "phase_voltage_ab": "phase_voltage_bc",
@@ -33,24 +34,24 @@ TOGETHER = {  # partners: while one moves far, the other must not stand
 LOOP = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")
 UNBALANCED = 0.3  # of a voltage between leads: gains of a data acquisition are a few percent apart
 FEWEST_VOLTAGES = 20  # readings of all three
-DRIVING = ("velocity", "angle")  # that a drive follows by a current of its own choice
-AT_REST = ("q_axis_current", "velocity", "angle")  # which repeat their reading while a drive is off or a shaft stands
+DRIVING = ("velocity", "angle")  # quantities that a drive controls by its current
+AT_REST = ("q_axis_current", "velocity", "angle")  # repeat their reading while the drive is off or the shaft stands
 NEVER_NEGATIVE = ("bus_voltage",)
-HEATED = ("winding_temperature", "housing_temperature")  # whose places warm and cool together
+HEATED = ("winding_temperature", "housing_temperature")  # all locations of a region warm and cool together
 SUPPLIED = ("line_current", "line_voltage")
 NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
 LONGEST_VOLTAGE_REPEAT = 0.25  # share of a record; across a warming winding, the voltage does not stay equal so long
-WARMEST_ROOM = 60.0  # degC, as 0 degC the other end of where people and instruments work
+WARMEST_ROOM = 60.0  # degC; people and instruments work between 0 degC and this
 NOT_MEASURED = ("drive_enabled",)
-MISSING = 0.01  # of a channel's readings, above which a note says so
-NEARLY_ALL = 0.99  # of a channel's readings, that no analysis can do without
-MOST_DIFFERENCE = 0.5  # between path and integral, over the larger of the two; a filter's lag makes less
-LEAST_TRAVEL = 0.2  # of the farthest travel in a part: below, a tachometer's zero may look like motion
-FEWEST_APART = 3  # parts of the record in which they must disagree
-FEWEST_READINGS = 3  # of a channel, that tell whether it repeats one reading throughout
+MISSING = 0.01  # of a channel's readings; a note names a larger share
+NEARLY_ALL = 0.99  # of a channel's readings: a repeat that is longer condemns the channel
+MOST_DIFFERENCE = 0.5  # between path and integral, over the larger of the two; the lag of a filter causes less
+LEAST_TRAVEL = 0.2  # of the largest travel in a part: with less, the zero of a tachometer may look like motion
+FEWEST_APART = 3  # parts of the record in which path and integral must disagree
+FEWEST_READINGS = 3  # of a channel: more are needed to say that it repeats one reading throughout
 PARTS = 64  # of a record, in each of which path and integral are compared
-COUNTS_OF_MOTION = 10.0  # counts of the encoder: below, the shaft may stand
-SURE = 5.0  # standard deviations of the noise that a velocity integrates to in a part: a chance of 1e-6 a part
+COUNTS_OF_MOTION = 10.0  # counts of the encoder: with less travel, the shaft may stand
+SURE = 5.0  # standard deviations of the integrated noise of a velocity in a part: a probability of 1e-6 a part
 
 
 def channel_doubts(run: Run) -> list[str]:
@@ -82,7 +83,7 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
     if not reason and hanging_reason and channel.quantity in DEMANDS and repeat is not None:
         reason = hanging_reason if repeat.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
     if not reason and channel.quantity == "line_current" and repeat is not None and repeat.value:
-        reason = hanging_reason  # the heat is not known
+        reason = hanging_reason  # without the current, the heat is not known
     if reason:
         run.condemned[name] = f"{opening} {reason}"
         yield run.condemned[name]
@@ -100,18 +101,18 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
 
 
 def label_of(channel: Channel) -> str:
-    """Return quantity, role and device of a channel, and its location where that is known."""
-    where = f" at {channel.location}" if channel.location else ""
-    return f"{channel.quantity} of {channel.role}{where} ({channel.device or 'device not known'})"
+    """Return a text with quantity, role and device of a channel, and its location if it has one."""
+    location = f" at {channel.location}" if channel.location else ""
+    return f"{channel.quantity} of {channel.role}{location} ({channel.device or 'device not known'})"
 
 
 def contradiction(run: Run, channel: Channel) -> str:
-    """Return why a channel cannot be a measurement; empty where it can."""
+    """Return the reason why a channel cannot be a measurement; empty if it can."""
     demand = demand_of(run, channel)
     if demand is not None:
         answer = following(demand, channel.values, from_zero=channel.quantity != "angle")
         fault = answer.fault if answer is not None else ""
-        largest = most_wanted(demand)
+        largest = index_of_largest(demand)
         moment = f"{channel.time[largest]:.3g} s{step_at(run, channel, largest)}"
         demanded = f"{demand[largest]:.4g} {channel.units} were demanded at {moment}"
         reading = f"{channel.values[largest]:.4g}"
@@ -132,30 +133,30 @@ def contradiction(run: Run, channel: Channel) -> str:
 
 
 def hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
-    """Return where a channel repeats a reading although it should move; empty where it need not move."""
+    """Return a text on the readings that a channel repeats although it should change; empty if it need not change."""
     if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, repeat):
-        return ""  # the analysis says so, and does without those readings
-    moved = any(stands_while_other_moves(repeat, other) for other in companions(run, channel))
+        return ""  # the analysis reports these readings and leaves them out
+    companion_moves = any(stands_while_companion_moves(repeat, companion) for companion in companions(run, channel))
     at_rest_zero = channel.quantity in AT_REST and repeat.value == 0.0
-    if not moved and (at_rest_zero or channel.quantity == "angle" or not hangs(channel.values, repeat)):
+    if not companion_moves and (at_rest_zero or channel.quantity == "angle" or not hangs(channel.values, repeat)):
         return ""
-    begin, end = float(channel.time[repeat.first]), float(channel.time[repeat.last])
-    evidence = "although what moves with it did" if moved else "although its noise shows elsewhere"
+    start, stop = float(channel.time[repeat.first]), float(channel.time[repeat.last])
+    evidence = "although what moves with it did" if companion_moves else "although its noise shows elsewhere"
     return (
-        f"hangs: exactly {repeat.value:.6g} {channel.units} in {repeat.length} readings from {begin:.4g} to {end:.4g} s"
-        f"{step_at(run, channel, repeat.first)}, {evidence}"
+        f"hangs: exactly {repeat.value:.6g} {channel.units} in {repeat.length} readings from {start:.4g} to {stop:.4g}"
+        f" s{step_at(run, channel, repeat.first)}, {evidence}"
     )
 
 
 def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
-    """Return why a constant reading or an ambient temperature is doubtful; empty for most channels."""
+    """Return the reason to doubt a constant reading or an ambient temperature; empty if there is none."""
     long_repeat = (
         repeat is not None and repeat.value != 0.0 and repeat.length > LONGEST_VOLTAGE_REPEAT * len(channel.values)
     )
     if repeat is not None and long_repeat and channel.quantity == "line_voltage":
-        begin, end = float(channel.time[repeat.first]), float(channel.time[repeat.last])
+        start, stop = float(channel.time[repeat.first]), float(channel.time[repeat.last])
         return (
-            f"stays at exactly {repeat.value:.6g} {channel.units} from {begin:.4g} to {end:.4g} s"
+            f"stays at exactly {repeat.value:.6g} {channel.units} from {start:.4g} to {stop:.4g} s"
             f"{step_at(run, channel, repeat.first)}: it hangs, or the winding no longer warms"
         )
     if channel.quantity == "ambient_temperature":
@@ -168,17 +169,18 @@ def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
 
 
 def leaves_its_range(channel: Channel, repeat: RepeatedReading) -> bool:
-    """Whether the repeated reading is the end of the sensor's range, which later readings leave again."""
+    """Return whether the repeated reading is the end of the sensor's range, and later readings are within the range."""
     return clipped(channel) == repeat.value and repeat.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
 
 
 def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
-    """Return the demand at a channel's own stamps, or that of another quantity of the same drive; None without one.
+    """Return the demand of a channel at the channel's stamps; None without a demand.
 
-    Where a run has no channel of the demand, the setpoints of its settled holds are used.
+    `quantity` selects the demand of another quantity of the same drive. If a run has no channel of the demand, the
+    setpoints of its settled holds are used, and NaN between them.
     """
     quantity = quantity or channel.quantity
-    reference = beside(run, channel, DEMANDS.get(quantity))
+    reference = values_in_stream(run, channel, DEMANDS.get(quantity))
     if reference is not None or quantity not in HELD:
         return reference
     demand = np.full(len(channel.time), np.nan)
@@ -188,13 +190,13 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
 
 
 def companions(run: Run, channel: Channel) -> Iterator[Array]:
-    """Yield what a channel must move with: its demand, its partner, and the motion that a current drives."""
-    others = [demand_of(run, channel), beside(run, channel, TOGETHER.get(channel.quantity))]
+    """Yield the quantities that a channel must change with: its demand, its partner, and the motion that it drives."""
+    candidates = [demand_of(run, channel), values_in_stream(run, channel, TOGETHER.get(channel.quantity))]
     if channel.quantity in HEATED:
-        others += neighbours(run, channel)
+        candidates += neighbours(run, channel)
     if channel.quantity == "q_axis_current":
-        others += [demand_of(run, channel, quantity) for quantity in DRIVING]
-    yield from (other for other in others if other is not None)
+        candidates += [demand_of(run, channel, quantity) for quantity in DRIVING]
+    yield from (candidate for candidate in candidates if candidate is not None)
 
 
 def neighbours(run: Run, channel: Channel, region: str | None = None) -> list[Array]:
@@ -212,35 +214,35 @@ def neighbours(run: Run, channel: Channel, region: str | None = None) -> list[Ar
         if is_same and name not in run.condemned
     ]
     return [
-        other.values
-        for other in channels
-        if other.location != channel.location and np.isfinite(other.values).any()
-        if region in (None, region_of(other))
+        neighbour.values
+        for neighbour in channels
+        if neighbour.location != channel.location and np.isfinite(neighbour.values).any()
+        if region in (None, region_of(neighbour))
     ]
 
 
 def region_of(channel: Channel) -> str:
-    """Return the region of an actuator that a location is in: `active` of `active_2`."""
+    """Return the region of an actuator that a channel's location is in: `active` for `active_2`."""
     return channel.location.partition("_")[0]
 
 
-def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:
-    """Return the only other channel of a quantity with the same role and stamps; None where there is none."""
-    others = run.channels(quantity, channel.role) if quantity else []
-    if len(others) != 1 or others[0].stream != channel.stream or not np.isfinite(others[0].values).any():
+def values_in_stream(run: Run, channel: Channel, quantity: str | None) -> Array | None:
+    """Return the values of another quantity with a channel's role and stamps; None unless one channel has it."""
+    channels = run.channels(quantity, channel.role) if quantity else []
+    if len(channels) != 1 or channels[0].stream != channel.stream or not np.isfinite(channels[0].values).any():
         return None
-    return others[0].values
+    return channels[0].values
 
 
-def most_wanted(demand: Array) -> int:
-    """Return the middle index of the readings whose demand is largest."""
+def index_of_largest(demand: Array) -> int:
+    """Return the middle index among the readings whose demand is largest."""
     size = np.abs(np.nan_to_num(demand))
     largest = np.flatnonzero(size == size.max())
     return int(largest[len(largest) // 2])
 
 
 def step_at(run: Run, channel: Channel, index: int) -> str:
-    """Return the step of a run in which reading `index` was taken, in words."""
+    """Return a text that names the step in which reading `index` of a channel was taken; empty outside of all steps."""
     time = float(channel.time[index])
     name = next((step.name for step in run.steps if step.start <= time < step.stop), "")
     return f" (step '{name}')" if name else ""
@@ -260,10 +262,10 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * intervals * (speed[1:] + speed[:-1]))])
     cuts = np.linspace(0, len(time) - 1, PARTS + 1).astype(int)
     path, integral = np.diff(turned[cuts]), np.diff(travelled[cuts])
-    # what the speed does between two readings, its noise included, may be missed by the integral
+    # the integral may miss changes of the speed between two readings, noise included
     speed_changes = np.diff(speed) * intervals
     uncertainty = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(speed_changes))])[cuts])
-    # and what noise adds up to: in a part of few readings their differences alone may be small by chance
+    # the integrated noise, at least its median over all parts: in a part of few readings it may be small by chance
     scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * speed_changes**2)])[cuts])
     uncertainty += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
     steps = np.abs(np.diff(turned))
@@ -274,13 +276,12 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
     contradicts = moves & (np.abs(path - integral) > np.maximum(MOST_DIFFERENCE * larger, threshold))
     if contradicts.sum() >= FEWEST_APART:
         path, integral = path[contradicts], integral[contradicts]
-        begin, end = (
-            float(time[cuts[at]]) for at in (np.flatnonzero(contradicts)[0], np.flatnonzero(contradicts)[-1] + 1)
-        )
+        parts = np.flatnonzero(contradicts)
+        start, stop = float(time[cuts[parts[0]]]), float(time[cuts[parts[-1] + 1]])
         yield (
             f"{run.path}: {label_of(angle)} and {label_of(velocity)} contradict each other: the angle goes"
             f" {float(np.abs(path).sum()):.4g} {angle.units} where the velocity adds up to"
-            f" {float(np.abs(integral).sum()):.4g}, from {begin:.4g} to {end:.4g} s; one of them hangs, or is in"
+            f" {float(np.abs(integral).sum()):.4g}, from {start:.4g} to {stop:.4g} s; one of them hangs, or is in"
             " another unit or sense"
         )
 
@@ -298,7 +299,7 @@ def contradicting_voltages(run: Run, role: str) -> Iterator[str]:
     voltage_sum = voltages.sum(axis=0)
     if not float(np.sqrt(np.mean(voltage_sum**2))) > UNBALANCED * float(np.median(sizes)):
         return
-    # rms of the sum if the sign of one voltage were the other
+    # rms of the sum with the sign of one voltage reversed
     sums_with_sign_changed = np.sqrt(np.mean((voltage_sum - 2.0 * voltages) ** 2, axis=1))
     worst = int(np.argmin(sums_with_sign_changed))
     opening = f"{run.path}: {', '.join(label_of(channel) for channel in channels)} do not add up to zero"

@@ -1,6 +1,6 @@
-"""Find where a channel repeats one reading although noise, or what it should follow, moves it.
+"""Channels that hang: one reading repeats although noise, or the quantity that the channel follows, should change it.
 
-Nothing here knows a unit or a rate: readings are compared with each other, times counted in readings.
+No threshold has a unit or depends on a rate: readings are compared with each other, and times are counted in readings.
 """
 
 import math
@@ -15,8 +15,8 @@ from leactl.analysis.quality.saturation import noise_shows
 Array = npt.NDArray[np.float64]
 
 LASTING = 0.05  # of a record's readings: shorter rows are missed readings, which the analyses leave out
-STEPPED = 0.5  # of the whole span of what a channel follows, that this moves while the channel stands
-BOTH_SIDES = 5  # readings on each side of such a move: the first ones after a move may come late
+STEPPED = 0.5  # of the range of the quantity that a channel follows: a larger change has to change the channel
+BOTH_SIDES = 5  # readings on each side of such a change: the first readings after it may come late
 
 
 class RepeatedReading(NamedTuple):
@@ -28,12 +28,12 @@ class RepeatedReading(NamedTuple):
 
     @property
     def length(self) -> int:
-        """Number of readings in the row."""
+        """Return the number of readings in the row."""
         return self.last - self.first + 1
 
 
 def longest_repeat(values: Array) -> RepeatedReading | None:
-    """Return the longest row of equal readings; None where no two in a row are equal."""
+    """Return the longest row of equal readings; None if no two successive readings are equal."""
     is_new, lengths = rows(values)
     starts = np.flatnonzero(is_new)
     finite_lengths = np.where(np.isfinite(values[starts]), lengths, 0)
@@ -46,23 +46,26 @@ def longest_repeat(values: Array) -> RepeatedReading | None:
 
 
 def hangs(values: Array, repeat: RepeatedReading) -> bool:
-    """Whether a row of equal readings is longer than the noise of the other readings would leave by chance."""
+    """Return whether a row of equal readings is too long to be chance, judged by the noise of the other readings."""
     if repeat.length < max(FEWEST_REPEATS, LASTING * len(values)):
         return False
-    others = np.delete(values, slice(repeat.first, repeat.last + 1))
-    others = others[np.isfinite(others)]
-    if len(others) < FEWEST_REPEATS or not noise_shows(others, staying=False):
+    outside_row = np.delete(values, slice(repeat.first, repeat.last + 1))
+    outside_row = outside_row[np.isfinite(outside_row)]
+    if len(outside_row) < FEWEST_REPEATS or not noise_shows(outside_row, staying=False):
         return False
-    share = float(np.mean(np.diff(others) == 0.0))
+    share = float(np.mean(np.diff(outside_row) == 0.0))
     return share <= MOST_EQUAL_SHARE and (
         share == 0.0 or repeat.length >= math.ceil(math.log(IMPROBABLE) / math.log(share))
     )
 
 
-def stands_while_other_moves(repeat: RepeatedReading, other: Array) -> bool:
-    """Whether `other`, which the channel follows, changes level during the row of equal readings."""
-    finite = other[np.isfinite(other)]
-    within = other[repeat.first : repeat.last + 1]
+def stands_while_companion_moves(repeat: RepeatedReading, companion: Array) -> bool:
+    """Return whether the quantity that a channel follows changes level during a row of equal readings.
+
+    `companion` is that quantity at the stamps of the channel.
+    """
+    finite = companion[np.isfinite(companion)]
+    within = companion[repeat.first : repeat.last + 1]
     within = within[np.isfinite(within)]
     if len(within) < 2 * BOTH_SIDES:
         return False

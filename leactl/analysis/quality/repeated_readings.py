@@ -1,7 +1,7 @@
-"""Readings that came again in place of new ones: a sensor that hangs, or a reader that was not answered.
+"""Readings that repeat an old value in place of a new one: a sensor that hangs, or a reader without an answer.
 
-The run file's rule is NaN for a missed sample; a file made elsewhere may not keep it, and a value that stands while the
-level moves on drags the mean along. Only a channel with noise can tell: what it reads is hardly ever the same twice.
+A run file has NaN for a missed sample, but a file made elsewhere may repeat the last value instead, which falsifies the
+mean where the level changes. Only a channel with noise shows it: two successive readings are hardly ever equal.
 """
 
 import math
@@ -15,8 +15,9 @@ from leactl.analysis.quality.saturation import noise_shows
 from leactl.analysis.signals.levels import Hold, span
 from leactl.runfile.read.reader import Channel
 
-MOST_EQUAL_SHARE = 0.4  # of readings equal to the one before; above it the resolution, over 1.5 noise, hides repeats
-IMPROBABLE = 1e-9  # probability that noise alone makes a row of equal readings this long
+# share of readings equal to the one before; above it, the resolution is over 1.5 times the noise and hides repeats
+MOST_EQUAL_SHARE = 0.4
+IMPROBABLE = 1e-9  # probability that noise alone makes so long a row of equal readings
 FEWEST_REPEATS = 5  # equal readings in such a row
 
 
@@ -25,11 +26,11 @@ def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]
 
     A channel whose resolution hides its noise is returned unchanged.
     """
-    parts = [span(channel, hold.start, hold.stop) for hold in holds]
-    settled = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
+    hold_slices = [span(channel, hold.start, hold.stop) for hold in holds]
+    settled = [channel.values[in_hold][np.isfinite(channel.values[in_hold])] for in_hold in hold_slices]
     shares = [float(np.mean(values[1:] == values[:-1])) for values in settled if len(values) > 1]
     share = float(np.median(shares)) if shares else 1.0
-    if share > MOST_EQUAL_SHARE and noise_shows(channel.values, staying=False):  # it may hang in most of the record
+    if share > MOST_EQUAL_SHARE and noise_shows(channel.values, staying=False):  # may hang in most of the holds
         share = float(np.mean(rows(channel.values)[1] > 1))
     if share > MOST_EQUAL_SHARE:
         return channel, 0
@@ -37,19 +38,22 @@ def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]
         max(FEWEST_REPEATS, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST_REPEATS
     )
     repeated = repeats(channel.values, shortest_row)
-    if channel.quantity != "torque":  # a shaft that stands and a drive that is off read nothing again and again
+    if channel.quantity != "torque":  # the zeros of a shaft at rest and of a drive that is off are no repeats
         repeated &= channel.values != 0.0
-    count = sum(int(repeated[part].sum()) for part in parts)
+    count = sum(int(repeated[in_hold].sum()) for in_hold in hold_slices)
     return replace(channel, values=np.where(repeated, np.nan, channel.values)), count
 
 
 def repeats(values: npt.NDArray[np.float64], shortest_row: int) -> npt.NDArray[np.bool_]:
-    """Mark every reading but the first of each row of `shortest_row` equal readings or more, shape (readings,)."""
+    """Mark all readings but the first in each row of at least `shortest_row` equal readings, shape (readings,)."""
     is_new, lengths = rows(values)
     return np.asarray(~is_new & np.repeat(lengths >= shortest_row, lengths))
 
 
 def rows(values: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.int64]]:
-    """Mark readings that differ from the one before, shape (readings,), and return the lengths of the rows between."""
+    """Mark readings that differ from the reading before, shape (readings,); return this mask and the lengths of rows.
+
+    A row is a sequence of equal readings.
+    """
     is_new = np.concatenate([[True], values[1:] != values[:-1]])
     return is_new, np.diff(np.append(np.flatnonzero(is_new), len(values)))

@@ -1,4 +1,4 @@
-"""Estimates that are above zero of every machine: one that comes out below tells of channels with opposite senses."""
+"""Check of estimates that must be positive: a negative value means that two channels have opposite signs."""
 
 from leactl.analysis.estimate import Estimate
 from leactl.errors import InputError
@@ -6,13 +6,13 @@ from leactl.errors import InputError
 SWAPPED = "a sign is swapped: check `sign` of the drives and of the torque sensor's scale"
 
 
-def refuse_below_zero(estimate: Estimate, place: str, channels: str) -> None:
+def refuse_below_zero(estimate: Estimate, error_prefix: str, channels: str) -> None:
     """Raise if the 95 % interval of an estimate is entirely negative, or the value of one without an interval.
 
     Parameters
     ----------
-    place : the run file or files, at the head of the message.
-    channels : names of the channels that contradict each other then.
+    error_prefix : text that opens the message, such as the run files.
+    channels : names of the channels whose signs contradict each other in this case.
 
     Raises
     ------
@@ -20,6 +20,6 @@ def refuse_below_zero(estimate: Estimate, place: str, channels: str) -> None:
     """
     if estimate.value < 0.0 and not estimate.high >= 0.0:
         raise InputError(
-            f"{place}: {estimate.name} comes out at {estimate.value:.3g} {estimate.units}, where above zero was"
+            f"{error_prefix}: {estimate.name} comes out at {estimate.value:.3g} {estimate.units}, where above zero was"
             f" expected: {channels} contradict each other; {SWAPPED}"
         )

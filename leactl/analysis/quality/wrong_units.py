@@ -1,7 +1,7 @@
-"""Signs of a wrong unit: a result unlike the run's model, or readings far beyond the limits of its bench.
+"""Signs of a wrong unit: a result far from the run's model, or readings far beyond the limits of its bench.
 
-Nothing is refused for it, since a model may be wrong as well. A model and a bench differ by a factor of two at times,
-friction by more with preload and temperature; a wrong unit is a factor of a thousand.
+They cause notes and no refusal, since the model may be wrong as well. Model and bench may differ by a factor of two,
+and in friction by more, with preload and temperature; a wrong unit is a factor of a thousand.
 """
 
 import math
@@ -17,7 +17,7 @@ from leactl.errors import InputError
 from leactl.quantities import UNITS as VOCABULARY
 from leactl.runfile.read.reader import Run
 
-# how many times a result may be what the model has, and under which names that has it, the first that is there
+# by result: largest plausible ratio to the model's value, and the keys of the model that may have it, in this order
 FIGURES: dict[str, tuple[float, tuple[str, ...]]] = {
     "torque_constant": (10.0, ("torque_constant",)),
     "back_emf_constant": (10.0, ("back_emf_constant", "torque_constant")),  # equal in SI, q axis
@@ -47,14 +47,14 @@ IN_THOUSANDS = (
     "line_current",
     GIVEN,
 )  # an angle is not told in mrad by mistake
-PREFIXES = {1: ("m", "k"), 2: ("u", "M")}  # powers of a thousand: the unit of too many, that of too few
-NEAR = 0.1  # of a power of a thousand: as close as machines are to their models for a unit to be named
+PREFIXES = {1: ("m", "k"), 2: ("u", "M")}  # by power of a thousand: prefix if readings are too large, if too small
+NEAR = 0.1  # of a power of a thousand: largest distance at which a note names a unit
 DEGREES = 180.0 / math.pi
 LIMITS = {"q_axis_current": "current_A", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
 LIMITS |= {"bus_voltage": "bus_voltage_high_V"}
 LIMITS |= {f"phase_voltage_{leads}": "bus_voltage_high_V" for leads in ("ab", "bc", "ca")}
 BEYOND = 3.0  # times a limit of the bench
-NEARLY_ALL = 0.99  # of the readings, so that a spike is none
+NEARLY_ALL = 0.99  # of the readings, so that a spike does not count
 
 
 def unit_notes(
@@ -91,13 +91,13 @@ def unit_notes(
             differences.append(f"{item.name} is {ratio:.4g} times {possessive} {item.value / ratio:.4g} {item.units}")
             ratios.append(ratio)
     if differences:
-        clearest = min(ratios, key=off_a_unit)  # one of them may be off by the machine as well
+        clearest = min(ratios, key=off_a_unit)  # the others may contain a difference of the machine too
         notes.append(f"{', '.join(differences)}: {unit_question(clearest, over, under)}")
     return notes + beyond_limits(runs, [*over, *under])
 
 
 def ratio_to_model(item: Estimate, model: dict[str, Any]) -> float | None:
-    """Return result over model where the result's interval lies beyond what machines differ by, else None."""
+    """Return result over model if the result's interval is beyond the largest plausible ratio, else None."""
     if item.name not in FIGURES:
         return None
     largest_factor, names = FIGURES[item.name]
@@ -131,7 +131,11 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
     """Return a note on each quantity of the test actuator with readings far beyond the run's bench limit."""
     notes = []
     for quantity in quantities:
-        beyond = [(run, *found) for run in runs if (found := reading_beyond_limit(run, quantity)) is not None]
+        beyond = [
+            (run, *reading_and_limit)
+            for run in runs
+            if (reading_and_limit := reading_beyond_limit(run, quantity)) is not None
+        ]
         if beyond:
             _, highest, limit = max(beyond, key=lambda item: item[1] / item[2])
             unit = VOCABULARY[quantity]
@@ -144,7 +148,7 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
 
 
 def reading_beyond_limit(run: Run, quantity: str) -> tuple[float, float] | None:
-    """Return a run's highest reading, spikes excepted, and the bench's limit where it is far beyond; else None."""
+    """Return a run's highest reading without spikes, and the bench's limit, if the reading is far beyond; else None."""
     limits = source_in_run(run, "bench").get("limits")
     limit = positive(limits.get(LIMITS.get(quantity, ""))) if isinstance(limits, dict) else math.nan
     if not math.isfinite(limit):
@@ -155,7 +159,7 @@ def reading_beyond_limit(run: Run, quantity: str) -> tuple[float, float] | None:
 
 
 def source_in_run(run: Run, name: str) -> dict[str, Any]:
-    """Return the model or the bench file in a run; empty where a foreign run has none, or none that can be parsed."""
+    """Return the model or the bench file in a run; empty if the run has none, or it cannot be parsed."""
     try:
         if name == "model":
             return model_of(run)

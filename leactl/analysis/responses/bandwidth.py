@@ -1,9 +1,9 @@
 """-3 dB bandwidth from frequency responses that are known at some frequencies only.
 
-A reference that is held from sample to sample changes the gain that samples of the response show. The change depends on
-when within a sample the drive acts (Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3: sampling
-with a delay), which is not known: it is a limit of the error, 0.03 % of the gain at a hundredth of the record's rate
-and 14 % at a fifth.
+A reference that is held from sample to sample changes the gain of the sampled response. The change depends on the
+moment within a sample at which the drive acts (Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3:
+sampling with a delay). This moment is not known, so that the change counts as a limit of the error: 0.03 % of the gain
+at a hundredth of the record's rate and 14 % at a fifth.
 """
 
 import math
@@ -27,7 +27,7 @@ def bandwidth_of(
     responses: Mapping[float, Response],
     known: Mapping[float, Mask],
 ) -> Noted[Estimate]:
-    """Estimate the mean of the levels' -3 dB frequencies [Hz]; NaN with bounds where that of one level is not known.
+    """Estimate the mean of the levels' -3 dB frequencies [Hz]; NaN with bounds if that of any level is not known.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def bandwidth_of(
     ]
     if all(low == high for low, high in passes):
         values = [
-            _crossing_over(method, levels[level], known[level], (half_power, earliest, latest)) for level in levels
+            _crossing_of_level(method, levels[level], known[level], (half_power, earliest, latest)) for level in levels
         ]
         return Noted(mean_of_levels("bandwidth", "Hz", values))
     lows = [crossing_bounds(gain_bound(responses[level], -1), known[level], earliest)[0] for level in levels]
@@ -97,15 +97,19 @@ def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[floa
     return value, value
 
 
-def _crossing_over(
+def _crossing_of_level(
     method: BlackmanTukey, spectra: Sequence[Spectra], known: Mask, gains: tuple[Array, Array, Array]
 ) -> LevelValue:
-    whole = sum_of_spectra(spectra)
+    """Return the frequency at which one level's gain passes -3 dB, with its scatter over the trials.
 
-    def crossing(kept: Sequence[int]) -> TrialFigure:
-        left_out = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
-        response = method.response(whole.plus(sum_of_spectra(left_out), -1) if left_out else whole)
-        (low, high), (first, _), (_, last) = (crossing_bounds(response, known, gain) for gain in gains)
-        return TrialFigure(low, shared=(max(low - first, last - low),)) if low == high else TrialFigure(NAN)
+    `gains` are the gains that mark the crossing: -3 dB, and those of samples with an early and with a late drive.
+    """
+    all_spectra = sum_of_spectra(spectra)
+
+    def crossing(trials: Sequence[int]) -> TrialFigure:
+        left_out = [spectrum for index, spectrum in enumerate(spectra) if index not in trials]
+        response = method.response(all_spectra.plus(sum_of_spectra(left_out), -1) if left_out else all_spectra)
+        (low, high), (lowest, _), (_, highest) = (crossing_bounds(response, known, gain) for gain in gains)
+        return TrialFigure(low, shared=(max(low - lowest, highest - low),)) if low == high else TrialFigure(NAN)
 
     return over_trials(len(spectra), crossing)

@@ -16,9 +16,7 @@ EXCITATIONS = ("chirp", "multisine", "noise")
 RECORD_OVER_LAGS = 8  # length of the record over the lags to either side
 FEWEST = 80  # samples
 LEAST_POWER = 1e-3  # of the setpoint's greatest power (-30 dB); below it, a frequency is not excited
-LEAST_LINE_POWER = (
-    0.5  # of the greatest power within a line's width, below which it is what the window spreads from elsewhere
-)
+LEAST_LINE_POWER = 0.5  # of the greatest power within a line's width; less is leakage of the window
 LISTED_FREQUENCIES = 5  # frequencies that are results; all are in the grid
 
 
@@ -53,7 +51,7 @@ def gain_and_phase(
 
 
 def moving_setpoint(run: Run, step: Step) -> Channel | None:
-    """Return the setpoint channel of a step's role that moves in the step; None where there is none."""
+    """Return the setpoint channel of a step's role that changes in the step; None if no setpoint does."""
     role = str(step.parameters.get("role", "test"))
     for stream, specs in run.streams.items():
         for spec in specs:
@@ -66,13 +64,13 @@ def moving_setpoint(run: Run, step: Step) -> Channel | None:
 
 
 def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | str:
-    """Return the response at the frequencies that are excited and coherent, or the reason why there is none."""
+    """Return the response at the frequencies that are excited and coherent, or the reason why it is not known."""
     from scipy.ndimage import maximum_filter1d
 
     if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
         return "not sampled with the setpoint"
-    part = span(setpoint, step.start + step.settle, step.stop)
-    time, reference, response_values = setpoint.time[part], setpoint.values[part], channel.values[part]
+    settled = span(setpoint, step.start + step.settle, step.stop)
+    time, reference, response_values = setpoint.time[settled], setpoint.values[settled], channel.values[settled]
     if len(time) < FEWEST:
         return f"fewer than {FEWEST} samples"
     intervals = np.diff(time)
@@ -112,18 +110,18 @@ def excited_frequencies(reference: Array, interval: float, frequency: Array, res
 
 
 def gain_and_phase_estimates(title: str, response: Response, units: str) -> list[Estimate]:
-    """Estimate gain and phase at `LISTED_FREQUENCIES` frequencies, evenly over their decades."""
-    wanted = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
-    indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - at))) for at in wanted)
+    """Estimate gain and phase at `LISTED_FREQUENCIES` known frequencies, nearest to evenly spaced ones in logarithm."""
+    even = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
+    indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - frequency))) for frequency in even)
     estimates = []
     for index in indices:
-        at = f"at_{response.frequency[index]:.4g}_Hz"
+        suffix = f"at_{response.frequency[index]:.4g}_Hz"
         gain, phase = float(response.gain[index]), float(np.angle(response.value[index]))
         std = float(response.relative_std[index])
         half = std * t_quantile(np.inf)
         low = max(gain * (1.0 - half), 0.0)
-        estimates.append(Estimate(f"{title}_gain_{at}", gain, gain * std, low, gain * (1.0 + half), units))
-        estimates.append(Estimate(f"{title}_phase_{at}", phase, std, phase - half, phase + half, "rad"))
+        estimates.append(Estimate(f"{title}_gain_{suffix}", gain, gain * std, low, gain * (1.0 + half), units))
+        estimates.append(Estimate(f"{title}_phase_{suffix}", phase, std, phase - half, phase + half, "rad"))
     return estimates
 
 

@@ -18,7 +18,7 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 FEWEST = 1600  # samples in a row, four windows of the estimator
-STAMP_ROUNDING_S = 1e-6  # of time stamps; a row at the end of a step may belong to its neighbour
+STAMP_ROUNDING_S = 1e-6  # of time stamps; a sample at the end of a step may belong to its neighbour
 MOST_UNEVEN_INTERVAL = 0.2  # of an interval, by which intervals may differ
 
 
@@ -39,9 +39,9 @@ class NoiseRecord:
     """Reference and response over one stretch of noise, without gaps."""
 
     level: float
-    seed: object  # of the noise; one of its own where the run states none
-    interval: float
-    cutoff: float  # Hz, that the noise reaches to
+    seed: object  # of the noise; unique to the record where the run states no seed
+    interval: float  # s
+    cutoff: float  # Hz, of the noise; infinite where the run states none
     reference: Array
     response: Array
 
@@ -81,6 +81,7 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
 
 
 def _is_noise(step: Step, offset: str) -> bool:
+    """Return whether a step is noise of the test actuator about a level, whose key is `offset`."""
     level = step.parameters.get(offset)
     numeric = isinstance(level, int | float) and not isinstance(level, bool)
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
@@ -89,7 +90,7 @@ def _is_noise(step: Step, offset: str) -> bool:
 def _record(
     run_path: str, reference: Channel, measured: Channel, step: Step, loop: NoiseExperiment
 ) -> NoiseRecord | str:
-    """Return the longest part of a stretch without a gap, filtered; or the reason why it is not used."""
+    """Return the longest gapless part of a stretch of noise, filtered; or the reason why the stretch is not used."""
     from scipy.signal import butter, sosfilt
 
     begin, end = np.searchsorted(reference.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S))
@@ -100,10 +101,14 @@ def _record(
     missed = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
     broken = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_UNEVEN_INTERVAL)
     stops = np.unique(np.concatenate([[-1], np.flatnonzero(missed), [end - begin]]))
-    parts = [part for low, high in zip(stops[:-1] + 1, stops[1:], strict=True) for part in _cut(low, high, broken)]
-    first, last = max(parts, key=lambda part: part[1] - part[0])
-    kept = time[first:last] > step.start + step.settle
-    if kept.sum() < FEWEST:
+    pieces = [
+        piece
+        for low, high in zip(stops[:-1] + 1, stops[1:], strict=True)
+        for piece in _split_at_leaps(low, high, broken)
+    ]
+    piece_start, piece_stop = max(pieces, key=lambda piece: piece[1] - piece[0])
+    settled = time[piece_start:piece_stop] > step.start + step.settle
+    if settled.sum() < FEWEST:
         return "too few samples in a row"
     noise_cutoff = step.parameters.get("cutoff_Hz")
     noise_cutoff = float(noise_cutoff) if isinstance(noise_cutoff, int | float) and noise_cutoff > 0 else math.inf
@@ -111,9 +116,9 @@ def _record(
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
     for channel in (reference, measured):
-        values = channel.values[begin + first : begin + last]
+        values = channel.values[begin + piece_start : begin + piece_stop]
         filtered = values if sections is None else sosfilt(sections, values - values[:1])
-        columns.append(filtered[kept])
+        columns.append(filtered[settled])
     if not columns[0].std() > 0.0:
         return "the reference does not move"
     seed = step.parameters.get("seed", f"{run_path} {step.start:g}")
@@ -121,7 +126,10 @@ def _record(
     return NoiseRecord(level, seed, interval, noise_cutoff, *columns)
 
 
-def _cut(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Split a part without missed samples where its time stamps leap; return the indices of each piece."""
+def _split_at_leaps(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Split the samples from `low` to before `high` where time stamps leap; return start and stop of each piece.
+
+    `broken` are the indices of the samples after which the time stamps leap.
+    """
     inside = [int(index) + 1 for index in broken if low <= index < high - 1]
     return list(zip([low, *inside], [*inside, high], strict=True))

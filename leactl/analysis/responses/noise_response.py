@@ -25,8 +25,8 @@ NOISE_RESULTS = {
     "coherent_band_low": "Hz",
     "coherent_band_high": "Hz",
 }
-LAGS = 400
-LEAST_COHERENCE = 0.6
+LAGS = 400  # of the window to either side, the paper's
+LEAST_COHERENCE = 0.6  # of a known response (Tischler & Remple, section 2.2)
 SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate; above it, holding and sampling change the response
 MOST_POINTS = 80  # points of a level in a plot
 
@@ -34,9 +34,10 @@ MOST_POINTS = 80  # points of a level in a plot
 def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     """Estimate the bandwidth of the test actuator's loop.
 
-    `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it stays above in the known
-    band, the value is NaN and `low` is the frequency up to which it does, at 95 % confidence. `coherent_band_low` and
-    `coherent_band_high` [Hz]: ends of the band that is known at every level; notes name the gaps in it.
+    `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. If the gain stays above -3 dB in the
+    known band, the value is NaN and `low` is the frequency up to which it stays above, at 95 % confidence.
+    `coherent_band_low` and `coherent_band_high` [Hz]: ends of the band that is known at every level; notes name the
+    gaps in it.
 
     Raises
     ------
@@ -71,8 +72,8 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     half_power = bandwidth_of(method, levels, responses, known)
     bandwidth = half_power.value
     notes += half_power.notes
-    ends = [("coherent_band_low", float(band[0])), ("coherent_band_high", float(band[-1]))]
-    results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in ends))
+    band_ends = [("coherent_band_low", float(band[0])), ("coherent_band_high", float(band[-1]))]
+    results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in band_ends))
     if not bandwidth.high <= SAMPLING_SHOWS_ABOVE / interval:
         notes.append(
             f"above {SAMPLING_SHOWS_ABOVE / interval:g} Hz, a tenth of the record's rate, the response is that of a "
@@ -112,13 +113,13 @@ def refuse_swapped_sign(response: Response, known: Mask, error_prefix: str) -> N
 
     Raises
     ------
-    NotIdentifiable : it does; a sign is swapped.
+    NotIdentifiable : the response opposes its reference, so that a sign is swapped.
     """
     lowest = np.flatnonzero(known)[:4]
     if np.mean(response.value[lowest].real) < 0.0:
-        at = response.frequency[lowest[0]]
+        frequency = response.frequency[lowest[0]]
         raise NotIdentifiable(
-            f"{error_prefix} the response goes against the reference at {at:.1f} Hz: a sign is swapped"
+            f"{error_prefix} the response goes against the reference at {frequency:.1f} Hz: a sign is swapped"
         )
 
 
@@ -136,9 +137,9 @@ def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], u
         phase = np.where(known[level], np.unwrap(np.angle(response.value)), NAN)
         phases.append(Series(label, x, _tuple(np.degrees(phase)[shown_points])))
         coherences.append(Series(label, x, _tuple(response.coherence[shown_points])))
-    ends = (0.0, max(series.x[-1] for series in gains))
-    minus_3_db = Series("-3 dB", ends, (20.0 * math.log10(HALF_POWER),) * 2)
-    threshold = Series("known from here", ends, (LEAST_COHERENCE,) * 2)
+    x_range = (0.0, max(series.x[-1] for series in gains))
+    minus_3_db = Series("-3 dB", x_range, (20.0 * math.log10(HALF_POWER),) * 2)
+    threshold = Series("known from here", x_range, (LEAST_COHERENCE,) * 2)
     return (
         Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits), x_log=True),
         Plot("frequency [Hz]", "phase [deg]", tuple(phases), (), x_log=True),

@@ -21,7 +21,7 @@ from leactl.runfile.read.reader import Channel, Run, Step
 SETTLING_BAND = 0.02  # of the step, about the steady value
 FEWEST_SAMPLES = 20  # before the jump or in the steady part
 MOST_MISSING = 0.1  # of a trial's samples
-STAMP_ROUNDING_S = 1e-6  # of time stamps; a row at the end of a step may belong to its neighbour
+STAMP_ROUNDING_S = 1e-6  # of time stamps; a sample at the end of a step may belong to its neighbour
 LEAST_FOLLOWED = 0.5  # of the reference's step, which the response must make
 MOST_LOOP_ERROR = 1.0  # of a step; a response that misses its reference by more has wrong units
 
@@ -95,28 +95,35 @@ def trials_of(run: Run, reference: str, response: str, key: str) -> Noted[list[S
 def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
     """Return the value at which a channel is clipped, and the starts [s] of the settled parts that reach it.
 
-    `befores` are the lengths of what comes before each settled part [s]. Where most neighbouring readings are equal, a
-    level at rest looks like the end of the range; only a value that two levels share counts as clipped then.
+    `befores` are the times [s] from the jump to each settled part. Where most neighbouring readings are equal, a level
+    at rest looks like the end of the range; only a value that two levels share then counts as clipped.
     """
-    value, reached = saturated(channel, holds)
-    parts = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
-    still = np.median([np.mean(np.diff(part) == 0.0) for part in parts if len(part) > 1] or [0.0]) > 0.5
-    if still:
-        return value, {hold.start for hold in reached if len({hold.setpoint for hold in reached}) > 1}
-    if not reached:
+    value, at_end = saturated(channel, holds)
+    settled = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
+    equal_shares = [np.mean(np.diff(values) == 0.0) for values in settled if len(values) > 1]
+    if np.median(equal_shares or [0.0]) > 0.5:
+        return value, {hold.start for hold in at_end if len({hold.setpoint for hold in at_end}) > 1}
+    if not at_end:
         return clipped_peaks(channel, holds, befores)
-    return value, {hold.start for hold in reached}
+    return value, {hold.start for hold in at_end}
 
 
 def clipped_peaks(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
-    """Return value and starts for responses that are clipped before they settle, as at the top of an overshoot."""
+    """Return value and starts as `clipped_holds` does, for responses that are clipped before they settle.
+
+    An example is the top of an overshoot.
+    """
     spans = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
-    parts = [channel.values[part][np.isfinite(channel.values[part])] for part in spans]
-    readings = np.concatenate(parts) if parts else np.zeros(0)
+    values_by_hold = [channel.values[samples][np.isfinite(channel.values[samples])] for samples in spans]
+    readings = np.concatenate(values_by_hold) if values_by_hold else np.zeros(0)
     for extreme in (readings.max(), readings.min()) if len(readings) else ():
-        cut = {hold.start for hold, part in zip(holds, parts, strict=True) if piles_up(part, float(extreme), share=0.0)}
-        if cut:
-            return float(extreme), cut
+        starts = {
+            hold.start
+            for hold, values in zip(holds, values_by_hold, strict=True)
+            if piles_up(values, float(extreme), share=0.0)
+        }
+        if starts:
+            return float(extreme), starts
     return float("nan"), set()
 
 
@@ -124,8 +131,10 @@ def jumps_of(run: Run, key: str) -> list[Jump]:
     """Return the steps of the run that jump from one setpoint of the test actuator to another."""
     jumps = []
     for step in run.steps:
-        ends = [step.parameters.get(f"{end}_{key}") for end in ("from", "to")]
-        numbers = [float(end) for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
+        setpoints = [step.parameters.get(f"{prefix}_{key}") for prefix in ("from", "to")]
+        numbers = [
+            float(value) for value in setpoints if isinstance(value, int | float) and not isinstance(value, bool)
+        ]
         if step.name == "step" and len(numbers) == 2 and step.parameters.get("role", "test") == "test":
             jumps.append(Jump(step, *numbers))
     return jumps
@@ -134,44 +143,44 @@ def jumps_of(run: Run, key: str) -> list[Jump]:
 def _trial(setpoint: Channel, measured: Channel, jump: Jump) -> StepTrial | str:
     """Return the trial of a jump, or the reason why it is not used."""
     step = jump.step
-    rows = slice(*np.searchsorted(setpoint.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S)))
-    references, stamps = setpoint.values[rows], setpoint.time[rows]
+    in_step = slice(*np.searchsorted(setpoint.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S)))
+    references, stamps = setpoint.values[in_step], setpoint.time[in_step]
     nearer = np.abs(references - jump.target) < np.abs(references - jump.start)
     if not nearer.any() or nearer[0] or jump.target == jump.start:
         return "the recorded reference does not jump"
-    first = int(np.argmax(nearer))
-    jumped, old_references = float(stamps[first - 1]), references[:first]
-    start, target = (float(np.nanmedian(part)) for part in (old_references, references[first:]))
+    first_new = int(np.argmax(nearer))
+    jump_time = float(stamps[first_new - 1])
+    start, target = (float(np.nanmedian(values)) for values in (references[:first_new], references[first_new:]))
 
     time = measured.time - (0.5 * float(np.median(np.diff(measured.time))) if measured.sampling == "mean" else 0.0)
     within = (time > step.start + STAMP_ROUNDING_S) & (time < step.stop - STAMP_ROUNDING_S)
-    time, values = time[within] - jumped, measured.values[within]
-    after_jump, steady = time > 0.0, time >= step.start + step.settle - jumped
-    resting = (time <= 0.0) & (time >= 0.5 * (step.start - jumped))  # the later half of the wait for the jump
-    good = np.isfinite(values)
-    if (~good[after_jump]).mean() > MOST_MISSING if after_jump.any() else True:
+    time, values = time[within] - jump_time, measured.values[within]
+    after_jump, steady = time > 0.0, time >= step.start + step.settle - jump_time
+    resting = (time <= 0.0) & (time >= 0.5 * (step.start - jump_time))  # the later half of the wait for the jump
+    finite = np.isfinite(values)
+    if (~finite[after_jump]).mean() > MOST_MISSING if after_jump.any() else True:
         return "too many samples are missing"
-    if step.settle <= jumped - step.start or min((good & resting).sum(), (good & steady).sum()) < FEWEST_SAMPLES:
+    if step.settle <= jump_time - step.start or min((finite & resting).sum(), (finite & steady).sum()) < FEWEST_SAMPLES:
         return f"fewer than {FEWEST_SAMPLES} samples before the jump or in the steady part"
-    before_value, steady_value = float(values[good & resting].mean()), float(values[good & steady].mean())
+    before_value, steady_value = float(values[finite & resting].mean()), float(values[finite & steady].mean())
     response_step, reference_step = steady_value - before_value, target - start
     if response_step * reference_step < 0.0 and abs(response_step) > LEAST_FOLLOWED * abs(reference_step):
         return "the response goes against the reference: a sign is swapped"
     if abs(response_step) < LEAST_FOLLOWED * abs(reference_step):
         return f"the response makes less than {LEAST_FOLLOWED:.0%} of the step"
     response = (values - before_value) / response_step
-    residual = response[good & steady] - 1.0
-    quarters = np.array([part.mean() for part in np.array_split(residual, 4)])
+    residual = response[finite & steady] - 1.0
+    quarters = np.array([quarter.mean() for quarter in np.array_split(residual, 4)])
     if np.max(np.abs(quarters)) > SETTLING_BAND:
         return f"the response never settles within {SETTLING_BAND:.0%}"
     return StepTrial(
         level=jump.target,
-        time=time[good & after_jump],
-        response=response[good & after_jump],
+        time=time[finite & after_jump],
+        response=response[finite & after_jump],
         steady_error=(target - steady_value) / reference_step,
-        steady_from=float(step.start + step.settle - jumped),
+        steady_from=float(step.start + step.settle - jump_time),
         noise=float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))),  # differences, so that drift is not noise
-        quantum=quantum_of(values[good]) / abs(response_step),
+        quantum=quantum_of(values[finite]) / abs(response_step),
         error_before=(before_value - start) / response_step,
         size_ratio=response_step / reference_step,
     )
@@ -191,7 +200,7 @@ def quantum_of(values: Array) -> float:
     if len(distinct) < 2 or len(distinct) > 0.9 * len(values):
         return 0.0
     steps = np.diff(distinct)
-    steps = steps[steps > 1e-6 * np.max(np.abs(distinct))]  # what storing in single precision takes apart
+    steps = steps[steps > 1e-6 * np.max(np.abs(distinct))]  # smaller steps are rounding in single precision
     return float(steps.min()) if len(steps) else 0.0
 
 
@@ -199,16 +208,16 @@ def drift_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
     """Return notes on levels that stay off their reference, and on readings that drift before the jump."""
     notes = []
     for trials in levels:
-        short = mean_steady_error(trials)
-        if SETTLING_BAND < abs(short) <= MOST_LOOP_ERROR:
+        shortfall = mean_steady_error(trials)
+        if SETTLING_BAND < abs(shortfall) <= MOST_LOOP_ERROR:
             notes.append(
-                f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
-                " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
+                f"at {trials[0]} the response stays {shortfall:+.1%} of the step short of its reference: a channel that"
+                " is clipped or drifts, or a loop that lets it; every figure counts from where it stays"
             )
-        apart = float(np.ptp([trial.error_before for trial in trials]))
-        if apart > SETTLING_BAND:
+        drift = float(np.ptp([trial.error_before for trial in trials]))
+        if drift > SETTLING_BAND:
             notes.append(
-                f"at {trials[0]} what is read before the jump moves by {apart:.1%} of the step over the trials: the"
+                f"at {trials[0]} what is read before the jump moves by {drift:.1%} of the step over the trials: the"
                 " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
             )
     return notes
@@ -216,18 +225,19 @@ def drift_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
 
 def wrong_size_notes(levels: Sequence[Sequence[StepTrial]], response: str) -> list[str]:
     """Return a note on levels whose response misses the reference by more than the whole step."""
-    far = [trials for trials in levels if abs(mean_steady_error(trials)) > MOST_LOOP_ERROR]
-    if not far:
+    wrong_levels = [trials for trials in levels if abs(mean_steady_error(trials)) > MOST_LOOP_ERROR]
+    if not wrong_levels:
         return []
-    ratio = float(np.mean([trial.size_ratio for trials in far for trial in trials]))
-    where = ", ".join(str(trials[0]) for trials in far)
+    ratio = float(np.mean([trial.size_ratio for trials in wrong_levels for trial in trials]))
+    listing = ", ".join(str(trials[0]) for trials in wrong_levels)
     return [
-        f"at {where} the response makes {ratio:.4g} times the step of its reference: {unit_question(ratio, [response])}"
+        f"at {listing} the response makes {ratio:.4g} times the step of its reference:"
+        f" {unit_question(ratio, [response])}"
     ]
 
 
 def mean_steady_error(trials: Sequence[StepTrial]) -> float:
-    """Return by which part of the step a level's steady values fall short of the reference, on average."""
+    """Return the mean shortfall of a level's steady values from the reference, as a share of the step."""
     return float(np.mean([trial.steady_error for trial in trials]))
 
 

@@ -1,7 +1,8 @@
-"""Breakaway: the torque at which a shaft that stands lets go, from a slow ramp of what drives it.
+"""Breakaway: the torque at which a shaft at rest begins to turn, from a slow ramp of the driving torque.
 
-Before it lets go the torque on the line grows with the drive, after it the torque is that of turning, for some
-hundredths of a second the same. The corner between both is fitted, since the highest reading would be one of noise.
+Before the shaft turns, the measured torque grows with the drive; afterwards it is the torque of turning, which stays
+constant for some hundredths of a second. The corner between ramp and plateau is fitted, since the highest reading would
+contain noise.
 """
 
 from dataclasses import dataclass
@@ -15,19 +16,19 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
-COUNTS = 3.0  # of the encoder, beyond which an angle is motion and not the twist of the shaft
-FITTED = 0.2  # of the time from the start of the ramp to the moment of motion, just before it
-FEWEST = 20  # readings of torque in it
+COUNTS = 3.0  # of the encoder: a smaller change of angle may be the twist of the shaft
+FITTED = 0.2  # of the time from the start of the ramp to the motion: the last part, which is fitted
+FEWEST = 20  # readings of torque in that part
 
 
 @dataclass(frozen=True, eq=False)
 class Breakaway:
-    """One breakaway: its torque, and the readings of the ramp before it."""
+    """One breakaway: its torque, and the torque readings of the ramp before it."""
 
     trial: TrialLabel
-    torque: float  # N*m, against the motion, the sensor's zero in it
-    time: Array  # s, since the shaft moved
-    along: Array  # N*m, against the motion
+    torque: float  # N*m, against the motion; the sensor's zero is not subtracted
+    time: Array  # s, from the motion of the shaft; negative before it
+    along: Array  # N*m, readings of the torque against the motion
 
 
 def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakaway]]:
@@ -48,20 +49,24 @@ def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Br
 
     Raises
     ------
-    NotIdentifiable : with the reason why it cannot be used.
+    NotIdentifiable : no motion can be recognised (see `motion`), or there are too few readings of torque before it.
     """
-    moment, side = motion(step, angle)
-    before = (
-        (torque.time >= moment - FITTED * (moment - step.start)) & (torque.time < moment) & np.isfinite(torque.values)
-    )
-    time, opposing = torque.time[before] - moment, -side * torque.values[before]
+    motion_time, direction = motion(step, angle)
+    fit_start = motion_time - FITTED * (motion_time - step.start)
+    fitted = (torque.time >= fit_start) & (torque.time < motion_time) & np.isfinite(torque.values)
+    time, opposing = torque.time[fitted] - motion_time, -direction * torque.values[fitted]
     if len(time) < FEWEST:
         raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
-    return Breakaway(TrialLabel(number, side), corner(time, opposing), time, opposing)
+    return Breakaway(TrialLabel(number, direction), corner(time, opposing), time, opposing)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:
-    """Return when the shaft moved by more than a few counts [s], and in which direction, 1 or -1."""
+    """Return the time [s] at which the shaft has moved by more than `COUNTS`, and the direction, 1 or -1.
+
+    Raises
+    ------
+    NotIdentifiable : no angle is recorded, or the shaft did not move, or moved from the beginning.
+    """
     in_step = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
     time, values = angle.time[in_step], angle.values[in_step]
     if len(values) < FEWEST:
@@ -77,7 +82,7 @@ def motion(step: Step, angle: Channel) -> tuple[float, int]:
 
 
 def corner(time: Array, along: Array) -> float:
-    """Fit a ramp that ends in a plateau, over every time of the corner; return the plateau [N*m]."""
+    """Fit a ramp that ends in a plateau, trying each sample as the corner; return the best fit's plateau [N*m]."""
     smallest, plateau = np.inf, float("nan")
     for corner_time in time[len(time) // 4 : -2]:
         design = np.column_stack([np.ones_like(time), np.minimum(time - corner_time, 0.0)])

@@ -1,8 +1,9 @@
-"""Cogging: torque that goes with the angle alone, from whole turns of an unpowered rotor at a low speed, both ways.
+"""Cogging: torque that depends on the angle alone, from whole turns of an unpowered rotor at a low speed, both ways.
 
-Friction changes sign with the direction and cogging does not, so the mean over both directions, angle by angle, is
-cogging and the sensor's zero. Cogging lets the speed ripple; what the rotor's inertia and damping take of that is put
-back. Each turn is taken apart into periods a turn; one counts where it comes back in every turn by more than noise.
+Friction changes sign with the direction and cogging does not, so the mean over both directions at each angle is cogging
+and the sensor's zero. Cogging makes the speed ripple; the torque that inertia and damping take up with this ripple is
+added to the reading. The torque of each turn is decomposed into harmonics of the turn; a harmonic counts where its mean
+over the turns is more than noise.
 """
 
 import math
@@ -19,17 +20,17 @@ from leactl.analysis.statistics.trial_means import TrialLabel, mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
-Parts = npt.NDArray[np.complex128]
+Amplitudes = npt.NDArray[np.complex128]
 
 TURN = "turn"
 WHOLE = 2.0 * math.pi
-ORDERS = 600  # periods a turn that are looked for
+ORDERS = 600  # highest number of periods a turn, plus one
 PER_PERIOD = 4  # readings that a period must have
-PUT_BACK_STD = 0.1  # relative standard uncertainty of that correction: the inertia may be one of a drawing
+CORRECTION_STD = 0.1  # relative standard uncertainty of the correction for inertia, which may be from a drawing
 FEWEST = 256  # readings of a turn
-GRID = 4096  # angles at which a shape is looked at
+GRID = 4096  # angles at which the peak to peak of a shape is taken
 CHANCE = 1e-3  # probability that noise makes any of the harmonics significant
-SHOWN = 512  # angles in the figure
+SHOWN = 512  # angles in the plot
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +38,8 @@ class Turn:
     """Harmonics of the torque over one turn, shape (orders,): element n has n periods a turn."""
 
     trial: TrialLabel
-    parts: Parts  # N*m, complex amplitudes, corrected for inertia and damping
-    read: Parts  # N*m, complex amplitudes of the sensor, without that correction
+    corrected: Amplitudes  # N*m, complex, corrected for inertia and damping
+    uncorrected: Amplitudes  # N*m, complex, of the sensor's readings
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ class RotorDynamics:
     inertia: float  # kg*m^2
     damping: float  # N*m*s/rad
 
-    def taken(self, speed: float, ripple: Parts) -> Parts:
-        """Torque of inertia and damping [N*m], from the ripple of the speed [rad/s], both by order, shape (orders,)."""
+    def torque_of_ripple(self, speed: float, ripple: Amplitudes) -> Amplitudes:
+        """Return the torque of inertia and damping [N*m] for a ripple of the speed [rad/s], shape (orders,) both."""
         return (self.damping + 1j * np.arange(len(ripple)) * speed * self.inertia) * ripple
 
 
@@ -74,30 +75,31 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
             turned = float(np.ptp(angles)) if len(angles) else 0.0
             notes.append(f"{run.path} at {step.start:.1f} s: {turned:.2f} rad are no whole turn; it tells no cogging")
             continue
-        side = 1 if angles[-1] > angles[0] else -1
+        direction = 1 if angles[-1] > angles[0] else -1
         first_turn = np.abs(angles - angles[0]) < WHOLE
         speed = np.interp(time[first_turn], velocity.time[velocity_known], velocity.values[velocity_known])
-        read, ripple = taken_apart(
+        uncorrected, ripple = harmonics_over_turn(
             angles[first_turn], np.abs(speed), np.stack([torque.values[in_turn][first_turn], speed])
         )
-        turns.append(Turn(TrialLabel(number, side), read + rotor.taken(float(speed.mean()), ripple), read))
+        corrected = uncorrected + rotor.torque_of_ripple(float(speed.mean()), ripple)
+        turns.append(Turn(TrialLabel(number, direction), corrected, uncorrected))
     return Noted(turns, tuple(notes))
 
 
 def inertia_of(run: Run) -> Noted[float]:
-    """Return the rotor inertia in the model that a run carries [kg*m^2]; zero and a note where there is none."""
+    """Return the rotor inertia in a run's model [kg*m^2]; zero and a note where the model has none."""
     inertia = rotor_inertia_of_model(run)
     if math.isfinite(inertia):
         return Noted(inertia)
     return Noted(0.0, (f"{run.path}: no rotor_inertia in its model: what it takes of the cogging is not put back",))
 
 
-def taken_apart(angle: Array, speed: Array, signals: Array) -> Parts:
+def harmonics_over_turn(angle: Array, speed: Array, signals: Array) -> Amplitudes:
     """Return the harmonics of each signal over one turn, shape (signals, orders).
 
     Readings are evenly spaced in time; `angle` [rad] and `speed` [rad/s] have shape (readings,). The integral over the
-    angle uses speed times time between two readings, since the counts of an encoder are coarse against it. Orders with
-    too few readings a period stay zero.
+    angle takes speed times time between two readings, since the encoder's counts are coarser than that. Orders with too
+    few readings a period stay zero.
     """
     weights = speed / speed.sum()
     deviation = signals - (signals @ weights)[:, np.newaxis]
@@ -116,18 +118,19 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
 
     Raises
     ------
-    NotIdentifiable : not two turns in one direction and one in the other.
+    NotIdentifiable : turns in one direction only, or fewer than three turns.
     """
-    sides = {turn.trial.side for turn in turns}
-    if len(sides) < 2 or len(turns) < 3:
+    directions = [turn.trial.side for turn in turns]
+    if len(set(directions)) < 2 or len(turns) < 3:
         raise NotIdentifiable(
-            f"{len(turns)} whole turns in {len(sides)} directions tell no cogging: one in each and a repeat are needed"
+            f"{len(turns)} whole turns in {len(set(directions))} directions tell no cogging: one in each and a repeat"
+            " are needed"
         )
-    harmonics = np.array([turn.parts for turn in turns])
-    weights = np.array([0.5 / sum(other.trial.side == turn.trial.side for other in turns) for turn in turns])
+    harmonics = np.array([turn.corrected for turn in turns])
+    weights = np.array([0.5 / directions.count(direction) for direction in directions])
     mean = weights @ harmonics
-    errors = spread(turns, harmonics, weights)
-    significant = counting(mean, errors)
+    errors = standard_errors(turns, harmonics, weights)
+    significant = significant_harmonics(mean, errors)
     trials = [turn.trial for turn in turns]
     if not significant.any():
         bound = float(np.max((np.abs(mean) + 2.0 * errors)[1:]))
@@ -141,12 +144,13 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     largest = int(np.argmax(np.where(significant, np.abs(mean), 0.0)))
     amplitudes, raw_amplitudes = (
         np.real(np.array([getattr(turn, name) for turn in turns])[:, largest] * np.exp(-1j * np.angle(mean[largest])))
-        for name in ("parts", "read")
+        for name in ("corrected", "uncorrected")
     )
     orders = np.flatnonzero(significant)
     angles = np.linspace(0.0, WHOLE, GRID, endpoint=False)
     peak_to_peaks, raw_peak_to_peaks = (
-        np.array([np.ptp(shape(getattr(turn, name), orders, angles)) for turn in turns]) for name in ("parts", "read")
+        np.array([np.ptp(shape(getattr(turn, name), orders, angles)) for turn in turns])
+        for name in ("corrected", "uncorrected")
     )
     results = [
         Estimate("cogging_order", float(largest), NAN, NAN, NAN, "1"),
@@ -155,14 +159,14 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
             trials,
             "cogging_amplitude",
             "N*m",
-            math.hypot(gain_std, put_back(amplitudes, raw_amplitudes)),
+            math.hypot(gain_std, correction_std(amplitudes, raw_amplitudes)),
         ),
         mean_of(
             peak_to_peaks.tolist(),
             trials,
             "cogging_peak_to_peak",
             "N*m",
-            math.hypot(gain_std, put_back(peak_to_peaks, raw_peak_to_peaks)),
+            math.hypot(gain_std, correction_std(peak_to_peaks, raw_peak_to_peaks)),
         ),
     ]
     largest_first = orders[np.argsort(-np.abs(mean[orders]))][:6]
@@ -173,36 +177,42 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     return Noted((results, plot), (f"cogging, by periods a turn: {listed_orders}",))
 
 
-def put_back(mended: Array, unmended: Array) -> float:
-    """Relative standard uncertainty that the correction for inertia and damping leaves in a figure."""
-    return PUT_BACK_STD * abs(float(np.mean(mended - unmended)) / float(np.mean(mended)))
+def correction_std(corrected: Array, uncorrected: Array) -> float:
+    """Return the relative standard uncertainty of a result by the correction for inertia and damping.
+
+    The arguments are its values with and without the correction, shape (turns,) each.
+    """
+    return CORRECTION_STD * abs(float(np.mean(corrected - uncorrected)) / float(np.mean(corrected)))
 
 
-def spread(turns: Sequence[Turn], parts: Parts, weights: Array) -> Array:
-    """Standard error of each harmonic's mean, by the scatter of the turns within their direction, shape (orders,)."""
-    squares = np.zeros(parts.shape[1])
+def standard_errors(turns: Sequence[Turn], harmonics: Amplitudes, weights: Array) -> Array:
+    """Return the standard error of each harmonic's mean, by the scatter of turns in one direction, shape (orders,).
+
+    `harmonics` has shape (turns, orders), and `weights`, those of the turns in the mean, (turns,).
+    """
+    squares = np.zeros(harmonics.shape[1])
     dof = 0
-    for side in (1, -1):
-        side_parts = parts[[turn.trial.side == side for turn in turns]]
-        squares += np.sum(np.abs(side_parts - side_parts.mean(axis=0)) ** 2, axis=0)
-        dof += len(side_parts) - 1
+    for direction in (1, -1):
+        same_direction = harmonics[[turn.trial.side == direction for turn in turns]]
+        squares += np.sum(np.abs(same_direction - same_direction.mean(axis=0)) ** 2, axis=0)
+        dof += len(same_direction) - 1
     noise = squares / dof
     floor = np.full_like(noise, np.median(noise[1:][noise[1:] > 0.0]) if (noise[1:] > 0.0).any() else 0.0)
     error: Array = np.sqrt(np.maximum(noise, floor) * np.sum(weights**2))
     return error
 
 
-def counting(mean: Parts, error: Array) -> npt.NDArray[np.bool_]:
-    """Mark the harmonics that noise alone explains with a probability below `CHANCE` in all, shape (orders,)."""
+def significant_harmonics(mean: Amplitudes, error: Array) -> npt.NDArray[np.bool_]:
+    """Return which harmonics are significant, shape (orders,); noise makes any of them so with probability `CHANCE`."""
     noise = np.where(error > 0.0, error, np.inf)
     tested = max(int(np.count_nonzero(error[1:] > 0.0)), 1)
-    least = math.log(tested / CHANCE)
-    counts: npt.NDArray[np.bool_] = np.abs(mean) ** 2 > least * noise**2
-    counts[0] = False
-    return counts
+    threshold = math.log(tested / CHANCE)
+    significant: npt.NDArray[np.bool_] = np.abs(mean) ** 2 > threshold * noise**2
+    significant[0] = False
+    return significant
 
 
-def shape(parts: Parts, orders: npt.NDArray[np.int64], angles: Array) -> Array:
-    """Return the torque of some harmonics at the angles, shape (angles,)."""
-    torque: Array = np.real(parts[orders] @ np.exp(1j * orders[:, np.newaxis] * angles))
+def shape(harmonics: Amplitudes, orders: npt.NDArray[np.int64], angles: Array) -> Array:
+    """Return the torque of the harmonics `orders` at the angles [rad], shape (angles,)."""
+    torque: Array = np.real(harmonics[orders] @ np.exp(1j * orders[:, np.newaxis] * angles))
     return torque

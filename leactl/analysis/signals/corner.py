@@ -1,10 +1,11 @@
-"""Corner speed: where the voltage begins to leave less current than is asked for.
+"""Corner speed: the speed above which the voltage allows less current than the setpoint.
 
     (R i + Kb w)^2 + (n L w i)^2 = V^2
 
-over Kb^2: three unknowns, V / Kb, R / Kb and by how much more R a hold's own current warms the winding to (with i^2);
-n L / Kb is that of the model. A repeat finds the winding warmer than the one before and has an R of its own, so that
-warming is no scatter. The corner is that of the mean of the repeats, as warm as a hold at the full current leaves it.
+Divided by Kb^2, this has three unknowns: V / Kb, R / Kb, and the increase of R / Kb with i^2 as each hold's current
+warms the winding. n L / Kb is taken from the model. Each repeat has an R of its own, since the winding is warmer than
+in the repeat before; so warming does not count as scatter. The corner is that of the mean R of the repeats, with the
+winding as warm as a hold at the full current makes it.
 """
 
 import math
@@ -21,56 +22,57 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
 NAME, UNIT = "corner_speed", "rad/s"
-FEWEST_LIMITED = 4  # holds beyond the corner: one more than its fit has unknowns
-SAME_SPEED = 0.005  # of the fastest hold, between holds that count as repeats; their load settles alike
+FEWEST_LIMITED = 4  # holds beyond the corner: one more than the unknowns of the fit
+SAME_SPEED = 0.005  # of the fastest hold: holds whose speeds differ by less count as repeats
 REACTANCE_STD = 0.1  # relative standard uncertainty of the model's n L / Kb
-LEAST_ROOT = 1e-9  # of the voltage squared: what a step of the fit leaves of it where it goes too far
-ROUNDS = 20  # Gauss-Newton; it converges in four
+LEAST_ROOT = 1e-9  # of the voltage squared: lower bound of the root's argument during the iterations
+MOST_ITERATIONS = 20  # Gauss-Newton; it converges in four
 Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedHolds:
-    """Holds by speed [rad/s] and current [A], and which of them the voltage limited; shape (holds,) each."""
+    """Speeds [rad/s] and currents [A] of holds, and which of them the voltage limited; shape (holds,) each."""
 
     speed: Array
     current: Array
     setpoint: float  # A, setpoint of the current
     limited: Mask  # the voltage limited the current
-    held: Mask  # the current reached its setpoint within noise; holds that are neither lie near the corner
+    held: Mask  # the current reached its setpoint within noise; holds neither limited nor held lie near the corner
     run: npt.NDArray[np.int64]
 
 
-def corner_speed(runs: Sequence[Run], holds: SpeedHolds, place: str) -> Noted[Estimate]:
-    """Estimate the speed above which the voltage leaves less current than the setpoint.
+def corner_speed(runs: Sequence[Run], holds: SpeedHolds, error_prefix: str) -> Noted[Estimate]:
+    """Estimate the speed above which the voltage allows less current than the setpoint.
 
-    The value is NaN, between the speeds of the neighbouring holds, where too few holds lie beyond the corner.
+    The value is NaN where too few holds lie beyond the corner; the interval is then that between the speeds of the
+    neighbouring holds, and it is open if all holds lie on one side. Messages of the fit begin with `error_prefix`.
     """
     speed, limited = holds.speed, holds.limited
-    top = float(np.max(speed[holds.held], initial=0.0))
+    fastest_held = float(np.max(speed[holds.held], initial=0.0))
     if not limited.any():
-        note = f"the current was as asked for up to {top:.4g} rad/s: the corner lies above"
-        return Noted(Estimate(NAME, NAN, NAN, top, np.inf, UNIT), (note,))
+        note = f"the current was as asked for up to {fastest_held:.4g} rad/s: the corner lies above"
+        return Noted(Estimate(NAME, NAN, NAN, fastest_held, np.inf, UNIT), (note,))
     if limited.all():
         low = float(speed.min())
         note = f"the current fell short at every speed: the corner lies below {low:.4g} rad/s"
         return Noted(Estimate(NAME, NAN, NAN, 0.0, low, UNIT), (note,))
-    between = sorted((top, float(speed[limited].min())))
-    neighbours = Estimate(NAME, NAN, NAN, between[0], between[1], UNIT)
+    low, high = sorted((fastest_held, float(speed[limited].min())))
+    neighbours = Estimate(NAME, NAN, NAN, low, high, UNIT)
     if int(limited.sum()) < FEWEST_LIMITED:
         note = f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
         return Noted(neighbours, (note,))
     reactance = reactance_of(runs)
     try:
-        value, scatter_std, dof = fitted(holds, reactance.value, place)
-        moved = fitted(holds, reactance.value * (1.0 + REACTANCE_STD), place)[0] - value
+        value, scatter_std, dof = fit_corner(holds, reactance.value, error_prefix)
+        reactance_error = fit_corner(holds, reactance.value * (1.0 + REACTANCE_STD), error_prefix)[0] - value
     except NotIdentifiable as fault:
         return Noted(neighbours, (*reactance.notes, f"{fault}; the corner lies between its neighbours"))
     notes = reactance.notes
     if repeats_of(holds).max() == 0:
         notes += ("each speed was driven once: how far the winding warms from repeat to repeat is not known",)
-    std = math.hypot(scatter_std, moved)
-    half = math.hypot(t_quantile(dof) * scatter_std, t_quantile(math.inf) * moved)
+    std = math.hypot(scatter_std, reactance_error)
+    half = math.hypot(t_quantile(dof) * scatter_std, t_quantile(math.inf) * reactance_error)
     return Noted(Estimate(NAME, value, std, value - half, value + half, UNIT), notes)
 
 
@@ -90,12 +92,12 @@ def reactance_of(runs: Sequence[Run]) -> Noted[float]:
     return Noted(0.0, (note,))
 
 
-def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, float, float]:
+def fit_corner(holds: SpeedHolds, reactance: float, error_prefix: str) -> tuple[float, float, float]:
     """Fit the corner speed [rad/s]; return it with its standard error and degrees of freedom.
 
     Raises
     ------
-    NotIdentifiable : speeds that do not tell the unknowns.
+    NotIdentifiable : the speeds do not determine the unknowns.
     """
     speed, current = holds.speed[holds.limited], holds.current[holds.limited]
     repeats = indicator_columns(repeats_of(holds)[holds.limited])
@@ -107,19 +109,19 @@ def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, floa
     ]
     theta = np.array([*unknowns, *np.zeros(1 + repeat_offsets.shape[1])])
     fit: LeastSquaresFit | None = None
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ITERATIONS):
         root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, LEAST_ROOT * theta[0] ** 2))
         resistance = np.column_stack([np.ones_like(current_share), current_share, repeat_offsets])
         residuals = speed - (root - (resistance @ theta[1:]) * current)
         design = np.column_stack([theta[0] / root, -resistance * current[:, np.newaxis]])
-        fit = least_squares(design, residuals, design, place)
+        fit = least_squares(design, residuals, design, error_prefix)
         theta = theta + fit.coefficients
         if float(np.max(np.abs(fit.coefficients))) < 1e-10 * abs(theta[0]):
             break
     assert fit is not None
     hot_drop = (theta[1] + theta[2]) * holds.setpoint
     impedance_square = 1.0 + (reactance * holds.setpoint) ** 2
-    # (w + hot)^2 + (across - 1) w^2 = V^2
+    # (w + hot_drop)^2 + (impedance_square - 1) w^2 = (V / Kb)^2
     value = (
         -hot_drop + math.sqrt(max(hot_drop**2 - impedance_square * (hot_drop**2 - theta[0] ** 2), 0.0))
     ) / impedance_square
@@ -131,7 +133,7 @@ def fitted(holds: SpeedHolds, reactance: float, place: str) -> tuple[float, floa
 
 
 def groups_of(speed: Array) -> npt.NDArray[np.int64]:
-    """Number the speeds so that repeats share a number, shape (holds,)."""
+    """Return a group number for each speed, the same for repeats, shape (holds,)."""
     order = np.argsort(speed)
     groups = np.empty(len(speed), np.int64)
     groups[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
@@ -139,6 +141,6 @@ def groups_of(speed: Array) -> npt.NDArray[np.int64]:
 
 
 def repeats_of(holds: SpeedHolds) -> npt.NDArray[np.int64]:
-    """Count how often the same speed was driven before each hold, shape (holds,)."""
+    """Return how often the same speed was driven before each hold, shape (holds,)."""
     groups = groups_of(holds.speed)
-    return np.array([int(np.sum(groups[:k] == groups[k])) for k in range(len(groups))])
+    return np.array([int(np.sum(groups[:index] == group)) for index, group in enumerate(groups)])

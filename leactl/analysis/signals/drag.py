@@ -1,8 +1,8 @@
-"""Drag of a turning rotor by speed: torque = f sgn(w) + b w + c w |w|, from steady levels of velocity.
+"""Drag of a turning rotor over speed: torque = f sgn(w) + b w + c w |w|, from steady levels of velocity.
 
-What grows with the speed in the same way cannot be told apart by speed: Coulomb friction and hysteresis of the iron are
-both in f, viscous friction and eddy currents both in b; c is of air and splashed grease. The levels are held by a
-velocity loop, so that velocity and setpoint carry no scatter of the drag.
+Losses with the same dependence on speed cannot be distinguished: f contains Coulomb friction and hysteresis of the
+iron, b viscous friction and eddy currents, and c the drag of air and splashed grease. A velocity loop holds the levels,
+so that the scatter of the drag is not in the velocity.
 """
 
 from collections.abc import Sequence
@@ -18,59 +18,60 @@ from leactl.runfile.read.reader import Run
 
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need
-MISSED = 0.05  # of the setpoint: a level whose velocity is further from it was not reached
-TURNED = 0.5  # of the setpoint: a velocity that opposes it by more has the wrong sign
-UNSTEADY = 0.02  # of the setpoint, between the quarters of a settled part
+MISSED = 0.05  # of the setpoint: a level whose velocity differs by more was not reached
+AGAINST = 0.5  # of the setpoint: a velocity of opposite sign beyond this has the wrong sign
+UNSTEADY = 0.02  # of the setpoint: a larger difference between the quarters of a settled part is unsteady
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
-def at_setpoint(runs: Sequence[Run], levels: HoldMeans, place: str) -> Noted[HoldMeans]:
-    """Keep the holds in which the shaft turned steadily at its setpoint; notes name the others and why.
+def at_setpoint(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
+    """Return the holds in which the shaft turned steadily at its setpoint; notes name the other holds and the reasons.
 
     Raises
     ------
-    NotIdentifiable : fewer than four distinct speeds are left.
+    NotIdentifiable : these holds have fewer than four distinct speeds.
     """
     velocity, setpoint, quarters = levels.value[VELOCITY], levels.setpoint, levels.quarters[VELOCITY]
     unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > UNSTEADY * np.abs(setpoint)
     opposite = velocity * setpoint < 0.0
     reasons = {
         "the shaft was to stand": setpoint == 0.0,
-        "the velocity has the opposite sign of its setpoint": opposite & (np.abs(velocity) > TURNED * np.abs(setpoint)),
+        "the velocity has the opposite sign of its setpoint": opposite
+        & (np.abs(velocity) > AGAINST * np.abs(setpoint)),
         "the velocity was not reached": np.abs(velocity - setpoint) > MISSED * np.abs(setpoint),
         "the velocity was not steady": unsteady,
     }
-    kept = np.ones(len(levels), np.bool_)
+    usable = np.ones(len(levels), np.bool_)
     notes = []
     for reason, applies in reasons.items():
-        for number in np.unique(levels.run[applies & kept]):
-            indices = np.flatnonzero(applies & kept & (levels.run == number))
+        for number in np.unique(levels.run[applies & usable]):
+            indices = np.flatnonzero(applies & usable & (levels.run == number))
             notes += tally({reason: [str(levels.holds[index]) for index in indices]}, f"{runs[number].path}")
-        kept &= ~applies
-    distinct = len(np.unique(np.round(np.abs(setpoint[kept]), 9)))
+        usable &= ~applies
+    distinct = len(np.unique(np.round(np.abs(setpoint[usable]), 9)))
     if distinct < FEWEST_LEVELS:
-        why = f" ({'; '.join(notes)})" if notes else ""
+        cause = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
-            f"{place}: found {distinct} speeds at which the shaft turned steadily{why}; "
+            f"{error_prefix}: found {distinct} speeds at which the shaft turned steadily{cause}; "
             f"{FEWEST_LEVELS} or more are needed"
         )
-    return Noted(levels.where(kept), tuple(notes))
+    return Noted(levels.where(usable), tuple(notes))
 
 
-def fit_drag(levels: HoldMeans, torque: Array, place: str) -> LineFit:
+def fit_drag(levels: HoldMeans, torque: Array, error_prefix: str) -> LineFit:
     """Fit the torque that keeps the shaft turning [N*m] over velocity, with a zero of its own for each run.
 
-    Where the shaft turned one way only, that zero is part of the Coulomb friction.
+    Where the shaft turned in one direction only, the Coulomb friction contains that zero.
     """
     velocity = levels.value[VELOCITY]
     columns = {"viscous_damping": velocity, "quadratic_drag": velocity * np.abs(velocity)}
     if both_ways(levels):
         columns["coulomb_friction"] = np.sign(velocity)
-    return fit_lines(columns, torque, levels, place)
+    return fit_lines(columns, torque, levels, error_prefix)
 
 
 def both_ways(levels: HoldMeans) -> bool:
-    """Whether the shaft turned in both directions."""
+    """Return whether the shaft turned in both directions."""
     return len(np.unique(np.sign(levels.value[VELOCITY]))) == 2
 
 

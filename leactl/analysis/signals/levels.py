@@ -20,8 +20,8 @@ Array = npt.NDArray[np.float64]
 DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
 LEAST_COVERED = 0.5  # of a settled part, that the samples must span
-MISSING_SHARE = 0.01  # of the samples, above which a note says so
-RESOLVED = 10.0  # spread of the levels over the standard error of one, from which the setpoint is a strong instrument
+MISSING_SHARE = 0.01  # of the samples; a note names a larger share
+RESOLVED = 10.0  # spread of the levels over the standard error of one: with more, the setpoint is a strong instrument
 WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
 
 
@@ -30,7 +30,7 @@ class Hold:
     """One settled hold of a setpoint."""
 
     setpoint: float
-    direction: int  # 1 reached by rising, -1 by falling, 0 not said
+    direction: int  # 1 reached by rising, -1 by falling, 0 if not stated
     start: float  # s, of the settled part
     stop: float  # s
     unit: str = "A"
@@ -52,7 +52,7 @@ class SettledMean:
 
 @dataclass(frozen=True, eq=False)
 class HoldMeans:
-    """Settled means of every hold of some runs; element k of each array belongs to one hold."""
+    """Settled means of every hold of some runs; element k of each array belongs to hold k."""
 
     run: npt.NDArray[np.int64]
     setpoint: Array
@@ -66,17 +66,17 @@ class HoldMeans:
     def __len__(self) -> int:
         return len(self.run)
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> "HoldMeans":
-        """Return the holds for which `kept`, of shape (holds,), is true."""
+    def where(self, mask: npt.NDArray[np.bool_]) -> "HoldMeans":
+        """Return the holds for which `mask`, of shape (holds,), is true."""
         return replace(
             self,
-            run=self.run[kept],
-            setpoint=self.setpoint[kept],
-            direction=self.direction[kept],
-            value={name: column[kept] for name, column in self.value.items()},
-            std={name: column[kept] for name, column in self.std.items()},
-            quarters={name: column[kept] for name, column in self.quarters.items()},
-            holds=tuple(hold for hold, keep in zip(self.holds, kept, strict=True) if keep),
+            run=self.run[mask],
+            setpoint=self.setpoint[mask],
+            direction=self.direction[mask],
+            value={name: column[mask] for name, column in self.value.items()},
+            std={name: column[mask] for name, column in self.std.items()},
+            quarters={name: column[mask] for name, column in self.quarters.items()},
+            holds=tuple(hold for hold, selected in zip(self.holds, mask, strict=True) if selected),
         )
 
 
@@ -105,7 +105,7 @@ CURRENT_HOLDS = HoldSelector("current_A", "A")
 
 
 def held_levels(run: Run) -> list[Hold]:
-    """Holds of the test actuator's current, in order."""
+    """Return the holds of the test actuator's current, in order."""
     return CURRENT_HOLDS.holds_of(run)
 
 
@@ -113,7 +113,7 @@ def gather_means(
     runs: Sequence[Run],
     quantities: Sequence[str],
     read: Callable[[Run, str], Noted[Channel]],
-    held: HoldSelector = CURRENT_HOLDS,
+    hold_selector: HoldSelector = CURRENT_HOLDS,
 ) -> Noted[HoldMeans]:
     """Average channels of the test actuator over the settled part of every hold; notes name the holds left out.
 
@@ -121,7 +121,7 @@ def gather_means(
     ----------
     quantities : of the channels; each has an entry in `value`, `std` and `quarters` of the answer.
     read : returns the channel of a quantity, NaN for readings that must not count.
-    held : selects the holds.
+    hold_selector : selects the holds.
 
     Raises
     ------
@@ -140,9 +140,9 @@ def gather_means(
         channels = [reading.value for reading in readings]
         for channel in channels:
             if units.setdefault(channel.quantity, channel.units) != channel.units:
-                known = units[channel.quantity]
-                raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {known} in the runs before")
-        run_rows = _rows_of(run, number, channels, held)
+                earlier = units[channel.quantity]
+                raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {earlier} in the runs before")
+        run_rows = _rows_of(run, number, channels, hold_selector)
         rows += run_rows.value
         notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
     columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
@@ -160,9 +160,10 @@ def gather_means(
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], held: HoldSelector
+    run: Run, number: int, channels: Sequence[Channel], hold_selector: HoldSelector
 ) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
-    holds = held.holds_of(run)
+    """Return a row for each hold with enough data: the run's number, the hold, and the mean of each channel."""
+    holds = hold_selector.holds_of(run)
     left_out: dict[str, list[str]] = {}
     rows = []
     for hold in holds:
@@ -174,8 +175,8 @@ def _rows_of(
             rows.append((number, hold, [mean for mean in means if mean is not None]))
     notes = tally(left_out, f"{run.path}")
     if not rows:
-        what = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {held.key}"
-        raise NotIdentifiable(f"{run.path}: found {what}; two held levels or more are needed")
+        finding = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {hold_selector.key}"
+        raise NotIdentifiable(f"{run.path}: found {finding}; two held levels or more are needed")
     for index, channel in enumerate(channels):
         missing = sum(means[index].missing for _, _, means in rows)
         share = missing / (missing + sum(means[index].samples for _, _, means in rows))
@@ -207,17 +208,17 @@ def span(channel: Channel, start: float, stop: float) -> slice:
 
     A sample that is itself a mean over the interval before its stamp counts if the whole interval is inside.
     """
-    first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
+    begin, end = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
     if channel.sampling == "mean":
-        first, last = first + 1, int(np.searchsorted(channel.time, stop, side="right"))
-    return slice(first, max(first, last))
+        begin, end = begin + 1, int(np.searchsorted(channel.time, stop, side="right"))
+    return slice(begin, max(begin, end))
 
 
 def standard_error(values: Array) -> float:
-    """Standard error of the mean of an evenly sampled record, with its autocorrelation; NaN samples are gaps.
+    """Return the standard error of the mean of an evenly sampled, autocorrelated record; NaN samples are gaps.
 
-    sqrt(variance * tau / n), tau being one plus twice the sum of the autocorrelation up to five tau (Sokal, Monte Carlo
-    Methods in Statistical Mechanics, 1997, section 3), never under one.
+    It is sqrt(variance * tau / n), where tau is one plus twice the sum of the autocorrelation up to five tau (Sokal,
+    Monte Carlo Methods in Statistical Mechanics, 1997, section 3), and at least one.
     """
     finite = np.isfinite(values)
     count = int(finite.sum())
@@ -236,10 +237,10 @@ def standard_error(values: Array) -> float:
     return math.sqrt(square_sum / (count - 1) * max(time_constant, 1.0) / count)
 
 
-def require_levels(place: str, what: str, setpoints: Array, means: Array, errors: Array) -> None:
-    """Raise if the levels do not determine a slope; `what` names the regressor.
+def require_levels(error_prefix: str, regressor: str, setpoints: Array, means: Array, errors: Array) -> None:
+    """Raise if the levels of a regressor, which is given by its name, do not determine a slope.
 
-    Shapes: setpoints, means and their standard errors (holds,).
+    Setpoints, means and their standard errors have shape (holds,).
 
     Raises
     ------
@@ -248,12 +249,12 @@ def require_levels(place: str, what: str, setpoints: Array, means: Array, errors
     distinct = np.unique(np.round(setpoints, 9))
     if len(distinct) < 2:
         raise NotIdentifiable(
-            f"{place}: found one level of current ({distinct[0]:g} A in {len(setpoints)} holds); "
+            f"{error_prefix}: found one level of current ({distinct[0]:g} A in {len(setpoints)} holds); "
             "two distinct levels or more are needed"
         )
     spread, error = float(np.std(means)), math.sqrt(float(np.mean(errors**2)))
     if spread <= RESOLVED * error:
         raise NotIdentifiable(
-            f"{place}: the {what} of {len(means)} holds is spread by {spread:.2g}, its means are known to {error:.2g}; "
-            f"levels {RESOLVED:g} times further apart than that are needed"
+            f"{error_prefix}: the {regressor} of {len(means)} holds is spread by {spread:.2g}, its means are known to"
+            f" {error:.2g}; levels {RESOLVED:g} times further apart than that are needed"
         )

@@ -1,8 +1,8 @@
 """Harmonics of the mean wave over its fundamental: amplitude, phase and total distortion.
 
-Waves are averaged with their phases, so that noise shrinks with their number; a harmonic within noise has an interval
-from zero and no phase. Phases are those of cos(x) + r_h cos(h x + phase_h), the same for every pair of an even winding
-and either sense of rotation.
+Waves are averaged with their phases, so that noise shrinks with their number. The interval of a harmonic within noise
+begins at zero, and its phase is NaN. Phases are those of cos(x) + r_h cos(h x + phase_h), the same for every pair of
+leads of an even winding and for either sense of rotation.
 """
 
 import math
@@ -13,32 +13,32 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.voltage_waves.turning_holds import TurningHold
 
-SHOWN = (2, 3, 5, 7, 11, 13)
-CLEAR = 3.5  # standard uncertainties, below which an amplitude may be nothing
+SHOWN = (2, 3, 5, 7, 11, 13)  # orders that are results
+CLEAR = 3.5  # standard uncertainties; a smaller amplitude may be noise
 
 
-def harmonics_of(parts: Sequence[TurningHold]) -> list[Estimate]:
-    """Estimate the total harmonic distortion up to the 13th order, then the harmonics that machines have."""
-    most = min(len(waves.linkage) for part in parts for waves in part.waves.values())
-    relative = {order: relative_to_first(parts, order) for order in range(2, most + 1)}
+def harmonics_of(holds: Sequence[TurningHold]) -> list[Estimate]:
+    """Estimate the total harmonic distortion up to the 13th order, then amplitude and phase of the orders `SHOWN`."""
+    highest = min(len(waves.linkage) for hold in holds for waves in hold.waves.values())
+    relative = {order: relative_to_first(holds, order) for order in range(2, highest + 1)}
     return [
         distortion(relative),
         *(row for order in SHOWN if order in relative for row in rows(order, *relative[order])),
     ]
 
 
-def relative_to_first(parts: Sequence[TurningHold], order: int) -> tuple[complex, float]:
-    """Return a harmonic over the fundamental, as defined above, and the standard uncertainty of its parts."""
+def relative_to_first(holds: Sequence[TurningHold], order: int) -> tuple[complex, float]:
+    """Return a harmonic over the fundamental as r_h exp(j phase_h), and the standard uncertainty of either part."""
     values, variance = [], 0.0
-    for part in parts:
-        for waves in part.waves.values():
+    for hold in holds:
+        for waves in hold.waves.values():
             linkage = waves.linkage[:, np.isfinite(waves.offset)]
-            first = complex(linkage[0].mean())
-            rotation = np.exp(-1j * order * np.angle(first)) / abs(first)
+            fundamental = complex(linkage[0].mean())
+            rotation = np.exp(-1j * order * np.angle(fundamental)) / abs(fundamental)
             relative = linkage[order - 1] * rotation
-            values.append(np.conj(relative.mean()) if part.shaft.turned < 0.0 else relative.mean())
+            values.append(np.conj(relative.mean()) if hold.shaft.turned < 0.0 else relative.mean())
             variance += float(np.mean(np.abs(relative - relative.mean()) ** 2)) / 2.0 / (len(relative) - 1)
-            variance += part.resolution**2
+            variance += hold.resolution**2
     return complex(np.mean(values)), math.sqrt(variance) / len(values)
 
 
@@ -58,7 +58,7 @@ def rows(order: int, value: complex, std: float) -> list[Estimate]:
 
 
 def distortion(relative: dict[int, tuple[complex, float]]) -> Estimate:
-    """Estimate the root of the sum of squares, with the squares that noise adds subtracted."""
+    """Estimate the total distortion: the root of the sum of squared harmonics, less the squares that noise adds."""
     squares = sum(abs(value) ** 2 - 2.0 * std**2 for value, std in relative.values())
     size = math.sqrt(max(squares, 0.0))
     noise = math.sqrt(sum(2.0 * std**2 for _, std in relative.values()))

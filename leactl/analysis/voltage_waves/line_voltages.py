@@ -1,7 +1,7 @@
-"""Line-to-line voltages of a motor as recorded: which pairs are usable, and how the three are connected.
+"""Recorded line-to-line voltages of a motor: which pairs of leads are usable, and how the three are connected.
 
-The three voltages add up to zero at every moment (Kirchhoff), whatever the winding, and follow one another by a third
-of a wave in the sense of rotation. What departs from that is in the leads, the channels or their scales.
+The three voltages of any winding add up to zero at every moment (Kirchhoff) and follow one another by a third of a wave
+in the sense of rotation. A deviation from this is caused by the leads, the channels or their scales.
 """
 
 import itertools
@@ -16,11 +16,11 @@ from leactl.analysis.voltage_waves.waves import Array, Complex, VoltageRecord
 from leactl.runfile.read.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
-DEAD = 0.05  # of the largest pair's rms
-PILED = 0.02  # of the samples at one extreme: at least so many in a clipped record
-MORE_THAN_ROUND = 4.0  # clipped if the extreme occurs so many times as often as in an unclipped sine
-CREST = 0.8  # of the largest reading: samples missing only beyond it lay outside the range
-WITHIN_RAD = math.radians(20.0)
+DEAD = 0.05  # of the largest pair's rms; a pair with less is dead
+PILED = 0.02  # of the samples: least share at one extreme in a clipped record
+MORE_THAN_ROUND = 4.0  # least ratio of that share to the one in an unclipped sine of the same resolution
+CREST = 0.8  # of the largest reading: where samples are missing only above it, they were out of range
+WITHIN_RAD = math.radians(20.0)  # largest error of a pair's phase
 THIRD = 2.0 * math.pi / 3.0
 
 
@@ -59,8 +59,8 @@ def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVo
 
 def regular(channel: Channel, start: float, stop: float) -> VoltageRecord:
     """Return the samples from start to before stop [s] on an even grid of stamps, NaN where one is missing."""
-    first, last = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
-    time, values = channel.time[first:last], channel.values[first:last]
+    begin, end = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
+    time, values = channel.time[begin:end], channel.values[begin:end]
     if len(time) < 3:
         return VoltageRecord(time, values)
     steps = np.diff(time)
@@ -74,13 +74,16 @@ def regular(channel: Channel, start: float, stop: float) -> VoltageRecord:
 
 
 def resolution_of(values: Array) -> float:
-    """Return the smallest step between two readings [V]; 0 where there is none."""
+    """Return the smallest step between two readings [V]; 0 if all readings are equal."""
     steps = np.diff(np.unique(values[np.isfinite(values)]))
     return float(steps.min()) if len(steps) else 0.0
 
 
 def unusable(pair: LineVoltage, size: float, largest: float) -> str:
-    """Return why a pair cannot be used; empty where it can."""
+    """Return the reason why a pair cannot be used; empty if it can.
+
+    `size` is its standard deviation [V], and `largest` the largest one of all pairs.
+    """
     values = pair.record.values
     finite = np.isfinite(values)
     if size < DEAD * largest or size == 0.0:
@@ -90,26 +93,25 @@ def unusable(pair: LineVoltage, size: float, largest: float) -> str:
     beside_gaps = np.abs(np.concatenate([values[:-1][edges < 0], values[1:][edges > 0]]))
     if len(beside_gaps) and float(np.median(beside_gaps)) > CREST * highest:
         return f"lacks the crests of its waves, beyond {highest:.4g} V: give its input a wider range"
-    round_share = (
-        2.0 * math.sqrt(2.0 * pair.resolution / highest) / (2.0 * math.pi)
-    )  # share of a sine within a step of its top
+    # share of a sine that is within one resolution of its top
+    sine_share = 2.0 * math.sqrt(2.0 * pair.resolution / highest) / (2.0 * math.pi)
     for extreme in (float(values[finite].max()), float(values[finite].min())):
         share = float(np.mean(values[finite] == extreme))
-        if share > max(PILED, MORE_THAN_ROUND * round_share):
+        if share > max(PILED, MORE_THAN_ROUND * sine_share):
             return f"is clipped at {extreme:.4g} V: give its input a wider range"
     return ""
 
 
 @dataclass(frozen=True)
 class LeadConnection:
-    """Signs of three pairs, and whether they follow one another in the sense of rotation."""
+    """Signs of three pairs of leads, and whether their waves follow one another in the order ab, bc, ca."""
 
     signs: Mapping[str, int]
     forward: bool
 
 
 def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
-    """Return the connection that explains the phases of three pairs; None where none does."""
+    """Return the connection that explains the phases of three pairs; None if no connection does."""
     angle = {name: math.atan2(value.imag, value.real) for name, value in phasors.items()}
     for forward, swapped in itertools.product((True, False), (None, *PAIRS)):
         signs = {name: -1 if name == swapped else 1 for name in PAIRS}
@@ -123,7 +125,7 @@ def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
 
 
 def third_voltage(voltages: Sequence[Complex]) -> Complex:
-    """Compute the third pair from the other two by Kirchhoff, with the sign that their phases imply."""
+    """Compute the voltage of the third pair from two others by Kirchhoff, with the sign that their phases imply."""
     first, second = voltages
     phase_difference = float(np.angle(np.nanmean(second * np.conj(first))))
     return -(first + second) if abs(phase_difference) > math.pi / 2.0 else first - second

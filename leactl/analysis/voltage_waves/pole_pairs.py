@@ -1,4 +1,4 @@
-"""Pole pairs: electrical angle over shaft angle, with what the shaft's own sensors leave open."""
+"""Number of pole pairs: electrical angle over shaft angle, with the uncertainty of the shaft's sensors."""
 
 import math
 from typing import NamedTuple
@@ -11,23 +11,23 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
 FEWEST = 10  # samples of the shaft's angle or velocity
-APART = 0.01  # of the count: how far from a whole number a count may be beside its uncertainty
+APART = 0.01  # of the count: largest distance from a whole number where the uncertainty is small
 
 
 class ShaftMotion(NamedTuple):
     """Motion of the shaft over the counted waves."""
 
     turned: float  # rad, signed
-    std: float  # rad
+    std: float  # rad, standard uncertainty of `turned`
     ripple: float  # amplitude of the speed at twice the electrical frequency over its mean; 0 within noise
 
 
 def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
-    """Measure how far the shaft turned over the whole waves of an electrical angle, by either actuator's encoder.
+    """Measure the rotation of the shaft over the whole waves of an electrical angle, by either actuator's encoder.
 
     Raises
     ------
-    NotIdentifiable : the run has neither angle nor velocity of the shaft meanwhile, or it stood still.
+    NotIdentifiable : no angle or velocity of the shaft is recorded over these waves, or it shows no clear rotation.
     """
     start, stop = float(angle.edges[0]), float(angle.edges[-1])
     for quantity in ("angle", "velocity"):
@@ -42,25 +42,28 @@ def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
 
 
 def by_angle(channel: Channel, angle: Angle) -> ShaftMotion:
-    """Measure it by an encoder's angle."""
+    """Measure the rotation of the shaft, and its ripple, by an encoder's angle."""
     finite = np.isfinite(channel.values)
     time, values = channel.time[finite], channel.values[finite]
     start, stop = float(angle.edges[0]), float(angle.edges[-1])
     turned = float(np.diff(np.interp([start, stop], time, values))[0])
-    step = float(np.median(np.diff(time)))
+    interval = float(np.median(np.diff(time)))
     speed = turned / (stop - start)
     levels = np.diff(np.unique(values))
     resolution = float(levels.min()) if len(levels) else math.inf
-    # at either end: a count, and a stamp that may be off by a part of the loop's cycle
-    std = math.sqrt(2.0 / 12.0) * math.hypot(resolution, speed * step)
+    # the errors at each end are uniform: up to a count, and up to a sampling interval of the time stamp
+    std = math.sqrt(2.0 / 12.0) * math.hypot(resolution, speed * interval)
     between = (time >= start) & (time <= stop)
     return ShaftMotion(turned, std, ripple_of(angle.at(time[between]), values[between], turned, angle))
 
 
 def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> float:
-    """Relative amplitude of the speed at twice the electrical frequency; 0 where noise explains it."""
+    """Return the relative amplitude of the speed at twice the electrical frequency; 0 where noise explains it.
+
+    `electrical` and `shaft` are the angles [rad] at each reading of the encoder, shape (readings,).
+    """
     waves = len(angle.edges) - 1
-    if len(shaft) < 5.0 * waves:  # the encoder is too seldom read to see it
+    if len(shaft) < 5.0 * waves:  # too few readings a wave to resolve the ripple
         return 0.0
     design = np.column_stack(
         [np.ones_like(shaft), electrical, electrical**2, np.cos(2.0 * electrical), np.sin(2.0 * electrical)]
@@ -74,28 +77,28 @@ def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> f
 
 
 def by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
-    """Measure it by a mean velocity."""
+    """Measure the rotation of the shaft from start to before stop [s] by its mean velocity; its ripple is 0."""
     values = channel.values[span(channel, start, stop)]
     duration = stop - start
     return ShaftMotion(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
 
 
 def waves_per_turn(waves: int, shaft: ShaftMotion) -> tuple[float, float]:
-    """Return the waves for each turn of the shaft, and the standard uncertainty."""
+    """Return the number of waves in each turn of the shaft, and its standard uncertainty."""
     count = 2.0 * math.pi * waves / abs(shaft.turned)
     return count, count * shaft.std / abs(shaft.turned)
 
 
-def whole_pole_pairs(count: float, std: float, place: str) -> int:
+def whole_pole_pairs(count: float, std: float, error_prefix: str) -> int:
     """Return the whole number of pole pairs nearest to a count.
 
     Raises
     ------
-    NotIdentifiable : it lies at none, or its uncertainty leaves open which.
+    NotIdentifiable : the count is not near a whole number, or its uncertainty allows several.
     """
     if std > 0.2:
         raise NotIdentifiable(
-            f"{place}: {count:.2f} waves a turn, known to {std:.2g}: the shaft's speed is not known well enough"
+            f"{error_prefix}: {count:.2f} waves a turn, known to {std:.2g}: the shaft's speed is not known well enough"
         )
     nearest_count = round(count)
     if (
@@ -104,7 +107,7 @@ def whole_pole_pairs(count: float, std: float, place: str) -> int:
         or abs(count - nearest_count) > 0.4
     ):
         raise NotIdentifiable(
-            f"{place}: {count:.3f} waves a turn are no whole number of pole pairs: the encoder's counts per turn or the"
-            " converter's rate are not what they are taken for"
+            f"{error_prefix}: {count:.3f} waves a turn are no whole number of pole pairs: the encoder's counts per turn"
+            " or the converter's rate are not what they are taken for"
         )
     return nearest_count

@@ -23,15 +23,15 @@ class TurningHold:
     angle: Angle
     shaft: ShaftMotion
     waves: Mapping[str, Waves]
-    sizes: Mapping[str, Array]  # V*s a wave, of each pair's fundamental
-    mean_of_pairs: Array  # V*s a wave; of three pairs where one could be worked out
-    complete: bool  # whether it is of three
+    sizes: Mapping[str, Array]  # V*s, flux linkage of each pair's fundamental, shape (waves,)
+    mean_of_pairs: Array  # V*s, mean of `sizes`; with two pairs, the third one is computed from them
+    complete: bool  # whether the mean is over three pairs
     offsets: Mapping[str, float]  # V
-    volts: Mapping[str, float]  # amplitudes
-    left_over: float  # of the sum of three over one; NaN where there are not three
+    amplitudes: Mapping[str, float]  # V, of each pair's fundamental
+    sum_of_three: float  # sum of the three fundamentals over their mean size; NaN with fewer than three pairs
     scale_std: float
     resolution: float  # relative standard uncertainty by rounding, where every wave rounds alike
-    findings: Sequence[str]
+    findings: Sequence[str]  # notes on swapped leads and left-out waves
 
 
 def turning_holds(run: Run) -> Noted[list[TurningHold]]:
@@ -52,14 +52,16 @@ def turning_holds(run: Run) -> Noted[list[TurningHold]]:
 
 
 def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
-    """Return start and stop [s] of each settled hold of a velocity; the whole record where the run has no steps."""
+    """Return start and stop [s] of each settled hold of a velocity; those of the record where the run has no steps."""
     steps = run.steps
     if not steps:
         channels = [channel for name in PAIRS for channel in run.channels(f"phase_voltage_{name}", role="test")]
         times = [channel.time for channel in channels if len(channel.time)]
         note = f"{run.path}: the run tells no steps; its whole record is used"
-        whole = [(min(t[0] for t in times), math.nextafter(max(t[-1] for t in times), math.inf))] if times else []
-        return Noted(whole, (note,))
+        if not times:
+            return Noted([], (note,))
+        stop = math.nextafter(max(time[-1] for time in times), math.inf)
+        return Noted([(min(time[0] for time in times), stop)], (note,))
     spans = []
     for step in steps:
         speed = step.parameters.get("velocity_rad_s")
@@ -76,7 +78,7 @@ def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> No
 
     Raises
     ------
-    NotIdentifiable : there is no pair, or no wave to follow.
+    NotIdentifiable : `pairs` is empty, or no wave can be followed.
     """
     if not pairs:
         raise NotIdentifiable("no pair that can be used")
@@ -104,34 +106,34 @@ def turning_hold(
         raise NotIdentifiable(f"no pair with {FEWEST_WAVES} whole waves")
     sizes = {name: sizes_of(pair_waves) for name, pair_waves in waves.items()}
     frequency = float(angle.frequencies.mean())
-    volts = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
+    amplitudes = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
     shaft = shaft_motion(run, angle)
-    findings, left_over, swapped = wired(waves, shaft)
+    findings, sum_of_three, corrected = check_connection(waves, shaft)
     lost = len(angle.edges) - 1 - min(int(np.isfinite(pair_waves.offset).sum()) for pair_waves in waves.values())
     if lost:
         findings.append(f"{lost} of {len(angle.edges) - 1} waves lack samples and do not count")
-    every = list(sizes.values())
+    sizes_of_pairs = list(sizes.values())
     if len(waves) == 2:
         third = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
-        every.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
+        sizes_of_pairs.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
         missing = next(name for name in PAIRS if name not in waves)
         findings.append(f"pair {missing} is taken as what the other two leave of zero")
     samples = len(angle.time) / max(len(angle.edges) - 1, 1)
     rounding = {
-        name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / volts[name] for name in waves
+        name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / amplitudes[name] for name in waves
     }
     return TurningHold(
         run=run,
         start=start,
         angle=angle,
         shaft=shaft,
-        waves=swapped,
+        waves=corrected,
         sizes=sizes,
-        mean_of_pairs=np.mean(every, axis=0),
-        complete=len(every) == len(PAIRS),
+        mean_of_pairs=np.mean(sizes_of_pairs, axis=0),
+        complete=len(sizes_of_pairs) == len(PAIRS),
         offsets={name: float(np.nanmean(pair_waves.offset)) for name, pair_waves in waves.items()},
-        volts=volts,
-        left_over=left_over,
+        amplitudes=amplitudes,
+        sum_of_three=sum_of_three,
         scale_std=max(pairs[name].scale_std for name in waves),
         resolution=max(rounding.values()),
         findings=findings,
@@ -146,13 +148,13 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
     NotIdentifiable : the drive was enabled.
     """
     for channel in run.channels("drive_enabled", role="test"):
-        first, last = np.searchsorted(channel.time, (start, stop))
-        if np.any(channel.values[first:last] > 0.0):
+        samples = slice(*np.searchsorted(channel.time, (start, stop)).tolist())
+        if np.any(channel.values[samples] > 0.0):
             raise NotIdentifiable("the test drive was enabled: its leads carry more than back-EMF")
 
 
 def best_of(pairs: Mapping[str, LineVoltage]) -> str:
-    """Return the pair with the fewest samples missing, the largest of several."""
+    """Return the name of the pair with the fewest missing samples; of several such pairs, that of the largest."""
 
     def quality_of(name: str) -> tuple[float, float]:
         values = pairs[name].record.values
@@ -162,19 +164,22 @@ def best_of(pairs: Mapping[str, LineVoltage]) -> str:
 
 
 def sizes_of(waves: Waves) -> Array:
-    """Flux linkage of each wave's fundamental [V*s], shape (waves,), as far as it is in phase with their mean."""
+    """Return the flux linkage of each wave's fundamental [V*s], its component in phase with their mean, (waves,)."""
     fundamental = waves.linkage[0]
     mean = complex(np.nanmean(fundamental))
     return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
 
 
-def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
-    """Check the phases of three pairs; return notes, the relative size of their sum, and the corrected waves."""
+def check_connection(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
+    """Check the phases of three pairs; return notes, the relative size of their sum, and waves with corrected signs.
+
+    With fewer than three pairs, or phases that no connection explains, the size is NaN and the waves are unchanged.
+    """
     phasors = {name: complex(np.nanmean(pair_waves.linkage[0])) for name, pair_waves in waves.items()}
     if len(phasors) < len(PAIRS):
         return [], math.nan, dict(waves)
-    wiring = connection_of(phasors)
-    if wiring is None:
+    connection = connection_of(phasors)
+    if connection is None:
         phases = ", ".join(
             f"{name} {math.degrees(math.remainder(float(np.angle(value / phasors['ab'])), 2 * math.pi)):+.0f} degrees"
             for name, value in phasors.items()
@@ -185,14 +190,15 @@ def wired(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], fl
             math.nan,
             dict(waves),
         )
-    findings = [f"pair {name} has its two leads swapped" for name, sign in wiring.signs.items() if sign < 0]
-    if wiring.forward != (shaft.turned > 0.0):
+    findings = [f"pair {name} has its two leads swapped" for name, sign in connection.signs.items() if sign < 0]
+    if connection.forward != (shaft.turned > 0.0):
         findings.append(
             "the pairs follow one another against the sense of rotation: two leads, or two pairs' channels, are"
             " exchanged, or the encoder's sign is wrong"
         )
     corrected = {
-        name: Waves(wiring.signs[name] * pair_waves.linkage, pair_waves.offset) for name, pair_waves in waves.items()
+        name: Waves(connection.signs[name] * pair_waves.linkage, pair_waves.offset)
+        for name, pair_waves in waves.items()
     }
-    sum_of_three = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
+    sum_of_three = abs(sum(connection.signs[name] * phasor for name, phasor in phasors.items()))
     return findings, sum_of_three / (sum(map(abs, phasors.values())) / len(phasors)), corrected

@@ -1,4 +1,4 @@
-"""Means over waves with their whole uncertainty: scatter, drift, holds that differ, and what every wave shares."""
+"""Means over waves with their uncertainty: scatter, drift, differences between holds, and common errors."""
 
 import math
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from leactl.analysis.statistics.intervals import half_width
 from leactl.analysis.statistics.regression import POOLING_P_VALUE
 from leactl.analysis.voltage_waves.waves import Array
 
-CLEAR = 5.0  # standard errors, above which a drift is one
-DRIFTS = 1e-3  # of the mean, over a hold
+CLEAR = 5.0  # standard errors; a smaller drift may be chance
+DRIFTS = 1e-3  # of the mean, over a hold; a smaller drift does not count
 
 
 @dataclass(frozen=True)
@@ -23,26 +23,26 @@ class CommonUncertainties:
     scale: float  # of the converter, the same for all channels
     time_base: float
     resolution: float  # rounding, where every wave rounds alike
-    ripple: float = 0.0  # of the speed, twice a wave; only single pairs know it
+    ripple: float = 0.0  # of the speed, twice a wave; it affects single pairs only
 
     @property
     def of_one_pair(self) -> "CommonUncertainties":
-        """Uncertainties of a single pair: a ripple of the speed adds up to a quarter of itself, by its phase."""
+        """Return the uncertainties of a single pair: a ripple of the speed adds up to a quarter, by its phase."""
         return replace(self, resolution=math.hypot(self.resolution, self.ripple / 4.0 / math.sqrt(2.0)))
 
     @property
     def between_pairs(self) -> "CommonUncertainties":
-        """Uncertainties without those that all pairs have in common."""
+        """Return the uncertainties of a single pair without those that all pairs have in common."""
         return replace(self.of_one_pair, scale=0.0, time_base=0.0)
 
     @property
     def of_time(self) -> "CommonUncertainties":
-        """Uncertainties of a frequency."""
+        """Return the uncertainties of a frequency: that of the time base alone."""
         return CommonUncertainties(0.0, self.time_base, 0.0)
 
     @property
     def scattered(self) -> float:
-        """Scale and rounding, added in squares; the time base is uniform and counts by itself."""
+        """Return scale and rounding added in squares; the time base has a uniform distribution and is not in it."""
         return math.hypot(self.scale, self.resolution)
 
 
@@ -61,7 +61,7 @@ def constant_of(name: str, units: str, series: Sequence[Array], shares: CommonUn
 def pooled(series: Sequence[Array]) -> tuple[float, float, float]:
     """Average over holds; return mean, standard error and degrees of freedom.
 
-    The scatter between holds counts where it is more than their own uncertainties explain.
+    The standard error follows from the scatter between holds where that is more than the holds' uncertainties explain.
     """
     means = np.array([float(np.nanmean(hold_values)) for hold_values in series])
     errors = np.array(
@@ -82,7 +82,7 @@ def pooled(series: Sequence[Array]) -> tuple[float, float, float]:
 
 
 def drift_of(series: Array) -> float:
-    """Return the change of the waves from first to last along a straight line; 0 where it is not clear, or small."""
+    """Return the change of a hold's waves from first to last along a straight line; 0 if it is not clear, or small."""
     finite = np.isfinite(series)
     values = series[finite]
     count = len(values)

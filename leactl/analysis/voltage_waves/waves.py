@@ -1,8 +1,9 @@
-"""Periodic voltages cut into waves, each worth the flux linkage of its harmonics, whatever the speed does meanwhile.
+"""Periodic voltages cut into waves, and the flux linkage of each wave's harmonics, independent of the speed.
 
 A voltage that a turning magnet induces is v = d(lambda)/dt with lambda a function of the electrical angle alone. The
-integral of v exp(-j h angle) over one wave in time is then one over angle, and its size holds no speed: a shaft that
-slows down within a wave changes neither the waves' flux linkage nor their ratio to each other.
+integral of v exp(-j h angle) over the time of one wave then equals an integral over the angle, and its size does not
+depend on the speed: a shaft that slows down within a wave changes neither the flux linkage of a wave nor the ratio of
+two.
 """
 
 from dataclasses import dataclass
@@ -18,13 +19,13 @@ Complex = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", npt.NDArray[np.float64], npt.NDArray[np.complex128])
 
 FEWEST_WAVES = 5
-AT_THE_ENDS = 7  # waves that following the phase takes
-GAP = 0.05  # of a wave, that a straight line may stand for
-REACH = 3.0  # waves to either side, of which the angle at a moment is made
-LEAST_SIZE = 0.5  # of the median, below which a smoothed fundamental is that of a gap
+AT_THE_ENDS = 7  # waves that are lost at both ends when the phase is followed
+GAP = 0.05  # of a wave: longest gap that a straight line may bridge
+REACH = 3.0  # waves to either side that the angle at a moment is computed from
+LEAST_SIZE = 0.5  # of the median: a smaller smoothed fundamental lies in a gap
 FEWEST_SAMPLES = 6  # a wave
-DOMINANT = 0.5  # of the power, in the spectrum's peak and its neighbours: less, and there is no wave to follow
-NEIGHBOURS = 0.15  # of the peak's frequency: as far as a speed that drifts spreads it
+DOMINANT = 0.5  # of the power: least share of the spectrum's peak with its neighbours where there is a wave to follow
+NEIGHBOURS = 0.15  # of the peak's frequency: width over which a drift of the speed spreads it
 ORDERS = 13  # harmonics, the fundamental included
 
 
@@ -42,15 +43,15 @@ class Angle:
     time: Array  # s
     values: Array  # rad, increasing
     edges: Array  # s, where whole waves begin and end
-    sure: npt.NDArray[np.bool_]  # for each wave: it was not followed beside a gap
+    sure: npt.NDArray[np.bool_]  # for each wave: no gap lies within `REACH` of it
 
     def at(self, time: Array) -> Array:
-        """Return the angle at other times; outside it stays constant, since no wave is there."""
+        """Return the angle at other times [s]; before and after the followed waves it stays constant."""
         return np.interp(time, self.time, self.values)
 
     @property
     def frequencies(self) -> Array:
-        """Frequency of each wave [Hz]."""
+        """Return the frequency of each wave [Hz], shape (waves,)."""
         return np.asarray(1.0 / np.diff(self.edges))
 
 
@@ -67,7 +68,7 @@ def frequency_of(record: VoltageRecord) -> float:
 
     Raises
     ------
-    NotIdentifiable : no frequency stands out.
+    NotIdentifiable : no frequency has most of the power.
     """
     values = filled(record.values)
     values = values - values.mean()
@@ -85,12 +86,13 @@ def frequency_of(record: VoltageRecord) -> float:
 def follow(record: VoltageRecord) -> Angle:
     """Follow the phase of a voltage's fundamental; return the electrical angle and its whole waves.
 
-    Demodulated with a carrier of one frequency first, then over the angle that this gives: there every wave has the
-    same length, and a mean over one is free of harmonics however the speed drifts.
+    The voltage is demodulated with a carrier of constant frequency first, and then again over the angle that this
+    yields. Over the angle every wave has the same length, and the mean over a wave is free of harmonics even if the
+    speed drifts.
 
     Raises
     ------
-    NotIdentifiable : no wave stands out, or too few of them, or too few samples in each.
+    NotIdentifiable : no wave stands out of the noise, too few waves, or too few samples in each wave.
     """
     time, values = record.time, filled(record.values)
     frequency = frequency_of(record)
@@ -123,7 +125,7 @@ def follow(record: VoltageRecord) -> Angle:
 
 
 def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
-    """Mark missing samples that stand in rows of more than `longest`: a straight line over them is no wave."""
+    """Mark missing samples in gaps longer than `longest` samples, which a straight line does not represent."""
     missing = ~np.isfinite(values)
     starts = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0) == 1)
     stops = np.flatnonzero(np.diff(missing.astype(np.int8), append=0) == -1) + 1
@@ -133,9 +135,13 @@ def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
     return missing
 
 
-def demodulated(level: Array, carrier: Array, wave: int) -> Array:
-    """Return the phase of the fundamental with the carrier's, one wave shorter at either end; straight over gaps."""
-    smooth = over_two_waves(level * np.exp(-1j * carrier), wave)
+def demodulated(voltage: Array, carrier: Array, wave: int) -> Array:
+    """Return the phase of a voltage's fundamental [rad], shorter than the voltage by one wave at either end.
+
+    `carrier` is the phase to demodulate with, and `wave` the number of samples in a wave. Over gaps the phase relative
+    to the carrier is interpolated.
+    """
+    smooth = over_two_waves(voltage * np.exp(-1j * carrier), wave)
     amplitude = np.abs(smooth)
     large_enough = amplitude > LEAST_SIZE * float(np.median(amplitude))
     indices = np.arange(len(smooth))
@@ -144,7 +150,7 @@ def demodulated(level: Array, carrier: Array, wave: int) -> Array:
 
 
 def waves_of(record: VoltageRecord, angle: Angle) -> Waves:
-    """Compute the flux linkages of a voltage over the waves of an angle, followed in it or in a voltage beside it."""
+    """Compute the flux linkages of a voltage over the waves of an angle, which may come from another pair's voltage."""
     samples_per_wave = len(angle.time) / max(len(angle.edges) - 1, 1)
     orders = max(1, min(ORDERS, int(samples_per_wave / 2.5)))
     time, missing = record.time, ~np.isfinite(record.values)
@@ -166,9 +172,9 @@ def waves_of(record: VoltageRecord, angle: Angle) -> Waves:
 
 
 def integral_at(moments: Array, time: Array, values: npt.NDArray[np.complexfloating] | Array) -> Complex:
-    """Integrate samples from the first one to these moments, by trapezia, and by a parabola within the last one.
+    """Integrate samples from the first one to these moments [s] by the trapezium rule; between samples they are linear.
 
-    Over whole waves the trapezia's error cancels (Euler and Maclaurin), since the derivatives at both ends are alike.
+    Over whole waves the error of the rule cancels (Euler and Maclaurin), since the derivatives at both ends are equal.
     """
     steps = np.diff(time)
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * steps * (values[1:] + values[:-1]))])
@@ -187,11 +193,11 @@ def over_two_waves(values: Numbers, wave: int) -> Numbers:
 
 
 def filled(values: Array) -> Array:
-    """Bridge missing samples by straight lines: for the phase alone, such waves count for nothing.
+    """Bridge missing samples by straight lines; only the phase is followed over them, and waves with gaps do not count.
 
     Raises
     ------
-    NotIdentifiable : all are missing.
+    NotIdentifiable : all samples are missing.
     """
     finite = np.isfinite(values)
     if finite.all():

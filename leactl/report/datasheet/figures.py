@@ -48,25 +48,25 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> l
     all_answers = [answer for answers in answers_by_set for answer in answers]
     measured = {answer.condition for answer in all_answers}
     order = [condition for condition in ordered_conditions(all_answers) if condition in measured]
-    colours = {condition: f"s{k % COLOURS}" for k, condition in enumerate(order)}
+    colours = {condition: f"s{index % COLOURS}" for index, condition in enumerate(order)}
     answers_by_set = [sorted(answers, key=lambda answer: order.index(answer.condition)) for answers in answers_by_set]
     count = max((len(answer.result.plots) for answer in all_answers), default=0)
     charts = []
     for index in range(count):
         drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
-        for k, drawings in enumerate(drawings_by_set):
-            other_drawings = [drawing for other in drawings_by_set[:k] + drawings_by_set[k + 1 :] for drawing in other]
-            other_layers = [layer for drawing in other_drawings for layer in drawing.layers]
-            whose = f"{sets[k].name}: " if len(sets) > 1 else ""
-            charts += [linked_chart(drawing, other_layers, whose) for drawing in drawings]
+        for set_index, drawings in enumerate(drawings_by_set):
+            other_sets = drawings_by_set[:set_index] + drawings_by_set[set_index + 1 :]
+            other_layers = [layer for others in other_sets for drawing in others for layer in drawing.layers]
+            caption_prefix = f"{sets[set_index].name}: " if len(sets) > 1 else ""
+            charts += [linked_chart(drawing, other_layers, caption_prefix) for drawing in drawings]
     return charts
 
 
-def linked_chart(drawing: Figure, beside: Sequence[Layer], whose: str) -> LinkedChart:
-    """Return a chart with its caption and its runs; the axes contain the layers `beside` too."""
+def linked_chart(drawing: Figure, included_in_axes: Sequence[Layer], caption_prefix: str) -> LinkedChart:
+    """Return a chart with its caption and its runs; the axes contain the layers `included_in_axes` too."""
     labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
-    drawn = chart(drawing.layers, *labels, beside, drawing.keys, drawing.plot.x_log)
-    return LinkedChart(f"{whose}{drawing.caption}", drawing.entries, drawn)
+    drawn = chart(drawing.layers, *labels, included_in_axes, drawing.keys, drawing.plot.x_log)
+    return LinkedChart(f"{caption_prefix}{drawing.caption}", drawing.entries, drawn)
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
@@ -91,14 +91,14 @@ def plot_layers(plot: Plot) -> list[Layer]:
     """Return one answer's layers: a colour for each kind of points and its fitted lines, grey for other lines."""
     if plot.bands:
         return map_layers(plot)
-    colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
-    marks = {series.label: MARKS[k % len(MARKS)] for k, series in enumerate(plot.points)}
+    colours = {series.label: f"s{index % COLOURS}" for index, series in enumerate(plot.points)}
+    marks = {series.label: MARKS[index % len(MARKS)] for index, series in enumerate(plot.points)}
     layers: list[Layer] = []
     many_names = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
-        layers.append(LineMarks(line.label, style, *arrays(line), whole=True, labelled=many_names and not kind))
+        layers.append(LineMarks(line.label, style, *arrays(line), connected=True, labelled=many_names and not kind))
     layers += [
         point_layer(series, series.label, colours[series.label], marks[series.label], plot) for series in plot.points
     ]
@@ -108,10 +108,10 @@ def plot_layers(plot: Plot) -> list[Layer]:
 def map_layers(plot: Plot) -> list[Layer]:
     """Return a map's layers: coloured bands, contours that carry their level, and a mark at each measured point."""
     bands: list[Layer] = [
-        Area(band.label, f"b{k}", band.polygons) for k, band in enumerate(plot.bands) if band.polygons
+        Area(band.label, f"b{index}", band.polygons) for index, band in enumerate(plot.bands) if band.polygons
     ]
-    contours = [LineMarks(line.label, "contour", *arrays(line), whole=True, labelled=True) for line in plot.lines]
-    x, y = (np.concatenate([arrays(series)[k] for series in plot.points]) for k in (0, 1))
+    contours = [LineMarks(line.label, "contour", *arrays(line), connected=True, labelled=True) for line in plot.lines]
+    x, y = (np.concatenate([arrays(series)[axis] for series in plot.points]) for axis in (0, 1))
     return [*bands, *contours, PointMarks("measured", "fine other", x, y)]
 
 
@@ -132,14 +132,17 @@ def overlaid_layers(
             is_fit = kind_of(line, dict.fromkeys(kinds)) == line.label
             layers.append(
                 LineMarks(
-                    answer.condition, f"line {colour}" if is_fit else f"line thin {colour}", *arrays(line), whole=True
+                    answer.condition,
+                    f"line {colour}" if is_fit else f"line thin {colour}",
+                    *arrays(line),
+                    connected=True,
                 )
             )
         layers += [
             point_layer(series, series.label, colour, MARKS[kinds.index(series.label)], plot) for series in plot.points
         ]
     keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
-    keys += [(f"{MARKS[k]} other", kind) for k, kind in enumerate(kinds)] if len(kinds) > 1 else []
+    keys += [(f"{MARKS[index]} other", kind) for index, kind in enumerate(kinds)] if len(kinds) > 1 else []
     return points_first(layers), keys
 
 
@@ -179,17 +182,19 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
         strips = [
             Interval(
                 ", ".join(
-                    filter(None, (row.condition, row.actuator, sets[k].name if len(sets) > 1 else "", cell.whose))
+                    filter(
+                        None, (row.condition, row.actuator, sets[set_index].name if len(sets) > 1 else "", cell.whose)
+                    )
                 )
                 or "all",
-                f"dot s{k % COLOURS}",
+                f"dot s{set_index % COLOURS}",
                 cell.estimate.value,
                 cell.estimate.low,
                 cell.estimate.high,
                 row.paper,
             )
             for row in same_result
-            for k, cell in enumerate(row.cells)
+            for set_index, cell in enumerate(row.cells)
             if cell.estimate is not None and np.isfinite(cell.estimate.std)
         ]
         if len(strips) > 1:
@@ -199,18 +204,18 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
 
 
 def plain(name: str) -> str:
-    """Return the name of a result or an experiment as words: `back_emf_constant` as `back EMF constant`."""
+    """Return the name of a result or an experiment with spaces: `back_emf_constant` as `back EMF constant`."""
     words = re.split("[_-]", name)
     return " ".join(AS_WRITTEN.get(word, word) for word in words)
 
 
 def heading(name: str) -> str:
-    """Return a name as words with a capital letter."""
-    words = plain(name)
-    return words[:1].upper() + words[1:]
+    """Return a name with spaces and a capital letter."""
+    text = plain(name)
+    return text[:1].upper() + text[1:]
 
 
-def pretty(words: str) -> str:
+def pretty(text: str) -> str:
     """Return a text with its units as printed: `N*m/s^2` as `N·m/s²`, and no unit for a ratio."""
-    printed = words.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
+    printed = text.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
     return UNIT.sub(lambda match: PRINTED[match[0]], printed)

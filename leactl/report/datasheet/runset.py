@@ -32,7 +32,7 @@ class RunEntry:
     motor: str = ""  # its name in that model
     experiment: str = ""
     about: dict[str, str] = field(default_factory=dict)
-    instruments: dict[str, dict[str, str]] = field(default_factory=dict)  # what is known of each device
+    instruments: dict[str, dict[str, str]] = field(default_factory=dict)  # properties of each device
     simulated: bool = False
     fault: str = ""
 
@@ -103,30 +103,28 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
     entries = [entry_of(path) for path in run_files(paths)]
     entries.sort(key=order_key)
     copies = Counter(entry.identity for entry in entries)
-    seen: dict[str, RunEntry] = {}
+    entry_of_identity: dict[str, RunEntry] = {}
     for number, entry in enumerate(entries, start=1):
         entry.label = f"{prefix}{number}"
         if copies[entry.identity] > 1 and not entry.fault:
             entry.fault = checksum_fault(entry.path)
-        first = entry if entry.fault else seen.setdefault(entry.identity, entry)
+        first = entry if entry.fault else entry_of_identity.setdefault(entry.identity, entry)
         if first is not entry:
             entry.fault = f"the same run as {first.label}"
     answers: list[GroupResult] = []
     verdicts: dict[tuple[str, str], ConditionVerdict] = {}
     usable = sorted(
-        (usable_entry for usable_entry in entries if not usable_entry.fault),
-        key=lambda usable_entry: (usable_entry.motor, usable_entry.experiment),
+        (entry for entry in entries if not entry.fault),
+        key=lambda entry: (entry.motor, entry.experiment),
     )
-    for (motor, experiment), alike in groupby(
-        usable, key=lambda usable_entry: (usable_entry.motor, usable_entry.experiment)
-    ):
+    for (motor, experiment), alike in groupby(usable, key=lambda entry: (entry.motor, entry.experiment)):
         tell(experiment)
         members = list(alike)
         group_results = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
         answers += group_results
         if len({answer.condition for answer in group_results}) > 1:
             verdicts[motor, experiment] = condition_verdict(
-                [usable_entry for answer in group_results for usable_entry in answer.entries], options
+                [entry for answer in group_results for entry in answer.entries], options
             )
     return RunSet(name_of_runs(paths), tuple(entries), tuple(answers), verdicts)
 
@@ -144,7 +142,7 @@ def name_of_runs(paths: Sequence[Path]) -> str:
 
 
 def entry_of(path: Path) -> RunEntry:
-    """Read what a file says of itself; `fault` says why it cannot be analysed."""
+    """Read the attributes of a file; `fault` says why it cannot be analysed."""
     try:
         with Run.open(path) as run:
             model = run.source("model") or ""
@@ -155,8 +153,8 @@ def entry_of(path: Path) -> RunEntry:
     except InputError as fault:
         return RunEntry(path, fault=fault_text(fault, path))
     if entry.experiment not in names():
-        what = f"no analysis '{entry.experiment}' is known" if entry.experiment else "the run names no analysis"
-        entry.fault = f"{what}; known: {', '.join(names())}"
+        reason = f"no analysis '{entry.experiment}' is known" if entry.experiment else "the run names no analysis"
+        entry.fault = f"{reason}; known: {', '.join(names())}"
     return entry
 
 
