@@ -36,7 +36,7 @@ class BinnedResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Noise and drift of residuals in bins of `PACE_S`."""
+    """Noise and drift of residuals in bins of even length, at least `PACE_S` each."""
 
     noise: Array  # (nodes,), variance of the noise of a bin
     drift: Array  # (nodes, nodes), covariance of the drift
