@@ -28,12 +28,12 @@ def member(first, *peers):
     return Judged(finding(first), 1.0, 0.99, rivals, peers)
 
 
-def by_squares(squares, spread=1.02):
+def by_squares(squares, spread=1.02, farthest=2.0):
     """Compare sets by what their effects leave, the ends of the interval a factor off."""
 
     def compare(first, second):
         value = sum(squares[effect] for effect, _ in second) / sum(squares[effect] for effect, _ in first)
-        return SquaresRatio(value, value / spread, value * spread)
+        return SquaresRatio(value, value / spread, value * spread, farthest)
 
     return compare
 
@@ -78,6 +78,15 @@ def test_none_is_ruled_out_within_a_replays_own_errors_or_by_chance(times, sprea
     assert nearest_of_classes([lag.finding.candidate], [lag], compare) == ([lag.finding.candidate], [])
 
 
+@pytest.mark.parametrize("times", [3.0, 1 / 3.0])
+def test_a_replay_that_stands_far_off_rules_nothing_out(times):
+    """A free run of a real axis is 80 floors off, with an offset of its current as with a friction by direction."""
+    lag = member("torque_sensor_lag", "time_skew")
+    for farthest, decided in ((5.9, True), (6.1, False)):
+        compare = by_squares({LATE[0]: 1.0, LATE[1]: times}, 1.02, farthest)
+        assert bool(nearest_of_classes([lag.finding.candidate], [lag], compare)[1]) is decided
+
+
 def test_what_no_run_compares_rules_nothing_out():
     lag = member("torque_sensor_lag", "time_skew")
     nearest = nearest_of_classes([lag.finding.candidate], [lag], lambda first, second: squares_ratio([]))
@@ -99,6 +108,7 @@ def test_a_torque_that_is_late_is_told_from_one_that_lags_though_other_channels_
     run = [square_wave(late)]
     ratio = squares_ratio(shrinkage(run, late, late, lagging).channels)
     assert 1.1 < ratio.low < ratio.value < ratio.high < np.inf
+    assert ratio.farthest == 1.1  # on the torque alone, which the true model follows to its noise
     turned = squares_ratio(shrinkage(run, lagging, lagging, late).channels)
     assert turned.low < turned.value < turned.high < 1.0 / 1.1
 

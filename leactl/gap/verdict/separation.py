@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from leactl.gap.diagnosis import REPLAY_MISS
 from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
@@ -36,7 +37,8 @@ def nearest_of_classes(
     """Put the effect of each class into a set that comes nearest to held-out runs; those clearly farther are ruled out.
 
     Equations look at each instant by itself and leave out what they cannot resolve; a replay has to follow the whole
-    course. Where neither effect is clearly nearer, the first stays, and no member is ruled out.
+    course. Where neither effect is clearly nearer, the first stays, and no member is ruled out; nor where replays with
+    both are off by more than is a replay's own miss: what else is wrong there may favour either.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:
@@ -46,6 +48,8 @@ def nearest_of_classes(
                 continue
             with_rival = [rival.candidate if candidate == first else candidate for candidate in nearest]
             ratio = compare(nearest, with_rival)
+            if ratio.farthest > REPLAY_MISS:
+                continue
             if ratio.low > 1.0 and ratio.value > FARTHER:
                 ruled_out.append(RuledOut(rival.effect, first[0], ratio.value))
             elif ratio.high < 1.0 and ratio.value < 1.0 / FARTHER:

@@ -22,6 +22,7 @@ from leactl.quantities import UNITS
 Array = npt.NDArray[np.float64]
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 NEAR = math.log(NEAR_FLOOR)
+SAME = 1.001  # of a channel's squared gap, up to which two models follow it alike
 FEWEST_BLOCKS = 8  # of a channel, below which resampling says little of an interval's ends
 TRACE_POINTS = 1500
 SLOW = 0.05  # s between samples, from which on a trace shows the whole run: thinned out, a faster channel would alias
@@ -68,6 +69,7 @@ class SquaresRatio(NamedTuple):
     value: float
     low: float
     high: float
+    farthest: float  # floors, by which the nearer model misses a channel on which the two differ, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,19 +152,22 @@ def squares_ratio(channels: Sequence[Compared], seed: int = 0) -> SquaresRatio:
     count. NaN where none does.
     """
     random = np.random.default_rng(seed)
-    observed, again = np.zeros(2), np.zeros((RESAMPLED, 2))
+    observed, again, farthest = np.zeros(2), np.zeros((RESAMPLED, 2)), 0.0
     for counts, sums in map(_blocks, grouped(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
             continue
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
         means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
-        observed += np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
+        whole = np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
+        if whole.max() > SAME * whole.min():
+            farthest = max(farthest, math.sqrt(whole.min()))
+        observed += whole
         again += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
     if not observed.all():
-        return SquaresRatio(math.nan, math.nan, math.nan)
+        return SquaresRatio(math.nan, math.nan, math.nan, math.nan)
     low, high = np.quantile(again[:, 1] / again[:, 0], (CHANCE, 1.0 - CHANCE))
-    return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high))
+    return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), farthest)
 
 
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
