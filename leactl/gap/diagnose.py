@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +43,8 @@ from leactl.gap.verdict.judge import (
 )
 from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.verdict.picture import pictured, pictured_by_replays
-from leactl.gap.verdict.separation import nearest_of_classes, without_ruled_out
-from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, squares_ratio
+from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out
+from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, simulated_again, squares_ratio
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
 from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, at_bounds
@@ -231,7 +231,12 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     gains, judged = judged_on_held_out(case, evidence, searched)
     told: tuple[str, ...] = ()
     if any(item.peers for item in judged) and not by_runs:
-        searched, gains, judged, told = separated(case, evidence, searched, gains, judged)
+        nearest, ruled_out = separated(case, evidence, searched, judged)
+        if nearest is not searched:
+            searched = nearest
+            gains, judged = judged_on_held_out(case, evidence, searched)
+        judged = [without_ruled_out(item, ruled_out) for item in judged]
+        told = tuple(effect.note() for effect in ruled_out)
     beside_sound = among_sound_noise(evidence, searched)
     by_run, lines = left_over(evidence, beside_sound)
     restless = unrest(by_run)
@@ -339,38 +344,37 @@ def judged_on_held_out(
 
 
 def separated(
-    case: Case,
-    evidence: Evidence,
-    searched: EffectSet,
-    gains: dict[Candidate, HeldOutGain],
-    judged: list[Judged],
-) -> tuple[EffectSet, dict[Candidate, HeldOutGain], list[Judged], tuple[str, ...]]:
-    """A set whose classes lack what replays rule out, with its gains, what may be said of it, and notes."""
+    case: Case, evidence: Evidence, searched: EffectSet, judged: Sequence[Judged]
+) -> tuple[EffectSet, list[RuledOut]]:
+    """Return the set with the effect of each class that comes nearest to held-out runs, and the effects ruled out."""
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in case.replayed()]
 
+    @cache
+    def model_of(hypothesis: tuple[Candidate, ...]) -> Model:
+        return model_with(case.model, evidence, hypothesis)
+
     def compare(first: Sequence[Candidate], second: Sequence[Candidate]) -> SquaresRatio:
-        one, other = (model_with(case.model, evidence, hypothesis) for hypothesis in (first, second))
-        return squares_ratio(shrinkage(replayed, one, one, other, unexplained=case.unexplained).channels)
+        one, other = model_of(tuple(first)), model_of(tuple(second))
+        random = np.random.default_rng(0)
+        _, channels = simulated_again(replayed, (one, one, other), random, case.unexplained)
+        return squares_ratio(channels, random)
 
     hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)
+    nearest = searched
     if hypothesis != searched.hypothesis:
         nearest = sets.describe(evidence, hypothesis)
         if {effect for effect, _ in nearest.hypothesis} != {effect for effect, _ in hypothesis}:
-            hypothesis, ruled_out = searched.hypothesis, []  # beside the others it has no place after all
-        else:
-            searched = nearest
-            gains, judged = judged_on_held_out(case, evidence, searched)
-    evidence.settle(searched.hypothesis)
-    judged = [without_ruled_out(item, ruled_out) for item in judged]
-    return searched, gains, judged, tuple(one.note() for one in ruled_out)
+            nearest, ruled_out = searched, []  # beside the others the nearer effect has no place after all
+    evidence.settle(nearest.hypothesis)
+    return nearest, ruled_out
 
 
 def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]) -> Model:
-    """The model with the effects of a set and the calibration beside them, as the fitted runs have them."""
+    """Return the model with the effects of a set and the calibration beside them, fitted to the runs of `evidence`."""
     parameters, calibration = fitted_to_the_end(evidence, hypothesis)
-    entries = [(effect, {item.name: item.value for item in own}) for effect, own in parameters.items()]
-    return with_effects(with_calibration(model, calibration), entries)
+    effects = [(effect, {item.name: item.value for item in own}) for effect, own in parameters.items()]
+    return with_effects(with_calibration(model, calibration), effects)
 
 
 def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:

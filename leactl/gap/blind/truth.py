@@ -15,7 +15,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.gap import null
 from leactl.gap.blind.answers import MODEL, runs_of, write
-from leactl.gap.diagnose import Case, fitted_to_the_end, read_case
+from leactl.gap.diagnose import Case, model_with, read_case
 from leactl.gap.replay.compared import Compared
 from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
@@ -128,9 +128,7 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))
-    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
-    named = [(name, {p.name: p.value for p in own}) for name, own in parameters.items()]
-    augmented = with_effects(with_calibration(case.model, calibration), named)
+    augmented = model_with(case.model, evidence, hypothesis)
     return tuned, augmented, [stamped(record, stamps) for record in case.held_out]
 
 

@@ -9,9 +9,7 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
 
-FARTHER = (
-    1.1  # times the squares that another effect leaves, from which a replay rules one out; its own errors are 1.05
-)
+FARTHER = 1.1  # times the squares with another effect, from which an effect is ruled out; a replay errs by 1.05
 Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
 """Squared gap of held-out runs with the second set of effects over that with the first."""
 

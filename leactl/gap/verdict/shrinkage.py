@@ -106,12 +106,32 @@ def shrinkage(
     ------
     InputError : an effect of a model lacks a parameter.
     """
-    models = (nominal, calibrated, augmented)
+    random = np.random.default_rng(seed)
+    jobs, channels = simulated_again(records, (nominal, calibrated, augmented), random, unexplained)
+    groups = grouped(channels)
+    return Shrunk(
+        tuple(_shrunk(group, random) for group in groups),
+        tuple(_trace(group) for group in groups),
+        tuple(channels),
+        _notes(jobs, channels),
+        _growth(groups, random),
+    )
+
+
+def simulated_again(
+    records: Sequence[Record],
+    models: tuple[Model, Model, Model],
+    random: np.random.Generator,
+    unexplained: Mapping[tuple[str, str, str], float] | None = None,
+) -> tuple[list[Job], list[Compared]]:
+    """Simulate runs again with three models; return the replays, and each channel of each run beside them.
+
+    The parameters are those of `shrinkage`; the floor is that of the last model.
+    """
     plants = [plant_of(model) for model in models]
-    give = give_of(records, augmented)
+    give = give_of(records, models[-1])
     for plant in plants:
         plant.give = give
-    random = np.random.default_rng(seed)
     sets = []
     for record in records:
         own: list[Job] = []
@@ -127,14 +147,7 @@ def shrinkage(
             replace(one, noise=math.hypot(one.noise, unexplained.get((one.quantity, one.role, one.mechanical), 0.0)))
             for one in channels
         ]
-    groups = grouped(channels)
-    return Shrunk(
-        tuple(_shrunk(group, random) for group in groups),
-        tuple(_trace(group) for group in groups),
-        tuple(channels),
-        _notes(jobs, channels),
-        _growth(groups, random),
-    )
+    return jobs, channels
 
 
 def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
@@ -145,13 +158,12 @@ def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
     return list(groups.values())
 
 
-def squares_ratio(channels: Sequence[Compared], seed: int = 0) -> SquaresRatio:
+def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> SquaresRatio:
     """Squared gap with the augmented model over that with the calibrated one, from blocks that are drawn again.
 
     The squares of all channels are added up in floors, each from `NEAR_FLOOR` on; a channel without a floor does not
     count. NaN where none does.
     """
-    random = np.random.default_rng(seed)
     observed, again, farthest = np.zeros(2), np.zeros((RESAMPLED, 2)), 0.0
     for counts, sums in map(_blocks, grouped(channels)):
         floor = sums[:, 3].sum() / counts.sum()
