@@ -357,7 +357,7 @@ def separated(
     def compare(first: Sequence[Candidate], second: Sequence[Candidate]) -> SquaresRatio:
         one, other = model_of(tuple(first)), model_of(tuple(second))
         random = np.random.default_rng(0)
-        _, channels = simulated_again(replayed, (one, one, other), random, case.unexplained)
+        _, channels = simulated_again(replayed, (one, one, other), random, case.unexplained)  # the first is not read
         return squares_ratio(channels, random)
 
     hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)

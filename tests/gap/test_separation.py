@@ -11,7 +11,7 @@ from leactl.gap.replay import replay
 from leactl.gap.search.sets import FurtherEffect
 from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.judge import Judged
-from leactl.gap.verdict.separation import nearest_of_classes, without_ruled_out
+from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out
 from leactl.gap.verdict.shrinkage import SquaresRatio, simulated_again, squares_ratio
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -109,9 +109,30 @@ def test_a_torque_that_is_late_is_told_from_one_that_lags_though_other_channels_
     run = [square_wave(late)]
     ratio = squares_ratio(simulated_again(run, (late, late, lagging), RANDOM)[1], RANDOM)
     assert 1.1 < ratio.low < ratio.value < ratio.high < np.inf
-    assert ratio.farthest == 1.1  # on the torque alone, which the true model follows to its noise
+    assert ratio.worst_miss == 1.1  # on the torque alone, which the true model follows to its noise
     turned = squares_ratio(simulated_again(run, (lagging, lagging, late), RANDOM)[1], RANDOM)
     assert turned.low < turned.value < turned.high < 1.0 / 1.1
+
+
+def test_a_run_too_short_to_tell_chance_rules_nothing_out():
+    late = model(("time_skew", {"delay": 0.003}))
+    lagging = model(("torque_sensor_lag", {"time_constant": 0.003}))
+    _, channels = simulated_again([square_wave(late, seconds=2.0)], (late, late, lagging), RANDOM)
+    assert np.isnan(squares_ratio(channels, RANDOM).value)
+
+
+def test_what_is_ruled_out_in_one_class_stays_in_another():
+    lag, ripple = member("torque_sensor_lag", "time_skew"), member("cogging", "time_skew")
+    ruled_out = [RuledOut("time_skew", "torque_sensor_lag", 1.5)]
+    assert without_ruled_out(lag, ruled_out).peers == ()
+    assert without_ruled_out(ripple, ruled_out).peers == ("time_skew",)
+
+
+def test_an_effect_that_two_classes_share_is_put_into_a_set_once():
+    lag, ripple = member("torque_sensor_lag", "time_skew"), member("cogging", "time_skew")
+    compare = by_squares({"torque_sensor_lag": 3.0, "cogging": 3.0, "time_skew": 1.0})
+    nearest, _ = nearest_of_classes([lag.finding.candidate, ripple.finding.candidate], [lag, ripple], compare)
+    assert names(nearest) == ["time_skew", "cogging"]
 
 
 @pytest.mark.long

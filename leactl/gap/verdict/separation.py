@@ -9,7 +9,7 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
 
-FARTHER = 1.1  # times the squares with another effect, from which an effect is ruled out; a replay errs by 1.05
+FARTHER = 1.1  # ratio of squared gaps above which the farther effect is ruled out; the worst wrong preference was 1.05
 Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
 """Squared gap of held-out runs with the second set of effects over that with the first."""
 
@@ -35,18 +35,18 @@ def nearest_of_classes(
     """Put the effect of each class into a set that comes nearest to held-out runs; those clearly farther are ruled out.
 
     Equations look at each instant by itself and leave out what they cannot resolve; a replay has to follow the whole
-    course. Where neither effect is clearly nearer, the first stays, and no member is ruled out; nor where replays with
-    both are off by more than is a replay's own miss: what else is wrong there may favour either.
+    course. Neither of two effects is ruled out where the difference is unclear, or where even the nearer replay misses
+    a channel by more than `REPLAY_MISS`: what else is wrong there may favour either.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:
         first = item.finding.candidate
         for rival, _ in item.rivals:
-            if rival.effect not in item.peers:
+            if rival.effect not in item.peers or rival.effect in {effect for effect, _ in nearest}:
                 continue
             with_rival = [rival.candidate if candidate == first else candidate for candidate in nearest]
             ratio = compare(nearest, with_rival)
-            if ratio.farthest > REPLAY_MISS:
+            if ratio.worst_miss > REPLAY_MISS:
                 continue
             if ratio.low > 1.0 and ratio.value > FARTHER:
                 ruled_out.append(RuledOut(rival.effect, first[0], ratio.value))
@@ -57,7 +57,8 @@ def nearest_of_classes(
 
 
 def without_ruled_out(item: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
-    """A member of a set whose class has no effect that is ruled out."""
-    names = {one.effect for one in ruled_out}
+    """Return a member of a set with the effects removed that are ruled out in its class."""
+    members = {item.finding.effect, *item.peers}
+    names = {effect.effect for effect in ruled_out if effect.by in members}
     rivals = tuple((rival, 0.0 if rival.effect in names else probability) for rival, probability in item.rivals)
     return replace(item, rivals=rivals, peers=tuple(name for name in item.peers if name not in names))

@@ -69,7 +69,7 @@ class SquaresRatio(NamedTuple):
     value: float
     low: float
     high: float
-    farthest: float  # floors, by which the nearer model misses a channel on which the two differ, at most
+    worst_miss: float  # floors, largest miss of the nearer model on the channels on which the two differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,27 +159,32 @@ def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
 
 
 def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> SquaresRatio:
-    """Squared gap with the augmented model over that with the calibrated one, from blocks that are drawn again.
+    """Squared gap with the last of three models over that with the second one, from blocks that are drawn again.
 
     The squares of all channels are added up in floors, each from `NEAR_FLOOR` on; a channel without a floor does not
-    count. NaN where none does.
+    count. NaN where none does, and where a channel on which the two differ has fewer than `FEWEST_BLOCKS` blocks.
     """
-    observed, again, farthest = np.zeros(2), np.zeros((RESAMPLED, 2)), 0.0
+    unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
+    observed, again, differing = np.zeros(2), np.zeros((RESAMPLED, 2)), list[Array]()
     for counts, sums in map(_blocks, grouped(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
             continue
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
         means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
-        whole = np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
-        if whole.max() > SAME * whole.min():
-            farthest = max(farthest, math.sqrt(whole.min()))
-        observed += whole
+        squares = np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
+        if squares.max() > SAME * squares.min():
+            if len(counts) < FEWEST_BLOCKS:
+                return unknown
+            differing.append(squares)
+        observed += squares
         again += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
     if not observed.all():
-        return SquaresRatio(math.nan, math.nan, math.nan, math.nan)
+        return unknown
     low, high = np.quantile(again[:, 1] / again[:, 0], (CHANCE, 1.0 - CHANCE))
-    return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), farthest)
+    nearer = int(np.argmin(observed))
+    worst_miss = math.sqrt(max((squares[nearer] for squares in differing), default=0.0))
+    return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), worst_miss)
 
 
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
