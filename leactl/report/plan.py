@@ -61,7 +61,7 @@ def hottest(forecast: "Forecast") -> dict[str, float]:
 
 def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
-    from leactl.runfile.write.description import new_run_id
+    from leactl.runfile.write.run_info import new_run_id
 
     plan, windings = planned.plan, planned.windings
     return {

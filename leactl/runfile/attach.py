@@ -18,13 +18,14 @@ import numpy as np
 from leactl.driver.file_records import FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, align_by_similarity, fit_alignment
+from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, fit_alignment
 from leactl.runfile.align.onsets import ties_by_onset
+from leactl.runfile.align.similarity import align_by_similarity
 from leactl.runfile.hdf5.space import reserve
 from leactl.runfile.read.reader import Array, Run
 from leactl.runfile.verify.integrity import add_note, amend
-from leactl.runfile.write.description import faults_of_channel
 from leactl.runfile.write.repack import CHUNK_ROWS, COMPRESSION
+from leactl.runfile.write.run_info import faults_of_channel
 
 START_S = 0.2  # longest time from a run's `created` to its first cycle
 FEWEST_ROWS = 2

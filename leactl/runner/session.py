@@ -18,7 +18,7 @@ from leactl.bench.records import attach_exports, with_run_folders
 from leactl.driver.safe_state import unconfirmed_devices
 from leactl.errors import AcceptanceFailed, SafetyTrip
 from leactl.protocol.plan import SearchLimit
-from leactl.runfile.write.writer import new_run_id
+from leactl.runfile.write.run_info import new_run_id
 from leactl.runner import runs_underway, state_folder
 from leactl.runner.bench_fit import limits_of
 from leactl.runner.channel_limits import ACCEPTANCE, LimitVerdict

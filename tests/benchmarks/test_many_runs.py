@@ -15,7 +15,7 @@ from leactl.processes import Workers
 from leactl.quantities import ChannelSpec
 from leactl.runfile.catalog.run_index import NAME, list_runs, update
 from leactl.runfile.catalog.selection import selection_of
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.benchmarks.test_recording import CHANNELS
 

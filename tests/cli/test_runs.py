@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 
 from .terminal import leactl

@@ -15,7 +15,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile.catalog.selection import ordered, selection_of
 from leactl.runfile.catalog.summaries import run_files
 from leactl.runfile.summary import Summary
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 
 from .terminal import COMMAND, leactl

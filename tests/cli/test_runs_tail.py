@@ -15,7 +15,7 @@ from leactl.quantities import ChannelSpec
 from leactl.report.run_tail import RowPrinter
 from leactl.runfile.read.reader import Run
 from leactl.runfile.read.tail import RunTail, StreamRows
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.cli.answers import fits_the_page
 from tests.runner.conftest import SPIN

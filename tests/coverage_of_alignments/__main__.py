@@ -6,8 +6,9 @@ import sys
 
 import numpy as np
 
-from leactl.runfile.align.alignment import Alignment, align_by_similarity, fit_alignment
+from leactl.runfile.align.alignment import Alignment, fit_alignment
 from leactl.runfile.align.onsets import ties_by_onset
+from leactl.runfile.align.similarity import align_by_similarity
 from tests.runfile.test_alignment import DRIFT, heating, pair
 
 COVERED = 0.95

@@ -8,7 +8,7 @@ import yaml
 
 from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.exchange.robots import leg

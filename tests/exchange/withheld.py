@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 
 COUNT, INTERVAL_S, FINER = 2.0 * np.pi / 4096, 0.005, 40

@@ -15,7 +15,7 @@ from leactl.gap.verdict.notes import unlike
 from leactl.model.nominal import as_mapping, read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.gap.synthetic import model

@@ -14,7 +14,7 @@ import pytest
 
 import leactl as leactl_of_python
 from leactl.quantities import ChannelSpec
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl

@@ -12,7 +12,7 @@ from leactl.report.run_page import page
 from leactl.report.run_plot import panels
 from leactl.runfile.read.reader import Run
 from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 from tests.report.browser import dumped, look, needs_chromium
 

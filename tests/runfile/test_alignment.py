@@ -7,8 +7,9 @@ import pytest
 from scipy.linalg import expm
 
 from leactl.errors import InputError
-from leactl.runfile.align.alignment import Tie, align_by_similarity, fit_alignment
+from leactl.runfile.align.alignment import Tie, fit_alignment
 from leactl.runfile.align.onsets import fit_onset, jumps, ties_by_onset
+from leactl.runfile.align.similarity import align_by_similarity
 
 DRIFT = 1e-4  # 95 %
 UNSEEN = 0.0005  # s, half a recorder's interval, as it is stated for a record that is attached

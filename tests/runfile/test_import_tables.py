@@ -24,7 +24,7 @@ from leactl.runfile.importing.sources.formats import npz
 from leactl.runfile.importing.sources.registry import open_source
 from leactl.runfile.importing.sources.source import SourceRequest, WantedColumn
 from leactl.runfile.read.reader import Run
-from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.run_info import RunInfo
 from leactl.runfile.write.writer import RunWriter
 
 from .logs import HIP, HIP_SPEED, KNEE, N, T

@@ -21,7 +21,7 @@ from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.read.reader import Run
-from leactl.runfile.write.description import RunInfo, new_run_id
+from leactl.runfile.write.run_info import RunInfo, new_run_id
 from leactl.runfile.write.writer import RunWriter
 
 Array = npt.NDArray[np.float64]

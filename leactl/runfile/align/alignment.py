@@ -7,27 +7,18 @@ uncertainty of a single tie grows with the time from it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.errors import InputError
-from leactl.runfile.align.similarity import FAR_APART, FEWEST_COMMON, ends_search, peaks
-
 Array = npt.NDArray[np.float64]
 NORMAL_95 = 1.959964
-LEAST_CORRELATION = 0.8  # two channels with a lower correlation have measured different quantities
+LEAST_DRIFT = 1e-12
 # bound of a variance of correlated scores over that of uncorrelated ones; scores are a channel's noise times its own
 # derivative, which cancel from sample to sample
 LEAST_VARIANCE_SHARE = 0.05
-# of the variance that the best shift explains; a shift that explains less may fit by chance
-LEAST_EXPLAINED_SHARE = 1.0 / 3.0
-BLOCKS = 12  # parts of the common time, each of which gives a tie
-FEWEST_IN_BLOCK = 30  # samples
-LEAST_DRIFT = 1e-12
-LEAST_SD = 0.01  # of the sampling interval; samples are interpolated linearly
 
 
 class Tie(NamedTuple):
@@ -128,89 +119,6 @@ def fit_alignment(method: str, ties: Sequence[Tie], drift_within: float, systema
     )
 
 
-def ties_by_similarity(
-    time: Array, values: Array, base: Array, reference: Array, shift: float, rate: float = 1.0
-) -> list[Tie]:
-    """Compute ties of two channels that measured the same quantity, one for each block of their common time.
-
-    Near the right shift, the channel is the scaled reference plus the reference's derivative times the error of the
-    shift. Noise of the reference would bias that error towards zero, so that the channel's own derivative serves as
-    the instrumental variable. The channels are compared at the samples of the slower one; the faster one is
-    interpolated.
-
-    Parameters
-    ----------
-    time, values : stamps on the device's clock [s] and values of the channel, shape (n,).
-    base, reference : stamps on the run's clock [s] and values of the reference, shape (m,).
-    shift, rate : approximate alignment: run time = shift + rate * device time.
-    """
-    finite, reference_finite = np.isfinite(values), np.isfinite(reference)
-    time, values, base, reference = (
-        shift + rate * time[finite],
-        values[finite],
-        base[reference_finite],
-        reference[reference_finite],
-    )
-    channel_is_faster = float(np.median(np.diff(time))) < float(np.median(np.diff(base)))
-    grid = base if channel_is_faster else time
-    interval = float(np.median(np.diff(grid)))
-    start, stop = max(time[0], base[0]) + interval, min(time[-1], base[-1]) - interval
-    grid = grid[(grid > start) & (grid < stop)]
-    channel, channel_slope = value_and_slope(grid, time, values, interval)
-    reference_values, reference_slope = value_and_slope(grid, base, reference, interval)
-    reference_sd = float(np.std(reference_values))
-    if len(grid) < FEWEST_COMMON or reference_sd == 0.0:
-        return []
-    gain = math.copysign(
-        float(np.std(channel)) / reference_sd,
-        float((channel - channel.mean()) @ (reference_values - reference_values.mean())),
-    )
-    level = np.stack([reference_values, np.ones(len(grid))], axis=1)
-    delay_response, instrument, residual = (
-        residual_of(level, column) for column in (gain * reference_slope, channel_slope, channel)
-    )
-    if not float(instrument @ delay_response):
-        return []
-    blocks = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
-    # the noise of all blocks together, since that of one block would be estimated from a few samples
-    common_shift = float(instrument @ residual) / float(instrument @ delay_response)
-    scores = instrument * (residual - common_shift * delay_response)
-    noise = sum(autocorrelated_variance(scores[block]) for block in blocks) / float(instrument @ instrument)
-    ties = []
-    for block in blocks:
-        block_delay, block_instrument, block_residual = delay_response[block], instrument[block], residual[block]
-        projection = float(block_instrument @ block_delay)
-        sd = (
-            math.hypot(
-                math.sqrt(noise * float(block_instrument @ block_instrument)) / abs(projection), LEAST_SD * interval
-            )
-            if projection
-            else math.inf
-        )
-        if sd < 0.5 * (grid[block[-1]] - grid[block[0]]):
-            time_of_tie = float(np.average(grid[block], weights=channel_slope[block] ** 2))
-            ties.append(
-                Tie(
-                    (time_of_tie - shift) / rate,
-                    time_of_tie + float(block_instrument @ block_residual) / projection,
-                    sd,
-                )
-            )
-    return ties
-
-
-def residual_of(regressors: Array, column: Array) -> Array:
-    """Return the residual of a column (n,) after least squares on regressors (n, k)."""
-    residual: Array = column - regressors @ np.linalg.lstsq(regressors, column, rcond=None)[0]
-    return residual
-
-
-def value_and_slope(grid: Array, time: Array, values: Array, interval: float) -> tuple[Array, Array]:
-    """Interpolate a channel at the times of a grid, and compute its central difference over +-`interval`."""
-    ahead, behind = np.interp(grid + interval, time, values), np.interp(grid - interval, time, values)
-    return np.interp(grid, time, values), (ahead - behind) / (2.0 * interval)
-
-
 def autocorrelated_variance(scores: Array, least: float = LEAST_VARIANCE_SHARE) -> float:
     """Estimate the variance of the sum of correlated scores, after Newey and West (1987), with Bartlett weights.
 
@@ -225,114 +133,3 @@ def autocorrelated_variance(scores: Array, least: float = LEAST_VARIANCE_SHARE) 
     for lag in range(1, lags + 1):
         total += 2.0 * (1.0 - lag / (lags + 1.0)) * float(centred[lag:] @ centred[:-lag])
     return max(total, least * uncorrelated) * count / max(count - 3, 1)
-
-
-def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better: Alignment, worse: Alignment) -> float:
-    """Return the excess squared residual of `worse` over `better`, in standard deviations, at their common samples.
-
-    If both fit equally well, their squared residuals are noise of the same kind, and the excess is as uncertain as the
-    sum for `better`. A change within one sampling interval does not count, since the time of an edge in it is unknown.
-    """
-    (time, values), (base, reference_values) = channel, reference
-    interval = float(np.median(np.diff(base)))
-    # compare no more samples than the reference has: interpolated ones share its noise
-    stride = max(1, round(interval / float(np.median(np.diff(time)))))
-    time, values = time[::stride], values[::stride]
-    interval = max(interval, float(np.median(np.diff(time))))
-    stamps_on_run = [alignment.on_run(time) for alignment in (better, worse)]
-    inside = np.logical_and.reduce([(stamps >= base[0]) & (stamps <= base[-1]) for stamps in stamps_on_run])
-    if inside.sum() < FEWEST_COMMON:
-        return 0.0
-
-    def levelled(stamps: Array) -> Array:
-        return np.stack([np.interp(stamps, base, reference_values), np.ones(len(stamps))], axis=1)
-
-    observed = values[inside]
-    model = levelled(stamps_on_run[0][inside])
-    gain = np.linalg.lstsq(model, observed, rcond=None)[0]
-    squared_residual = (observed - model @ gain) ** 2
-    excess = residual_of(levelled(stamps_on_run[1][inside]), observed) ** 2 - squared_residual
-    half = 0.5 * interval
-    step = (levelled(stamps_on_run[0][inside] + half) - levelled(stamps_on_run[0][inside] - half)) @ gain
-    # the step also contains the noise of two samples, which is no edge
-    edge_excess = max(float(step @ step) - 2.0 * float(squared_residual.sum()), 0.0)
-    sd = math.sqrt(2.0 * autocorrelated_variance(squared_residual, least=1.0))
-    return (float(excess.sum()) - edge_excess) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
-
-
-def align_by_similarity(
-    channel: tuple[Array, Array],
-    reference: tuple[Array, Array],
-    within: float,
-    channels_text: str,
-    near: float = 0.0,
-    drift_within: float = 0.0,
-    systematic: float = 0.0,
-) -> Alignment:
-    """Align two channels that measured the same quantity, each given as (stamps, values).
-
-    Parameters
-    ----------
-    near, within : the offsets from near - within to near + within are searched [s].
-    channels_text : names of both channels, for messages.
-    drift_within : bound of the drift; 0 gives one offset for the whole record.
-    systematic : constant delay between the two channels (95 %) [s].
-
-    Raises
-    ------
-    InputError : the channels do not correlate, change too little relative to their noise, or correlate as well at
-        another offset.
-    """
-    finite, reference_finite = np.isfinite(channel[1]), np.isfinite(reference[1])
-    channel, reference = (
-        (channel[0][finite], channel[1][finite]),
-        (reference[0][reference_finite], reference[1][reference_finite]),
-    )
-    candidates = peaks(*channel, *reference, within, near)
-    highest_correlation = max((peak.likeness for peak in candidates), default=0.0)
-    if highest_correlation < LEAST_CORRELATION:
-        raise InputError(
-            f"{channels_text} correlate by {highest_correlation:.2f} at best; expected {LEAST_CORRELATION} within"
-            f" {within:g} s"
-        )
-    # a short part of a record may fit by chance; if it fits better than the whole record, neither is certain
-    most_explained = max(peak.explained for peak in candidates if peak.likeness >= LEAST_CORRELATION)
-    best = next(peak for peak in candidates if peak.explained >= LEAST_EXPLAINED_SHARE * most_explained)
-    method = f"likeness of {channels_text} ({best.likeness:.3f})"
-    alignment = align_near(channel, reference, best.shift, method, drift_within, systematic)
-    for rival in candidates:
-        is_long = rival.explained >= LEAST_EXPLAINED_SHARE * most_explained
-        if rival is best or ends_search(rival, within, near) or not (is_long or rival.likeness >= LEAST_CORRELATION):
-            continue
-        alternative = align_near(channel, reference, rival.shift, method, drift_within, systematic)
-        fits_as_well = misfit(channel, reference, alignment, alternative) <= FAR_APART
-        if fits_as_well if is_long else misfit(channel, reference, alternative, alignment) > FAR_APART:
-            raise InputError(
-                f"{channels_text} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s"
-                " around the true one (near_s), or another signal, decides"
-            )
-    if ends_search(best, within, near):
-        raise InputError(
-            f"{channels_text} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that"
-        )
-    if not alignment.ties:
-        raise InputError(f"{channels_text} change too little beside their noise to tell when")
-    return alignment
-
-
-def align_near(
-    channel: tuple[Array, Array],
-    reference: tuple[Array, Array],
-    shift: float,
-    method: str,
-    drift_within: float,
-    systematic: float,
-) -> Alignment:
-    """Refine an alignment from a first shift [s]; if no tie can be fitted, return the shift with zero ties."""
-    alignment = Alignment(method, shift, 1.0, (0.0, 0.0, 0.0), systematic, NORMAL_95, 0)
-    for _ in range(2):
-        ties = ties_by_similarity(*channel, *reference, alignment.offset, alignment.rate)
-        if not ties:
-            return replace(alignment, ties=0)
-        alignment = fit_alignment(method, ties, drift_within, systematic)
-    return alignment

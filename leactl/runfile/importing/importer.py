@@ -27,7 +27,7 @@ from leactl.runfile.importing.sources.source import LogSource, MissingColumn, So
 from leactl.runfile.importing.steps import ImportedStep, steps_of
 from leactl.runfile.importing.streams import Stream, build_streams, number_value
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
-from leactl.runfile.write.description import RunInfo, faults_of
+from leactl.runfile.write.run_info import RunInfo, faults_of
 from leactl.runfile.write.writer import RunWriter
 
 

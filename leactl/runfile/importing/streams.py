@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
-from leactl.runfile.align.alignment import Alignment, align_by_similarity
+from leactl.runfile.align.alignment import Alignment
+from leactl.runfile.align.similarity import align_by_similarity
 from leactl.runfile.importing.mapping import (
     ChannelMapping,
     FieldOf,

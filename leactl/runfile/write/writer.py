@@ -26,9 +26,9 @@ from leactl.runfile import layout
 from leactl.runfile.hdf5.space import reserve, trim
 from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
 from leactl.runfile.summary import CLOSED_STATUSES, RECORDING
-from leactl.runfile.write.description import RunInfo, faults_of, new_run_id
 from leactl.runfile.write.repack import as_text, one_line, repack, text_bytes
 from leactl.runfile.write.row_buffer import RowBuffer
+from leactl.runfile.write.run_info import RunInfo, faults_of, new_run_id
 
 __all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 

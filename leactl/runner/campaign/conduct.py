@@ -14,7 +14,7 @@ from pathlib import Path
 
 from leactl.errors import LeactlError, Stopped
 from leactl.protocol.plan import Plan
-from leactl.runfile.write.writer import new_run_id
+from leactl.runfile.write.run_info import new_run_id
 from leactl.runner import locks
 from leactl.runner.acceptance import judge
 from leactl.runner.campaign import folder as campaign_folder

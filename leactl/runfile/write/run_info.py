@@ -1,4 +1,4 @@
-"""Description of a run before it starts (its root attributes), and the checks that it fits the file format."""
+"""What a run states before it starts (its root attributes, its name), and the checks that it fits the file format."""
 
 import re
 import secrets
