@@ -249,8 +249,8 @@ def make_blind(
     as_json: bool = AS_JSON,
 ) -> None:
     """Draw benches or machines with unknown departures from their nominal model; write their runs, the key apart."""
+    from leactl.emulation.blind.case_counts import KINDS
     from leactl.emulation.blind.make import make as make_benches
-    from leactl.emulation.blind.plans import KINDS
     from leactl.errors import InputError
     from leactl.joints.make import make as make_machines
     from leactl.report.steps import Steps

@@ -204,7 +204,7 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
     """Execute a run request with the live view on stderr, and on a page; `heading` begins the title of the view."""
     from rich.console import Console
 
-    from leactl.report.live import live_view
+    from leactl.report.run_progress import live_view
     from leactl.runner.operators import granted, keyboard
     from leactl.runner.progress import Progress
     from leactl.runner.session import execute

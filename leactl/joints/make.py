@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from leactl.emulation.blind.case_counts import KINDS, counts, faults_of, in_turn
 from leactl.emulation.blind.key import write_key
-from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, stepped
 from leactl.joints.effects import STRENGTHS, DrawnEffect, draw_effect, listed, never_beside, shown_by, unlisted

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.report.live import PATIENCE_S
+from leactl.report.run_progress import PATIENCE_S
 from leactl.report.run_tail import RowPrinter
 from leactl.report.terminal import encoding_of_stdout
 from leactl.runfile.read.tail import StreamRows

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from leactl.report.live import draw
+from leactl.report.run_progress import draw
 from leactl.runfile.read.reader import Run
 from leactl.runner.progress import Progress
 from tests.cli.terminal import COMMAND

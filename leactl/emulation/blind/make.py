@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from leactl.emulation.blind.case_counts import KINDS, counts, faults_of, in_turn
 from leactl.emulation.blind.draws import STRENGTHS, BlindCase, draw_case, usual_effects
 from leactl.emulation.blind.files import entry, write_heated, write_model, write_moving
 from leactl.emulation.blind.key import write_key
-from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.stepped.heating import heat
 from leactl.emulation.plant.stepped.run import DriveReferences, simulate

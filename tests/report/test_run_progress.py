@@ -20,7 +20,7 @@ from rich.console import Console
 
 from leactl.quantities import ChannelSpec
 from leactl.report import live
-from leactl.report.live import draw, live_view
+from leactl.report.run_progress import draw, live_view
 from leactl.runner.operators import STOP_HINT
 from leactl.runner.progress import Progress
 from tests.cli.terminal import COMMAND
