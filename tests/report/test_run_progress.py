@@ -19,7 +19,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from leactl.quantities import ChannelSpec
-from leactl.report import live
+from leactl.report import run_progress
 from leactl.report.run_progress import draw, live_view
 from leactl.runner.operators import STOP_HINT
 from leactl.runner.progress import Progress
@@ -96,7 +96,7 @@ def test_without_a_terminal_lines_come_less_and_less_often():
         return next(passed) >= 100
 
     console = Console(file=io.StringIO(), force_terminal=False)
-    live._write(progress, console, wait)
+    run_progress._write(progress, console, wait)
     lines = console.file.getvalue().splitlines()
     assert len(lines) == 100
     assert pauses[0] == 5.0
@@ -125,15 +125,15 @@ def test_after_a_resize_and_while_a_question_stands_a_frame_begins_at_the_top(mo
     # a terminal that folds long lines when it narrows moves the old frame to where nobody knows
     progress, console, frames = halfway(), Console(file=io.StringIO(), force_terminal=True), []
     sizes = iter([(80, 24), (80, 24), (40, 24), (40, 24), (40, 24)])
-    monkeypatch.setattr(live, "_size", lambda _console: next(sizes))
+    monkeypatch.setattr(run_progress, "_size", lambda _console: next(sizes))
 
     def wait(_pause):
         frames.append(console.file.getvalue()[sum(map(len, frames)) :])
         progress.prompt = "open the door?" if len(frames) == 4 else ""
         return len(frames) > 4
 
-    live._paint(progress, console, wait)
-    assert [live.TO_THE_TOP in frame for frame in frames[1:]] == [False, True, False, True]
+    run_progress._paint(progress, console, wait)
+    assert [run_progress.TO_THE_TOP in frame for frame in frames[1:]] == [False, True, False, True]
 
 
 class Screen:
