@@ -58,7 +58,7 @@ class DrillFinding:
     ended_s: float | None
     zero_torque_s: float | None  # time from the fault to no power at any emulated drive; None: unknown, or never
     devices: Mapping[str, DeviceEnd]
-    faults: Sequence[str]  # one line for each thing that should not be so
+    faults: Sequence[str]  # of the end of its run, of the reaction time and of the run file; one line each
     notes: Sequence[str] = ()
     run: str = ""  # path of the run file; empty if the file is not kept
 
