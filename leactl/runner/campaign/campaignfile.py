@@ -1,23 +1,25 @@
-"""Campaign files: find by name or path, and check whole.
+"""Find campaign files by name or path, and check them as a whole.
+
+An example of a campaign file:
 
 name: paper
 title: The experiments of the paper
 bench: emulated                          # a name, or a path from this file
-actuators: [LEA-1]                       # labels; left out, runs carry none
-conditions: [unloaded, design, loaded]   # left out, runs carry none
+actuators: [LEA-1]                       # labels; without this key, runs have no label
+conditions: [unloaded, design, loaded]   # without this key, runs have no condition
 order: [actuators, conditions, steps, repeats]  # the default, outermost first
 shuffle: [conditions]                    # levels whose order is drawn by the seed, anew within each outer block
 seed: 1                                  # of the shuffling, and of what emulated benches draw for each run
 steps:
   - name: friction
-    protocol: friction                   # a name, or a path from this file; the step's name where left out
-    bench: mine.yaml                     # over the campaign's; so are actuators and conditions
+    protocol: friction                   # a name, or a path from this file; the default is the step's name
+    bench: mine.yaml                     # instead of the campaign's; a step may have actuators and conditions too
     repeats: 2
     set: {trials: 3}                     # parameters of the protocol
-    prompt: Take the coupling off        # with what is asked of the operator before it
+    prompt: Take the coupling off        # added to what the operator is asked to mount before the step
     insert_cooldown: true                # waits within a run where a winding would grow too hot
 variants:
-  short:                                 # --variant short: over these keys of these steps
+  short:                                 # values that replace those of a step with --variant short
     friction: {repeats: 1, set: {trials: 1}}
 """
 
@@ -47,7 +49,10 @@ NameOrPath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class StepEntry(Block):
-    """One protocol, under every condition and on every actuator of the campaign where it names none of its own."""
+    """One step: a protocol to run on each actuator under each condition.
+
+    Without actuators or conditions of its own, a step has those of the campaign.
+    """
 
     name: Name
     protocol: NameOrPath | None = None
@@ -61,7 +66,7 @@ class StepEntry(Block):
 
 
 class Variation(Block):
-    """What a variant changes of a step; `set` goes over the step's own, key by key."""
+    """The values of a step that a variant replaces; of `set`, single parameters are replaced."""
 
     actuators: Labels | None = None
     conditions: Labels | None = None
@@ -70,7 +75,7 @@ class Variation(Block):
 
 
 class CampaignFile(Block):
-    """The whole file."""
+    """The keys of a campaign file."""
 
     name: Name
     title: Annotated[str, Field(max_length=200)] = ""
