@@ -411,7 +411,7 @@ def _shared_roles(document: yamlfile.Document, devices: Sequence[CheckedDevice])
 def _check(
     document: yamlfile.Document, bench: BenchFile, name: str, entry: Device, faults: list[str]
 ) -> CheckedDevice | None:
-    """Return a device with its checked settings, or None if its driver or settings cannot be used; append its faults."""
+    """Check a device and append its faults; return None if its driver or its settings cannot be used."""
     keys: tuple[str | int, ...] = ("devices", name)
     try:
         driver = registry.load(entry.driver)

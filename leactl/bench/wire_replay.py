@@ -132,7 +132,9 @@ class Wire:
         return accepted
 
     def hear(self, timeout: float) -> str | None:
-        """Return the next input within the present call, or None after a wait of `timeout` [s] by the clock of the trace.
+        """Return the next input within the present call; without one, wait for `timeout` [s] and return None.
+
+        The wait advances the clock of the trace.
 
         Raises
         ------

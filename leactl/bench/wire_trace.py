@@ -159,6 +159,7 @@ class WireTrace:
             self.fault = f"{self.path}: nothing more was written: {reason}"
 
     def _add_frame(self, owner: str, kind: str, message: "can.Message") -> None:
+        """Add a CAN frame to the log of CAN frames if there is one, else as a line."""
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
@@ -390,6 +391,12 @@ def read_trace(path: Path) -> list[TraceLine]:
 
 
 def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
+    """Yield the lines of a trace, from the second line of the file on.
+
+    Raises
+    ------
+    InputError : an invalid line, with its number.
+    """
     for number, line in enumerate(lines, start=2):
         time, owner, kind, text = [*line.split(" ", 3), "", "", "", ""][:4]
         try:

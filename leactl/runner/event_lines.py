@@ -72,6 +72,10 @@ class EventLines:
             self._queue(event, fields)
 
     def _queue(self, event: str, fields: Mapping[str, Any]) -> None:
+        """Queue a line, or drop and count it if the queue is full; the line `end` is never dropped.
+
+        The caller holds the lock.
+        """
         if len(self._queued) >= MOST_QUEUED and event != "end":
             self._dropped += 1
             return
@@ -103,12 +107,14 @@ class EventLines:
     # -- in the thread ------------------------------------------------------------------------------------------------
 
     def _write_until_end(self) -> None:
+        """Write lines until the run has ended; store any error in `fault`."""
         try:
             self._write_lines()
         except Exception as error:  # noqa: BLE001 (a failure to show a run must not end it)
             self.fault = f"--events {self._path}: {type(error).__name__}: {error}; lines are missing from there on"
 
     def _write_lines(self) -> None:
+        """Take samples and write lines until the run has ended, then write what is still queued."""
         samples: dict[str, list[float]] = {}
         means_due = time.monotonic() + 1.0
         while not self._ending.wait(1.0 / SAMPLES_PER_S):
@@ -138,6 +144,7 @@ class EventLines:
                     samples.setdefault(name, []).append(value)
 
     def _queue_means(self, samples: Mapping[str, list[float]]) -> None:
+        """Queue the line of the channels' means, if a run is under way."""
         means = {name: round(sum(values) / len(values), 6) for name, values in samples.items()}
         with self._lock:
             if self._progress is not None and means:  # no line may follow the end of the run

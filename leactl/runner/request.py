@@ -74,7 +74,7 @@ def prepare(
     served: bool = False,
     buses: Sequence[str] = (),
 ) -> Request:
-    """Resolve a protocol and a bench, by name or path, and check that the one can be run on the other.
+    """Resolve and check a protocol and a bench, each by its name or path, with the options of their run.
 
     Parameters
     ----------
@@ -142,6 +142,7 @@ def _loaded_bench(bench: str, buses: Sequence[str], served: bool) -> LoadedBench
 def _request(
     plan: Plan, loaded: LoadedBench, directory: Path, realtime: bool, served: bool, everything: bool = False
 ) -> Request:
+    """Check the rate of a plan with the devices of its run, and return the request."""
     file, all_devices, document = loaded
     devices = all_devices if everything else benchfile.devices_of_run(all_devices, {*plan.needs, *plan.wants})
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
@@ -170,6 +171,7 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 def _seed(text: str | None) -> int | None:
+    """Return the value of `--set seed=...` as a number; None without one."""
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MOST_SEED):

@@ -115,6 +115,7 @@ def scan(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring
 
 
 def _ask(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring) -> None:
+    """Send the probes for the kind of the wire, and fill the report with the answers."""
     bus = wire.buses[0]
     if isinstance(bus, CanBus):
         ask_can(report, wiring.can(wire.name, bus), wiring.clock, can_probes(), watcher, fd=_carries_fd(bus))
@@ -147,6 +148,12 @@ def _carries_fd(bus: CanBus) -> bool:
 
 
 def _can_wire(word: str, bitrate: int) -> ScannedWire:
+    """Return `[INTERFACE:]CHANNEL` as a wire.
+
+    Raises
+    ------
+    InputError : the channel is missing, or python-can does not know the interface.
+    """
     interface, colon, channel = word.partition(":")
     if not colon:
         interface, channel = "socketcan", word
@@ -176,12 +183,14 @@ def _i2c_wire(number: int) -> ScannedWire:
 
 
 def _serial_wire(port: str) -> ScannedWire:
+    """Return a serial port as a wire, with every baud rate at which a driver has a probe."""
     rates = rates_of(line_probes("serial").values())
     buses = tuple(SerialBus(kind="serial", port=port, baudrate=rate) for rate in rates)
     return ScannedWire(_name(Path(port).name), port, buses)
 
 
 def _lan_wire(word: str) -> ScannedWire:
+    """Return `ADDRESS[:PORT]` as a wire; if the port is missing, with every port of `SOCKET_PORTS`."""
     host, colon, port = word.partition(":")
     ports = [port] if colon else SOCKET_PORTS
     buses = tuple(VisaBus(kind="visa", resource=f"TCPIP::{host}::{number}::SOCKET") for number in ports)

@@ -76,6 +76,7 @@ def _notices(run: Run, request: Request) -> Iterator[Statement]:
 
 
 def _channels(run: Run, request: Request) -> Iterator[Statement]:
+    """Yield a statement on the readings of each measured channel."""
     measured = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
     for quantity, role in measured:
         if not quantity.endswith("_reference") and quantity not in NOT_MEASURED:

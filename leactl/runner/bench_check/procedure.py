@@ -1,4 +1,4 @@
-"""Procedure of a bench check: first identities and readings at rest, then, if all are right, a small current."""
+"""Check a bench in two runs: identities and readings at rest, then, if all are right, motion by a small current."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -22,7 +22,7 @@ class StatementVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Statement:
-    """A measured value beside the range that the bench file lets expect; an unknown number is NaN."""
+    """A measured value, the range expected by the bench file, and the verdict; an unknown number is NaN."""
 
     device: str
     about: str  # the quantity or property that is judged
@@ -79,5 +79,5 @@ def setting(request: Request, device: CheckedDevice, names: Iterable[str], advic
     ----------
     names : settings, of which the first that the driver has is located, or the block of settings if it has none.
     """
-    known = [name for name in names if name in type(device.settings).model_fields]
-    return request.bench_document.fault(("devices", device.name, "settings", *known[:1]), advice)
+    available = [name for name in names if name in type(device.settings).model_fields]
+    return request.bench_document.fault(("devices", device.name, "settings", *available[:1]), advice)

@@ -1,4 +1,4 @@
-"""Checks by a small current: direction of the shaft, and agreement of channels with each other and the motor file.
+"""Check a bench by a small current: direction of the shaft, agreement of channels with each other and the motor file.
 
 Each relation is a slope over the whole move, with a standard error that takes the autocorrelation of its residuals into
 account. Torque on the shaft is T = T0 + Kt i - c sign(w) - b w - J dw/dt of the test actuator, and the negative of it
@@ -82,8 +82,8 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
     columns : shape (samples, columns).
     response : shape (samples,); samples that are not finite are left out.
     """
-    known = np.isfinite(columns).all(axis=1) & np.isfinite(response)
-    design, values = columns[known], response[known]
+    finite = np.isfinite(columns).all(axis=1) & np.isfinite(response)
+    design, values = columns[finite], response[finite]
     lengths = np.sqrt(np.sum(design**2, axis=0))
     if len(values) < FEWEST_SAMPLES or not lengths.all() or np.linalg.cond(design / lengths) > 1e6:
         return []
@@ -263,12 +263,12 @@ class Turning:
             if role not in self._drives:
                 continue
             torque, motion = self._run.channel("torque"), self._motions[role]
-            known = np.isfinite(motion.velocity) & np.isfinite(motion.current)
-            if known.sum() < FEWEST_SAMPLES:
+            finite = np.isfinite(motion.velocity) & np.isfinite(motion.current)
+            if finite.sum() < FEWEST_SAMPLES:
                 continue
-            acceleration = np.gradient(motion.velocity[known], motion.time[known])
-            columns = (motion.current[known], motion.velocity[known], acceleration, motion.on[known])
-            current, velocity, rate, on = (np.interp(torque.time, motion.time[known], column) for column in columns)
+            acceleration = np.gradient(motion.velocity[finite], motion.time[finite])
+            columns = (motion.current[finite], motion.velocity[finite], acceleration, motion.on[finite])
+            current, velocity, rate, on = (np.interp(torque.time, motion.time[finite], column) for column in columns)
             moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW_SHARE * float(np.max(np.abs(velocity))))
             if np.sum(moving & (on == 0.0)) < FEWEST_SAMPLES:
                 continue
@@ -311,8 +311,8 @@ class Turning:
         """
         factor, margin = statement.measured, SURE * statement.std
         size = abs(factor)
-        known = conventions(size - margin - SAME_FACTOR / 4.0, size, size + margin + SAME_FACTOR / 4.0)
-        why = f"{'or both currents are' if by_sensor else 'the current is'} near {known}" if known else ""
+        likely = conventions(size - margin - SAME_FACTOR / 4.0, size, size + margin + SAME_FACTOR / 4.0)
+        why = f"{'or both currents are' if by_sensor else 'the current is'} near {likely}" if likely else ""
         device = self._drives[role]
         if by_sensor:
             name = self._run.channel("torque").device

@@ -189,10 +189,12 @@ def load(name_or_path: str, variant: str = "", seed: int | None = None) -> Campa
 
 
 def _shipped() -> Path:
+    """Return the folder of the campaign files that ship with leactl."""
     return Path(str(resources.files("leactl_protocols.campaigns")))
 
 
 def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
+    """Yield the faults of a campaign file that its schema does not find, each with its location."""
     seen: dict[str, int] = {}
     for index, step in enumerate(file.steps):
         first = seen.setdefault(step.name, index)
@@ -214,6 +216,7 @@ def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
 
 
 def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, location: Location) -> Iterator[str]:
+    """Yield the faults of one step, or of the changes that a variant makes in a step."""
     yield from _repeated_items(document, (*location, "actuators"), block.actuators or ())
     yield from _repeated_items(document, (*location, "conditions"), block.conditions or ())
     if "seed" in block.set:
@@ -224,12 +227,14 @@ def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, 
 
 
 def _repeated_items(document: yamlfile.Document, location: Location, items: Sequence[str]) -> Iterator[str]:
+    """Yield one fault for each item of a list that is in it already."""
     for index, item in enumerate(items):
         if item in items[:index]:
             yield document.fault((*location, index), f"'{item}' stands twice")
 
 
 def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> CampaignStep:
+    """Return a step of a campaign file, with the defaults of the campaign; `folder` is that of the file."""
     entry, location = file.steps[index], ("steps", index)
     return CampaignStep(
         name=entry.name,
@@ -247,6 +252,7 @@ def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: P
 
 
 def _with_variation(step: CampaignStep, change: Variation, location: Location) -> CampaignStep:
+    """Return a step with the changes that a variant makes in it."""
     unchanged = {
         setting: location for setting, location in step.settings.items() if setting.partition("=")[0] not in change.set
     }
@@ -260,10 +266,12 @@ def _with_variation(step: CampaignStep, change: Variation, location: Location) -
 
 
 def _conditions(labels: Labels | None, location: Location) -> dict[str, Location]:
+    """Return the location of each condition, by its label."""
     return {label: (*location, "conditions", index) for index, label in enumerate(labels or ())}
 
 
 def _settings(values: Mapping[str, Any], location: Location) -> dict[str, Location]:
+    """Return the location of each parameter, by its text `name=value`."""
     return {f"{name}={_setting_text(value)}": (*location, "set", name) for name, value in values.items()}
 
 
@@ -283,6 +291,7 @@ def _resolved(folder: Path, name: str) -> str:
 
 
 def _ordered_cells(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) -> list[Cell]:
+    """Return the cells of all steps in the order of execution."""
     cells = [
         Cell(step.name, actuator, condition, repeat)
         for step in steps.values()

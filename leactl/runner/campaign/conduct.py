@@ -136,6 +136,16 @@ class _Conductor:
             self._make(entry, self._heading(index), self._durations_s[index])
 
     def _make(self, entry: CampaignEntry, heading: str, bench_s: float) -> None:
+        """Make one run, and write to the journal that it began and that it finished.
+
+        Parameters
+        ----------
+        bench_s : expected duration by the bench's clock [s].
+
+        Raises
+        ------
+        LeactlError : the error that ended the run.
+        """
         self._options.tell(f"{heading}: {entry.cell}")
         request = replace(entry.request, run_id=new_run_id(entry.request.plan.name, datetime.now(UTC)))
         self._save(self.journal.begun(entry.cell.key, request.run_id))
@@ -163,8 +173,8 @@ class _Conductor:
 
     def _pace(self) -> float:
         """Return the wall seconds per second of the bench's clock over the finished runs; NaN while none is known."""
-        first = self._pending[0].request
-        if first.realtime or not first.in_process:
+        request = self._pending[0].request
+        if request.realtime or not request.in_process:
             return 1.0
         finished = self.journal.finished.values()
         bench_s = sum(run.bench_s for run in finished)

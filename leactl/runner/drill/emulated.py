@@ -158,11 +158,18 @@ class EmulatedDrill:
         return self._finding(NO_FAULT, "", {}, "nothing", None, rehearsed, None, faults), fault_time
 
     def _rehearse_stop(self, stop_time: float) -> DrillFinding:
+        """Make a run that is asked to stop at this time by the bench's clock [s], and judge it."""
         rehearsed = self._run(STOP, [], stop_at=stop_time)
         faults = [*end_faults(rehearsed.outcome, ["stopped"], rehearsed.ends), *rehearsed.file_faults]
         return self._finding(STOP, "", {}, "the stop request", CYCLE_S, rehearsed, stop_time, faults)
 
     def _rehearse_fault(self, rehearsal: FaultRehearsal, fault_time: float, number: int) -> DrillFinding:
+        """Make a run with a fault at this time by the bench's clock [s], and judge it.
+
+        Parameters
+        ----------
+        number : of the rehearsal in the drill, for the name of its bench file.
+        """
         rehearsed = self._run(f"{number:02d}-{rehearsal.fault}", [dict(rehearsal.entry) | {"at_s": fault_time}])
         drill = rehearsal.drill
         stays_on = rehearsal.on if drill.stays_on else ""
@@ -261,7 +268,7 @@ class EmulatedDrill:
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes YAML without anchors, since `leactl.yamlfile` reads none."""
+    """Writes YAML without anchors, because `leactl.yamlfile` does not read them."""
 
     def ignore_aliases(self, _data: Any) -> bool:
         """Return True: an object that occurs twice is written twice."""

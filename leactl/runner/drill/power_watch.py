@@ -31,6 +31,7 @@ class DrivePowerWatch:
         return actuator.mode != "off" or actuator.current_true != 0.0
 
     def _update(self, now: float) -> None:
+        """Set `unpowered_since` to this time [s] once no drive has power, and to None while any drive has."""
         if any(self.powered(role) for role in self.bench.rig.actuators):
             self.unpowered_since = None
         elif self.unpowered_since is None:

@@ -188,6 +188,7 @@ class RealDrill:
         return by_hand.motion_steps(self._setup, self._roles, self._velocity, self._current, hold_s)
 
     def _rehearse_stop(self) -> DrillFinding:
+        """Make a run that is asked to stop after `STOP_AFTER_S`, and judge the time to its safe state."""
         cycle_times: list[float] = []
         stop_times: list[float] = []
 
@@ -205,6 +206,7 @@ class RealDrill:
         return self._finding(STOP, "", "the stop request", SAFE_STATE_S, outcome, ["stopped"], reaction_s)
 
     def _rehearse_key(self) -> DrillFinding:
+        """Make a run that a person stops by a key, and judge it."""
         with keyboard(shown=True) as keys:
             instruction = f"Press space or q now: {TIME_TO_ACT_S:g} s are left."
             steps = self._motion_steps(TIME_TO_ACT_S)
@@ -212,6 +214,7 @@ class RealDrill:
         return self._finding(KEY, "", "the operator's key", None, outcome, ["stopped"], None)
 
     def _rehearse_unplugging(self) -> DrillFinding:
+        """Make a run with the drives off, in which a person unplugs the sensor, and judge whether the bench trips."""
         instruction = f"Unplug {self._sensor} now: {TIME_TO_ACT_S:g} s are left."
         outcome, _safe_at = self._run(by_hand.reading_steps(TIME_TO_ACT_S), [], instruction)
         return self._finding(
