@@ -135,7 +135,8 @@ def to_the_end() -> Iterator[None]:
 def _handle_signals(request: StopRequest) -> dict[signal.Signals, Any]:
     """Make a stop request the handler of all signals that end a run; return the previous handler of each."""
     numbers = [signal.SIGINT, signal.SIGTERM]
-    numbers += [getattr(signal, name) for name in ("SIGQUIT",) if hasattr(signal, name)]  # Windows has neither of these
+    # Windows has neither SIGQUIT nor SIGHUP
+    numbers += [getattr(signal, name) for name in ("SIGQUIT",) if hasattr(signal, name)]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
     return {number: signal.signal(number, request.note) for number in numbers}

@@ -13,10 +13,10 @@ SILENT_SHARE = 0.5  # of the age at which the bench trips; a channel counts as s
 
 
 class Silence(NamedTuple):
-    """The end of the numbers of one channel."""
+    """A channel that fell silent: its device, and the time of its last number."""
 
-    device: str  # that gives the channel
-    since: float  # s, time of the last number; NaN if none ever came
+    device: str
+    since: float  # s; NaN if no number ever came
 
     def __str__(self) -> str:
         return "gave no number" if math.isnan(self.since) else f"fell silent at {self.since:.2f} s"

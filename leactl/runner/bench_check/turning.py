@@ -27,7 +27,7 @@ from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
 
 Array = npt.NDArray[np.float64]
 
-INERTIA_FACTOR = 3.0  # most to that of the motor files, by couplings and sensors; wrong counts give a factor of 4
+INERTIA_FACTOR = 3.0  # to the motor files' inertia, at most, by couplings and sensors; wrong counts give a factor of 4
 SLOW_SHARE = 0.2  # of the highest speed; below, friction may change its sign between two samples
 FEWEST_SAMPLES = 20  # of a slope
 WINDOW_SAMPLES = 5  # over which the change of the angle is compared with the velocity
