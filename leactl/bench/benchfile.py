@@ -1,4 +1,4 @@
-"""Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
+"""Read and check bench files: devices on buses in roles, their limits, and the parameters of an emulated bench."""
 
 import os
 import re
@@ -27,7 +27,7 @@ Fraction = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
-RETURNS_OWN = ("udp_multicast", "gs_usb", "cantact")  # interfaces of python-can
+RETURNS_OWN = ("udp_multicast", "gs_usb", "cantact")  # interfaces of python-can that return sent frames
 
 
 class CanBus(Block):
@@ -41,7 +41,7 @@ class CanBus(Block):
 
     @property
     def returns_own(self) -> bool:
-        """Whether a port on it may receive what it sends itself: by its nature, or as an adapter's echo."""
+        """Whether a port may receive the frames that it sends, by the nature of the bus or as an adapter's echo."""
         return self.interface in RETURNS_OWN or bool(self.options.get("receive_own_messages", False))
 
 
@@ -73,11 +73,11 @@ SOCKET_RESOURCE = re.compile(r"TCPIP\d{0,4}::([^:]*)::(\d{1,5})::SOCKET", re.IGN
 
 
 def _socket_address(resource: str) -> tuple[str, int]:
-    """IPv4 address and port of a VISA resource name.
+    """Return the IPv4 address and the port of a VISA resource name.
 
     Raises
     ------
-    ValueError : it is not the name of a raw socket, or has no address or port that an instrument can have.
+    ValueError : the name is not that of a raw socket, or no instrument can have its address or port.
     """
     match = SOCKET_RESOURCE.fullmatch(resource)
     if match is None:
@@ -101,6 +101,7 @@ def _socket_address(resource: str) -> tuple[str, int]:
 
 
 def _socket_resource(resource: str) -> str:
+    """Return a VISA resource name unchanged if it is that of a raw socket; see `_socket_address`."""
     _socket_address(resource)
     return resource
 
@@ -114,7 +115,7 @@ class VisaBus(Block):
 
     @property
     def address(self) -> tuple[str, int]:
-        """IPv4 address and port."""
+        """IPv4 address and port of the instrument."""
         return _socket_address(self.resource)
 
 
@@ -123,7 +124,7 @@ Bus = CanBus | I2cBus | LineBus
 
 
 class Device(Instrument):
-    """One device: its driver, bus, role, the settings of its driver, and facts about the instrument."""
+    """One device: its driver, bus, role and settings, and facts about the instrument."""
 
     driver: str
     bus: Name | None = None
@@ -144,20 +145,20 @@ class Emulated(Block):
     """Parameters of an emulated bench; a bench file without this block is a real bench."""
 
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
-    test: dict[str, Any] = {}  # parameters over the motor's own
+    test: dict[str, Any] = {}  # parameters that replace those of the motor
     load: dict[str, Any] = {}
     bench: dict[str, Any] = {}
-    conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators under it
+    conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators under this condition
     effects: list[dict[str, Any]] = []
     faults: list[dict[str, Any]] = []  # what goes wrong and when (leactl.emulation.faults)
     current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)
     torque_noise_Nm: Fraction = 0.004  # noqa: N815
     velocity_noise_rad_s: Fraction = 0.002
     terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
-    back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
+    back_emf_harmonics: tuple[Harmonic, ...] = ()  # of each actuator
     temperature_noise_K: Fraction = 0.05  # noqa: N815
-    temperature_offset_K: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
-    # of the rise above ambient, as a sensor shows it
+    temperature_offset_K: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero point)
+    # reading over true value, of the rise above ambient
     temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = 1.0
 
     def expect(self, condition: str) -> None:
@@ -177,13 +178,13 @@ class BenchFile(Block):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
     title: str = ""
-    setup: Literal["free", "locked", "coupled", "heated"] | None = None  # none: whatever the protocol asks for
+    setup: Literal["free", "locked", "coupled", "heated"] | None = None  # None: any set-up that the protocol asks for
     motors: dict[Literal["test", "load"], str]
     buses: dict[Name, Annotated[Bus, Field(discriminator="kind")]]
     devices: Annotated[dict[Name, Device], Field(min_length=1)]
     limits: Limits
     interlocks: Interlocks = Interlocks()
-    response: BenchModel = BenchModel()  # of supply, sensors and loops, as far as they are known
+    response: BenchModel = BenchModel()  # known properties of supply, sensors and loops
     emulated: Emulated | None = None
 
     @model_validator(mode="after")
@@ -203,12 +204,12 @@ class CheckedDevice(BaseModel):
 
 
 def names() -> list[str]:
-    """Names of the bench files that ship with leactl."""
+    """Return the names of the bench files that ship with leactl."""
     return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 
 
 def shipped_file(name: str) -> yamlfile.Document:
-    """A bench file that ships with leactl, as it is written."""
+    """Return a bench file that ships with leactl, unchecked."""
     return yamlfile.load(SHIPPED / f"{name}.yaml")
 
 
@@ -232,7 +233,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, bench.buses, usable)
     faults += _shared_identifiers(document, usable)
-    faults += _false_signs_of_life(document, usable)
+    faults += _shared_host_addresses(document, usable)
     faults += _shared_folders(document, usable)
     faults += _shared_roles(document, usable)
     faults += [document.fault(("interlocks", *keys), text) for keys, text in bench.interlocks.beyond(bench.limits)]
@@ -242,16 +243,21 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
 
 
 def devices_of_run(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
-    """The devices of a run: all, but those `on_demand` only if they measure one of the quantities `asked`."""
+    """Return the devices of a run.
+
+    Parameters
+    ----------
+    asked : quantities; a device that is `on_demand` takes part only if it measures one of them.
+    """
     return [
         device
         for device in devices
-        if not device.entry.on_demand or any(shown.quantity in asked for shown in device.settings.shown())
+        if not device.entry.on_demand or any(measured.quantity in asked for measured in device.settings.shown())
     ]
 
 
 def check_devices(bench: BenchFile) -> list[CheckedDevice]:
-    """The devices of a bench that `load` has already checked, possibly in another process."""
+    """Return the devices of a bench that `load` has already checked, possibly in another process."""
     return [
         CheckedDevice(name=name, entry=entry, settings=registry.load(entry.driver).Settings(**entry.settings))
         for name, entry in bench.devices.items()
@@ -259,7 +265,7 @@ def check_devices(bench: BenchFile) -> list[CheckedDevice]:
 
 
 def nominal_model(bench: BenchFile) -> str:
-    """Text of a model file for a bench: that of the test motor, with `response` of the bench file as block `bench`."""
+    """Return the text of a model file for a bench: the file of the test motor, with `response` as block `bench`."""
     known = bench.response.model_dump(exclude_none=True)
     block = "".join(f"  {name}: {value!r}\n" for name, value in known.items())
     motor = load_motor(bench.motors["test"])[1].text.rstrip("\n")
@@ -267,12 +273,16 @@ def nominal_model(bench: BenchFile) -> str:
 
 
 def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
-    """Time [s] for which each device runs on without the host's heartbeat; None if it monitors none."""
+    """Return for how long each device runs on without the host's heartbeat [s], by name; None if it monitors none."""
     return {device.name: device.settings.host_silence_s for device in devices}
 
 
 def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | LineBus]:
-    """Buses changed by words `NAME=INTERFACE:CHANNEL` (CAN), `NAME=serial:PORT` or `NAME=visa:RESOURCE`, by name.
+    """Return the buses that words change, by name, with their new interface, channel, port or resource.
+
+    Parameters
+    ----------
+    words : each `NAME=INTERFACE:CHANNEL` (CAN), `NAME=serial:PORT` or `NAME=visa:RESOURCE`.
 
     Raises
     ------
@@ -304,7 +314,7 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
 
 
 def _unusable_drivers(document: yamlfile.Document) -> list[str]:
-    """One line for each driver that cannot be loaded, for a file with other faults, so that all are reported."""
+    """Return one line for each driver that cannot be loaded, so that a file with other faults reports these too."""
     devices = document.data.get("devices") if isinstance(document.data, dict) else None
     faults = []
     for name, entry in devices.items() if isinstance(devices, dict) else ():
@@ -320,76 +330,80 @@ def _unusable_drivers(document: yamlfile.Document) -> list[str]:
 def _shared_addresses(
     document: yamlfile.Document, buses: Mapping[str, Bus], devices: Sequence[CheckedDevice]
 ) -> list[str]:
-    """One line for each device with the bus address of another: each would take the other's commands for its own."""
-    first: dict[tuple[str, int | None], str] = {}
+    """Return one line for each device with the bus address of another: both would obey commands to either of them."""
+    owners: dict[tuple[str, int | None], str] = {}
     faults = []
     for device in devices:
         bus, address = device.entry.bus, device.settings.bus_address
         wire = buses.get(bus or "")
-        line = isinstance(wire, LineBus)  # its devices have addresses, or it has one
-        if bus is None or (address is None and not line):
+        is_line = isinstance(wire, LineBus)  # takes one device, or several with addresses
+        if bus is None or (address is None and not is_line):
             continue
-        socket = "{} port {}".format(*wire.address) if isinstance(wire, VisaBus) else ""  # two names are one instrument
-        holder = first.setdefault((socket or bus, address), device.name)
-        if holder != device.name:
+        # two buses may lead to one instrument
+        socket = "{} port {}".format(*wire.address) if isinstance(wire, VisaBus) else ""
+        owner = owners.setdefault((socket or bus, address), device.name)
+        if owner != device.name:
             where = (socket or f"bus '{bus}'") if address is None else f"address {address} on bus '{bus}'"
-            message = f"{where} is that of {holder}; another one was expected"
+            message = f"{where} is that of {owner}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
     return faults
 
 
 def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """One line for each device that shares CAN identifiers with a device of another protocol on the same bus."""
+    """Return one line for each device that shares CAN identifiers with a device of another driver on the same bus."""
     faults = []
     for index, device in enumerate(devices):
-        for other in devices[:index]:
-            if other.entry.bus != device.entry.bus or other.entry.driver == device.entry.driver:
+        for earlier in devices[:index]:
+            if earlier.entry.bus != device.entry.bus or earlier.entry.driver == device.entry.driver:
                 continue
-            shared = sorted(device.settings.bus_identifiers & other.settings.bus_identifiers)
+            shared = sorted(device.settings.bus_identifiers & earlier.settings.bus_identifiers)
             if shared:
                 named = ", ".join(f"0x{identifier:03X}" for identifier in shared[:4])
                 message = (
-                    f"uses the identifiers {named} of {other.name} on bus '{device.entry.bus}'; another node or bus"
+                    f"uses the identifiers {named} of {earlier.name} on bus '{device.entry.bus}'; another node or bus"
                 )
                 faults.append(document.fault(("devices", device.name, "settings"), f"{message} was expected"))
     return faults
 
 
-def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """One line for each device with the host's heartbeat address: it would keep another running without the host."""
+def _shared_host_addresses(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """Return one line for each device that knows the host by the bus address of another device on its bus.
+
+    It would take the messages of that device for heartbeats of the host, and run on without the host.
+    """
     faults = []
     for device in devices:
         host = device.settings.host_bus_address
-        for other in devices:
-            if host is not None and other.entry.bus == device.entry.bus and other.settings.bus_address == host:
-                message = f"the host's address {host} is that of {other.name}, which would keep {device.name} going"
+        for neighbour in devices:
+            if host is not None and neighbour.entry.bus == device.entry.bus and neighbour.settings.bus_address == host:
+                message = f"the host's address {host} is that of {neighbour.name}, which would keep {device.name} going"
                 faults.append(document.fault(("devices", device.name, "settings"), f"{message} without the host"))
     return faults
 
 
 def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """One line for each device whose folder of exports is that of another device."""
-    first: dict[Path, str] = {}
+    """Return one line for each device whose folder of exports is that of another device."""
+    owners: dict[Path, str] = {}
     faults = []
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
-            holder = first.setdefault(Path(os.path.normpath(settings.exports_folder)), device.name)
-            if holder != device.name:
-                message = f"{settings.exports_folder} is that of {holder}; a folder of its own was expected"
+            owner = owners.setdefault(Path(os.path.normpath(settings.exports_folder)), device.name)
+            if owner != device.name:
+                message = f"{settings.exports_folder} is that of {owner}; a folder of its own was expected"
                 faults.append(document.fault(("devices", device.name, "settings", "exports_folder"), message))
     return faults
 
 
 def _shared_roles(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
-    """One line for each drive in the role of another: a protocol names a drive by its role."""
-    first: dict[str, str] = {}
+    """Return one line for each drive in the role of another: a protocol names a drive by its role."""
+    owners: dict[str, str] = {}
     faults = []
     for device in devices:
         if hasattr(registry.load(device.entry.driver), "engage"):
-            holder = first.setdefault(device.entry.role, device.name)
-            if holder != device.name:
-                message = f"{device.entry.role} is the role of {holder}; another one was expected"
+            owner = owners.setdefault(device.entry.role, device.name)
+            if owner != device.name:
+                message = f"{device.entry.role} is the role of {owner}; another one was expected"
                 faults.append(document.fault(("devices", device.name, "role"), message))
     return faults
 
@@ -397,6 +411,7 @@ def _shared_roles(document: yamlfile.Document, devices: Sequence[CheckedDevice])
 def _check(
     document: yamlfile.Document, bench: BenchFile, name: str, entry: Device, faults: list[str]
 ) -> CheckedDevice | None:
+    """Check a device and append its faults; return None if its driver or its settings cannot be used."""
     keys: tuple[str | int, ...] = ("devices", name)
     try:
         driver = registry.load(entry.driver)
@@ -422,15 +437,16 @@ def _check(
         )
         message = f"the drive {stated}; {SAFE_STATE_S:g} s at the most were expected"
         faults.append(document.fault((*keys, "settings"), message))
-    for shown in settings.shown():
-        bounds = bench.limits.of(shown.quantity)
-        if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:
-            unit = UNITS[shown.quantity]
+    for measurable in settings.shown():
+        bounds = bench.limits.of(measurable.quantity)
+        if bounds is not None and not measurable.low <= bounds[0] <= bounds[1] <= measurable.high:
+            unit = UNITS[measurable.quantity]
             faults.append(
                 document.fault(
-                    (*keys, "settings", *shown.place),
-                    f"tells {shown.quantity} from {shown.low:.4g} to {shown.high:.4g} {unit}; its limits of"
-                    f" {bounds[0]:g} to {bounds[1]:g} {unit} would never trip: lower them, or widen the sensor's range",
+                    (*keys, "settings", *measurable.place),
+                    f"tells {measurable.quantity} from {measurable.low:.4g} to {measurable.high:.4g} {unit}; its limits"
+                    f" of {bounds[0]:g} to {bounds[1]:g} {unit} would never trip: lower them, or widen the sensor's"
+                    " range",
                 )
             )
     return CheckedDevice(name=name, entry=entry, settings=settings)

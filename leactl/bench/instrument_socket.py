@@ -1,6 +1,6 @@
-"""The raw socket of an instrument on the network (SCPI-RAW, mostly port 5025 or 5555) as a line.
+"""Use the raw socket of an instrument on the network (SCPI-RAW, mostly port 5025 or 5555) like a serial line.
 
-Written over the socket module and not over pyvisa-py, whose sockets break what a line promises (decision 20).
+The socket module is used and not pyvisa-py, whose sockets do not keep the contract of a line (decision 20).
 """
 
 import errno
@@ -8,10 +8,10 @@ import select
 import socket
 import struct
 
-CONNECT_S = 0.3  # a third of what a safe state has; on a local network a connection takes some ms
-# What was sent and is not acknowledged for so long is never delivered: a command to switch on must not reach the supply
-# when the cable is plugged in again minutes later.
-UNACKNOWLEDGED_MS = 1000  # the kernel looks when it would repeat the next time: after 1.4 s
+CONNECT_S = 0.3  # a third of the time for a safe state; on a local network a connection takes some ms
+# Bytes that are not acknowledged within this time are dropped: a command to switch on must not reach the supply when
+# the cable is plugged in again minutes later.
+UNACKNOWLEDGED_MS = 1000  # the kernel checks it when it would next repeat the bytes: after 1.4 s
 MOST_BYTES = 4096
 MEANING = {
     errno.ECONNREFUSED: "the connection is refused; is the port right, and does another program hold it?",
@@ -26,10 +26,10 @@ class InstrumentSocket:
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         options = (
-            # each command goes out at once, and not with the acknowledgement of the one before
+            # send each command at once, without a wait for the acknowledgement of the command before
             (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
             (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNACKNOWLEDGED_MS),
-            # however the connection ends, the death of this process included, what is not sent yet is dropped
+            # drop bytes that are not sent yet when the connection ends, even by the death of this process
             (socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)),
         )
         try:
@@ -45,7 +45,7 @@ class InstrumentSocket:
             raise OSError(f"{host} port {port}: {meaning}") from None
 
     def read(self, timeout: float) -> bytes:
-        """Bytes that have arrived; waits at most `timeout` seconds for the first.
+        """Return the bytes that have arrived, after a wait of at most `timeout` [s] for the first of them.
 
         Raises
         ------
@@ -55,15 +55,15 @@ class InstrumentSocket:
         if not ready:
             return b""
         try:
-            read = self._socket.recv(MOST_BYTES)
+            data = self._socket.recv(MOST_BYTES)
         except BlockingIOError:
             return b""
-        if not read:
+        if not data:
             raise OSError("it has closed the connection")
-        return read
+        return data
 
     def write(self, data: bytes) -> int:
-        """Write as many bytes as the kernel accepts at once; returns their number.
+        """Write as many bytes as the kernel accepts at once; return their number.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Facts about the instruments of a bench: reported by the device, else stated in the bench file."""
+"""Collect facts about the instruments of a bench, as reported by the devices or else stated in the bench file."""
 
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
@@ -11,7 +11,7 @@ from leactl.yamlfile import printable
 
 
 class Provenance:
-    """One instrument: its entry in the bench file, and its reported identity once it is open."""
+    """Facts about one instrument: its entry in the bench file, and the identity that it reports when it is opened."""
 
     def __init__(self, entry: Instrument) -> None:
         self._entry = entry
@@ -22,7 +22,7 @@ class Provenance:
 
         Raises
         ------
-        DeviceError : the device reports another serial number than the bench file states.
+        DeviceError : the device reports a serial number, and the bench file states another.
         """
         texts = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
         self._identity = {name: text for name, text in texts.items() if text}
@@ -34,29 +34,29 @@ class Provenance:
 
     @property
     def reported(self) -> dict[str, str]:
-        """What the device reports of itself, without what it leaves empty."""
+        """The facts that the device reports of itself, by name; empty ones are left out."""
         return dict(self._identity)
 
     @property
     def facts(self) -> dict[str, str]:
-        """The known facts among model, serial number, firmware and calibration dates."""
+        """All known facts among model, serial number, firmware and calibration dates, by name."""
         return self._entry.facts | self._identity
 
     @property
     def doubt(self) -> str:
-        """A line if the reported firmware differs from that in the bench file; empty if equal or unknown."""
+        """Line on a reported firmware that differs from that in the bench file; empty if equal or if one is unknown."""
         firmware, expected = self._identity.get("firmware", ""), self._entry.firmware
         differs = firmware and expected and firmware != expected
         return f"firmware {firmware} answers, the bench file says {expected}" if differs else ""
 
 
 def _bare(serial: str) -> str:
-    """A serial number without differences of spelling: case, blanks, leading zeros, 0x."""
+    """Return a serial number without differences of spelling: case, blanks, leading zeros, 0x."""
     return "".join(serial.split()).casefold().removeprefix("0x").lstrip("0")
 
 
 def overdue(devices: Sequence[CheckedDevice], today: date | None = None) -> dict[str, str]:
-    """A line, by device, for each calibration that was due before today (UTC)."""
+    """Return one line for each calibration that was due before today (UTC), by device."""
     today = today or datetime.now(UTC).date()
     lines = {}
     for device in devices:

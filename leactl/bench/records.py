@@ -1,4 +1,4 @@
-"""Devices of a bench whose readings come in files: create them from a bench file, and attach their records to runs."""
+"""Read records from files of the devices of a bench, and attach the records to runs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,11 +18,11 @@ from leactl.runfile.read.reader import Run
 
 
 class RecordDevice:
-    """One device of a bench file that reads records; only `devices.NAME` of the file is used.
+    """A device whose readings come in files, created from `devices.NAME` of a bench file; its other keys are not used.
 
     Raises
     ------
-    InputError : no such device, one whose readings do not come in files, or faults in its settings.
+    InputError : the file has no such device, its readings do not come in files, or its settings have faults.
     """
 
     def __init__(self, document: yamlfile.Document, name: str) -> None:
@@ -36,19 +36,19 @@ class RecordDevice:
             driver = registry.load(self.entry.driver)
             self.settings: DriverSettings = driver.Settings.model_validate(self.entry.settings)
         except ValidationError as error:
-            under = keys if error.title == Device.__name__ else (*keys, "settings")
-            raise InputError(document.explain(error, under)) from None
+            location = keys if error.title == Device.__name__ else (*keys, "settings")
+            raise InputError(document.explain(error, location)) from None
         except InputError as error:
             raise InputError(document.fault((*keys, "driver"), str(error))) from None
         if not hasattr(driver, "read_files"):
             raise InputError(
                 document.fault((*keys, "driver"), f"{self.entry.driver}: its readings do not come in files")
             )
-        self._document, self._place = document, keys
+        self._document, self._location = document, keys
         self.source = cast(BatchSource, driver(name, self.entry.role, self.settings, None, MonotonicClock()))
 
     def read(self, files: list[Path]) -> FileRecord:
-        """Read one record.
+        """Read one record from its files.
 
         Raises
         ------
@@ -61,32 +61,32 @@ class RecordDevice:
 
         Raises
         ------
-        InputError : the settings give no method, or the clocks cannot be aligned.
+        InputError : the settings have no method of alignment, or the clocks cannot be aligned.
         """
         clock = self.source.clock
         if clock is None:
             message = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
-            raise InputError(self._document.fault((*self._place, "settings", "clock"), message))
+            raise InputError(self._document.fault((*self._location, "settings", "clock"), message))
         with Run.open(run) as opened:
             return align_record(record, clock, opened)
 
-    def attach(self, joined: AlignedRecord, run: Path, replace: bool = False) -> None:
+    def attach(self, record: AlignedRecord, run: Path, replace: bool = False) -> None:
         """Store an aligned record in its run, with the settings that it was read with.
 
         Raises
         ------
-        InputError : the run has such a stream.
+        InputError : the run already has such a stream, and `replace` is false.
         """
         settings = self.settings.model_dump(mode="json", exclude_none=True)
-        attach(run, joined, settings, self.entry.driver, replace)
+        attach(run, record, settings, self.entry.driver, replace)
 
 
 def bench_of_run(run: Path) -> yamlfile.Document:
-    """The bench file that a run stores.
+    """Return the bench file that a run stores.
 
     Raises
     ------
-    InputError : the run stores none.
+    InputError : the run stores no bench file.
     """
     with Run.open(run) as opened:
         text = opened.source("bench")
@@ -96,9 +96,9 @@ def bench_of_run(run: Path) -> yamlfile.Document:
 
 
 def with_run_folders(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
-    """Devices whose relative folders of exports are moved below the directory of the runs.
+    """Return the devices, with relative folders of exports changed to folders below the directory of the runs.
 
-    With `run_id`, each run has a folder of its own below that, because emulated runs may execute at the same time.
+    With `run_id`, each run has a folder of its own in them, because emulated runs may execute at the same time.
     """
     relocated = []
     for device in devices:
@@ -111,21 +111,21 @@ def with_run_folders(devices: Sequence[CheckedDevice], runs: Path, run_id: str =
 
 
 def devices_with_exports(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
-    """Devices of a bench, by name, whose exports are attached to a run at its end."""
+    """Return the devices of a bench whose exports are attached to a run at its end, by name."""
     sources = {name: driver for name, driver in drivers.items() if isinstance(driver, BatchSource)}
     return {name: source for name, source in sources.items() if source.exports.folder is not None}
 
 
 def attach_exports(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
-    """Attach the exports since the bench was opened to a run; one line for each device that failed.
+    """Attach to a run all exports since the bench was opened; return one line for each device that failed.
 
-    A failure is no error of the run, which is closed and complete: the record can be attached by hand later.
+    A failure is no error of the run, which is closed and complete: a person can attach the record later.
     """
     failures = []
     for name, source in devices_with_exports(drivers).items():
         try:
             _attach_fresh(source, RecordDevice(document, name), run)
-        except Exception as fault:  # noqa: BLE001 (one plug-in's mistake is no reason to lose the records of the others)
+        except Exception as fault:  # noqa: BLE001 (a fault of one plug-in must not lose the records of the others)
             failures.append(
                 f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}"
             )
@@ -133,6 +133,12 @@ def attach_exports(drivers: Mapping[str, Driver], document: yamlfile.Document, r
 
 
 def _attach_fresh(source: BatchSource, device: RecordDevice, run: Path) -> None:
+    """Attach the exports of one device since the bench was opened.
+
+    Raises
+    ------
+    InputError : there are no exports, or they cannot be read, aligned or attached.
+    """
     files = source.exports.fresh()
     if not files:
         absent = ", which is no folder that can be looked into" * source.exports.absent

@@ -1,4 +1,4 @@
-"""A serial device of this machine: pyserial opens and configures it; bytes are read and written by system calls.
+"""Use a serial device of this machine: pyserial opens and configures it, system calls read and write the bytes.
 
 pyserial 3.5 never returns from a write that the kernel does not accept (pyserial issue 280), and Linux delays the close
 of a line with unsent bytes by 30 s.
@@ -44,7 +44,7 @@ class Tty:
         self._descriptor = self._serial.fileno()
 
     def read(self, timeout: float) -> bytes:
-        """Bytes that have arrived; waits at most `timeout` seconds for the first.
+        """Return the bytes that have arrived, after a wait of at most `timeout` [s] for the first of them.
 
         Raises
         ------
@@ -54,15 +54,15 @@ class Tty:
         if not ready:
             return b""
         try:
-            read = os.read(self._descriptor, MOST_BYTES)
+            data = os.read(self._descriptor, MOST_BYTES)
         except BlockingIOError:
             return b""
-        if not read:  # a device that was pulled out is always ready and has nothing
+        if not data:  # a device that was unplugged is always ready and has no bytes
             raise OSError("nothing is at the other end")
-        return read
+        return data
 
     def write(self, data: bytes) -> int:
-        """Write as many bytes as the kernel accepts at once; returns their number.
+        """Write as many bytes as the kernel accepts at once; return their number.
 
         Raises
         ------

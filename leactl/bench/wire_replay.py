@@ -1,7 +1,7 @@
-"""Replay a trace against the drivers: the same calls in the same order, with the recorded input on the wires.
+"""Replay a trace against the drivers: make the same calls in the same order, with the recorded input on the wires.
 
-Time is that of the trace. A driver has to send the recorded bytes; at the first difference the replay ends, because the
-recorded input would no longer answer what is sent.
+The clock is that of the trace. A driver has to send the recorded bytes; the replay ends at the first difference,
+because the recorded input would no longer answer the bytes that are sent.
 """
 
 import errno
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 class Difference(NamedTuple):
     """The first difference between a replay and its trace."""
 
-    line: int  # of the file
-    owner: str
-    stands: str  # in the trace
-    came: str  # in the replay
+    line: int  # number of the line in the file
+    owner: str  # bus or device
+    stands: str  # text of the line in the trace
+    came: str  # what happened instead in the replay
 
     def __str__(self) -> str:
         return f"{self.owner}: {self.came} where the trace has {self.stands}"
@@ -55,12 +55,12 @@ class Replayed(NamedTuple):
     calls: int  # calls that ended as in the trace
     transfers: int  # equal transfers on all wires
     difference: Difference | None
-    raised: tuple[str, ...]  # errors that calls raised, in order, each once
+    raised: tuple[str, ...]  # errors of calls, each once, in the order of their first occurrence
     cut_short: bool  # the trace ends within a call
 
 
 class Diverged(BaseException):
-    """Other bytes were sent than in the trace; a BaseException, so that no driver handles it."""
+    """A transfer differs from the trace; a BaseException, so that no driver handles it."""
 
     def __init__(self, difference: Difference) -> None:
         super().__init__(str(difference))
@@ -68,48 +68,52 @@ class Diverged(BaseException):
 
 
 class ReplayClock:
-    """The clock of the trace: each call sets it, and waits and received bytes advance it."""
+    """The clock of the trace: each call sets it, and waits and transfers advance it."""
 
     def __init__(self) -> None:
         self._time = 0.0
 
     def now(self) -> float:
-        """Seconds of the trace."""
+        """Return the time of the trace [s]."""
         return self._time
 
     def set(self, moment: float) -> None:
-        """Set the time to that of the bench's clock when a call was made."""
+        """Set the time to that of a call in the trace [s]."""
         self._time = moment
 
     def sleep_until(self, moment: float) -> None:
-        """Advance to a moment; never goes back."""
+        """Advance to a moment [s]; an earlier one changes nothing."""
         self._time = max(self._time, moment)
 
 
 class Wire:
-    """The remaining lines of one bus in the trace."""
+    """One bus in the trace, with its position among the lines of the bus."""
 
     def __init__(self, name: str, lines: Sequence[TraceLine], replay: "ReplayWiring") -> None:
         self.name, self._lines, self._replay, self._next = name, lines, replay, 0
 
     def now(self) -> float:
-        """Seconds of the trace."""
+        """Return the time of the trace [s]."""
         return self._replay.clock.now()
 
     def connect(self) -> None:
-        """Connect a serial line or a raw socket, or fail to, as in the trace.
+        """Connect a serial line or a raw socket, if that succeeded in the trace.
 
         Raises
         ------
         OSError : connecting failed in the trace.
         """
-        line = self._present()
+        line = self._line_of_call()
         if line is not None and line.kind == FAILED and line.text.startswith(CONNECT):
             self._take()
             raise OSError(line.text.removeprefix(CONNECT))
 
     def send(self, text: str) -> str:
-        """Compare sent bytes with the next line of the trace; returns those that were taken.
+        """Compare sent bytes with the next line of the trace; return those that the line accepted then, in hex.
+
+        Parameters
+        ----------
+        text : the bytes in hex, or a CAN frame as of `frame_text`.
 
         Raises
         ------
@@ -121,21 +125,23 @@ class Wire:
             return text  # the trace was cut short
         if line.kind == FAILED:
             raise OSError(line.text)
-        taken, _, refused = line.text.partition(NOT_TAKEN)
-        if line.kind != SENT or taken + refused != text:
-            stands = f"'{line.kind} {line.text}'"
-            raise Diverged(Difference(line.number, self.name, stands, f"'> {text}' was sent"))
-        return taken
+        accepted, _, refused = line.text.partition(NOT_TAKEN)
+        if line.kind != SENT or accepted + refused != text:
+            recorded = f"'{line.kind} {line.text}'"
+            raise Diverged(Difference(line.number, self.name, recorded, f"'> {text}' was sent"))
+        return accepted
 
     def hear(self, timeout: float) -> str | None:
-        """The next input within the present call; None, with time advanced by `timeout`, if there is none.
+        """Return the next input within the present call; without one, wait for `timeout` [s] and return None.
+
+        The wait advances the clock of the trace.
 
         Raises
         ------
         OSError : receiving failed in the trace.
         """
         clock = self._replay.clock
-        line = self._present()
+        line = self._line_of_call()
         if line is None or line.kind == SENT:
             clock.sleep_until(clock.now() + timeout)
             return None
@@ -145,11 +151,16 @@ class Wire:
         return line.text
 
     def transfer(self, kind: str, text: str) -> str:
-        """A transfer on a bus that answers at once; returns the trace's line, which has to begin with `text`.
+        """Make a transfer on a bus that answers at once; return the text of the next line of the trace.
+
+        Parameters
+        ----------
+        kind : `SENT` or `HEARD`.
+        text : beginning of the line.
 
         Raises
         ------
-        Diverged : the trace has another line.
+        Diverged : the next line has another kind or beginning.
         OSError : the transfer failed in the trace, with the same errno.
         """
         line = self._take()
@@ -158,16 +169,17 @@ class Wire:
         if line.text.startswith(text) and line.kind == FAILED:
             raise OSError(int(line.text.rpartition(" ")[2]), "as it was then")
         if line.kind != kind or not line.text.startswith(text):
-            stands = f"'{line.kind} {line.text}'"
-            raise Diverged(Difference(line.number, self.name, stands, f"'{kind} {text}' was asked for"))
+            recorded = f"'{line.kind} {line.text}'"
+            raise Diverged(Difference(line.number, self.name, recorded, f"'{kind} {text}' was asked for"))
         return line.text
 
-    def _present(self) -> TraceLine | None:
-        """The next line; None if it does not belong to the present call."""
+    def _line_of_call(self) -> TraceLine | None:
+        """Return the next line of the bus, or None if it does not belong to the present call."""
         line = self._lines[self._next] if self._next < len(self._lines) else None
         return line if line is not None and line.number <= self._replay.call_ends else None
 
     def _take(self) -> TraceLine | None:
+        """Return the next line of the bus and advance past it; None at the end of the trace."""
         if self._next >= len(self._lines):
             return None
         line = self._lines[self._next]
@@ -182,38 +194,40 @@ class ReplayWiring:
 
     def __init__(self, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
         self.clock = ReplayClock()
-        self.call_ends = 0  # line of the trace at which the call under way ended
+        self.call_ends = 0  # number of the line at which the present call ended
         self.transfers = 0
-        wires = (SENT, HEARD, FAILED)
+        transfer_kinds = (SENT, HEARD, FAILED)
         self._wires = {
-            name: Wire(name, [line for line in lines if line.owner == name and line.kind in wires], self)
+            name: Wire(name, [line for line in lines if line.owner == name and line.kind in transfer_kinds], self)
             for name in buses
         }
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """Connect to a bus of the trace."""
+        """Return a function that connects to a CAN bus of the trace."""
         return lambda: _CanSide(self._wires[name])  # type: ignore[return-value]
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """Connect to a bus of the trace."""
+        """Return a function that connects to an I2C bus of the trace."""
         return lambda: _I2cSide(self._wires[name])
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
-        """Connect to a line of the trace."""
+        """Return a function that connects to a serial line of the trace."""
         return lambda: _LineSide(self._wires[name])
 
     def library(self, device: str) -> Any:
-        """No library is a wire."""
+        """Raise InputError: calls of a library are not in a trace."""
         raise InputError(f"{device} has no bus")
 
     def wait_for_disk(self) -> None:
-        """Nothing is written."""
+        """Do nothing: a replay writes no run file."""
 
     def hang(self, torque: float) -> None:
-        """Nothing hangs."""
+        """Do nothing: a replay has no weights."""
 
 
 class _LineSide:
+    """A serial line of a replay, as a driver's port uses it."""
+
     def __init__(self, wire: Wire) -> None:
         wire.connect()
         self._wire = wire
@@ -230,6 +244,8 @@ class _LineSide:
 
 
 class _CanSide:
+    """A CAN bus of a replay, as a driver's port uses it."""
+
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
 
@@ -261,6 +277,8 @@ class _CanSide:
 
 
 class _I2cSide:
+    """An I2C bus of a replay, as a driver's port uses it."""
+
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
 
@@ -278,11 +296,12 @@ class _I2cSide:
 def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Replayed:
     """Repeat the calls of a trace on the drivers of its bench; devices without a bus are left out.
 
-    Each run of the trace has drivers of its own; an `open` after a `close` begins the next run.
+    Each run of the trace has new drivers; an `open` after a `close` begins the next run.
 
     Raises
     ------
-    InputError : no trace, a trace of another bench, one without calls, or one whose CAN frames are in a separate log.
+    InputError : the file is no trace or a trace of another bench, or has no calls, or its CAN frames are in a separate
+        log.
     """
     lines = read_trace(path)
     wired = [device for device in devices if device.entry.bus]
@@ -321,7 +340,7 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
 
 
 def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
-    """The line at which each call ended, by the number of the line of the call."""
+    """Return the line at which each call ended, by the number of the line at which it began."""
     open_calls: dict[str, int] = {}
     ends = {}
     for line in lines:
@@ -333,7 +352,7 @@ def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
 
 
 def _call_of(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:
-    """The call that a line describes, as a function without arguments.
+    """Return the call that a line describes, as a function without arguments.
 
     Raises
     ------

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 HEAD = "# leactl wire trace 1"
 SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
 KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
-CONNECT = "connect "  # before the error of a line that could not be connected
-NOT_TAKEN = "/"  # before the bytes that a full line did not take
+CONNECT = "connect "  # precedes the error if a line could not be connected
+NOT_TAKEN = "/"  # precedes the bytes that a full line did not accept
 CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
 FLUSH_S = 0.5
-CALLS = (  # methods of a driver that are traced; what it sends follows from these calls and from its input
+CALLS = (  # methods of a driver that are traced; these calls and its input determine the bytes that it sends
     "open",
     "close",
     "safe_state",
@@ -65,33 +65,37 @@ class TraceLine(NamedTuple):
 
 
 class WireTrace:
-    """A trace that is being written; if the name has an ending of python-can's logs, CAN frames go to such a log."""
+    """A trace that is being written.
+
+    If the path has a suffix of python-can's logs, CAN frames are written to such a log, and all else to a file with the
+    suffix `.trace`.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Create the file.
+        """Create the file, or both files.
 
         Raises
         ------
-        InputError : the file exists or cannot be written.
+        InputError : a file exists or cannot be written.
         """
-        logged = path.suffix.lower() in CAN_LOGS
-        self.path = path.with_suffix(".trace") if logged else path
+        has_can_log = path.suffix.lower() in CAN_LOGS
+        self.path = path.with_suffix(".trace") if has_can_log else path
         self._files = ExitStack()
-        self._depth: dict[str, int] = {}
+        self._depth: dict[str, int] = {}  # by device or bus, 1 while a traced call is under way
         self._can_log: Any = None
-        self._flushed = -math.inf
+        self._flushed = -math.inf  # s, time of the last flush
         self._is_empty = True  # until a line or a frame is to be written
         self._paths = {path, self.path}
-        self._earlier = 0.0  # s, duration of the runs before this one, if this one's clock began at 0 again
+        self._clock_offset = 0.0  # s, duration of the earlier runs, if the clock began at 0 again for this run
         self.fault = ""  # why lines are missing from here on
         self.now: Callable[[], float] = lambda: 0.0  # the bench's clock, once there is one
-        for taken in self._paths:
-            refuse_existing(taken)
+        for new_path in self._paths:
+            refuse_existing(new_path)
         try:
             self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
-        if logged:
+        if has_can_log:
             try:
                 import can
 
@@ -112,14 +116,14 @@ class WireTrace:
                 self._remove()
 
     def _remove(self) -> None:
-        """Remove the files, which would stand in the way of the next attempt."""
-        for made in self._paths:
-            made.unlink(missing_ok=True)
+        """Remove the files, because the next attempt refuses to overwrite them."""
+        for path in self._paths:
+            path.unlink(missing_ok=True)
 
     def follow(self, now: Callable[[], float]) -> None:
-        """Use this clock from now on; an emulated bench has a new one for each run, which begins at 0."""
+        """Use this clock from now on; an emulated bench has a new clock for each run, which begins at 0."""
         if now() < self.now():
-            self._earlier += self.now()
+            self._clock_offset += self.now()
         self.now, self._flushed = now, -math.inf
 
     def write(self, owner: str, kind: str, text: str) -> None:
@@ -139,7 +143,7 @@ class WireTrace:
         self.write(owner, FAILED, transfer + str(error).replace("\\", "\\\\").replace("\n", "\\n"))
 
     def frame(self, owner: str, kind: str, message: "can.Message") -> None:
-        """Add a CAN frame."""
+        """Add a CAN frame, as a line or to the log of CAN frames."""
         self._is_empty = False
         if not self.fault:
             with self._errors_to_fault():
@@ -150,21 +154,25 @@ class WireTrace:
         """Store an error of the trace, such as a full disk, in `fault`; it must not delay the stop of a drive."""
         try:
             yield
-        except Exception as error:  # noqa: BLE001 (nothing in a trace is worth a run)
+        except Exception as error:  # noqa: BLE001 (a failure of the trace must not end the run)
             reason = " ".join(str(error).split()) or type(error).__name__
             self.fault = f"{self.path}: nothing more was written: {reason}"
 
     def _add_frame(self, owner: str, kind: str, message: "can.Message") -> None:
+        """Add a CAN frame to the log of CAN frames if there is one, else as a line."""
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
-        logged = copy.copy(message)
+        stamped = copy.copy(message)
         # python-can 4.6 gives a frame in a .blf the time of the first one if its own time is earlier
-        logged.timestamp, logged.channel, logged.is_rx = self._earlier + self.now(), owner, kind == HEARD
-        self._can_log(logged)
+        stamped.timestamp, stamped.channel, stamped.is_rx = self._clock_offset + self.now(), owner, kind == HEARD
+        self._can_log(stamped)
 
     def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a function: it adds a line when it is called and when it ends, unless another traced call made it."""
+        """Return a function that also adds a line when it begins and when it ends.
+
+        No lines are added while another traced call of the same device or bus is under way.
+        """
 
         def call(*arguments: Any) -> Any:
             if self._depth.get(owner, 0):
@@ -180,7 +188,7 @@ class WireTrace:
             finally:
                 self._depth[owner] = 0
                 if name == "close":
-                    self._flushed = -math.inf  # the next line is flushed: the clock may stand until another run
+                    self._flushed = -math.inf  # flush the next line: the clock may not advance before the next run
             with self._errors_to_fault():
                 values = function.__self__.values if name == "end_cycle" else result  # type: ignore[attr-defined]
                 self.write(owner, ENDED, outcome_text(values))
@@ -190,9 +198,10 @@ class WireTrace:
 
 
 def frame_text(message: "can.Message") -> str:
-    """A CAN frame as text: identifier and data in hex, then its marks.
+    """Return a CAN frame as text: identifier and data in hex, then its marks.
 
-    x marks an extended, e an error, r a remote frame; F one of CAN FD, B data at the faster bit rate.
+    The marks are x for an extended identifier, e for an error frame, r for a remote frame, F for CAN FD, and B for data
+    at the faster bit rate.
     """
     marks = ("x" if message.is_extended_id else "") + ("e" if message.is_error_frame else "")
     marks += ("r" if message.is_remote_frame else "") + ("F" if message.is_fd else "")
@@ -201,7 +210,7 @@ def frame_text(message: "can.Message") -> str:
 
 
 def outcome_text(result: Any, error: BaseException | None = None) -> str:
-    """The reproducible result of a call as JSON: an error, readings, notices, or a confirmation; else null."""
+    """Return the reproducible result of a call as JSON: an error, readings, notices, or a confirmation; else null."""
     if error is not None:
         return json.dumps({"raised": type(error).__name__, "text": str(error)})
     if isinstance(result, Confirmation):
@@ -209,26 +218,29 @@ def outcome_text(result: Any, error: BaseException | None = None) -> str:
     if isinstance(result, Mapping):  # of a tare
         return json.dumps({name: float(value) for name, value in result.items()})
     if isinstance(result, list | tuple):
-        return json.dumps([_reproducible(part) for part in result])
+        return json.dumps([_reproducible(item) for item in result])
     return "null"
 
 
-def _reproducible(part: Any) -> Any:
-    """A part of a result without its stamp: the clock is read some microseconds apart in a replay."""
-    if isinstance(part, SampleBlock):  # a fast converter's values as text would take too much of a cycle
-        return [part.stream, len(part.times), zlib.crc32(part.values.tobytes())]
-    if isinstance(part, Row):
-        return [part.stream, [float(value) for value in part.values], part.fault]
-    return part if isinstance(part, str) else float(part)
+def _reproducible(item: Any) -> Any:
+    """Return an item of a result without its time stamp: a replay reads the clock at times some microseconds apart."""
+    if isinstance(item, SampleBlock):  # a fast converter's values as text would take too much of a cycle
+        return [item.stream, len(item.times), zlib.crc32(item.values.tobytes())]
+    if isinstance(item, Row):
+        return [item.stream, [float(value) for value in item.values], item.fault]
+    return item if isinstance(item, str) else float(item)
 
 
-def is_unlike(outcome: str, stands: str) -> bool:
-    """Whether a call ended otherwise than a trace has it; older traces have null for rows, notices and tares."""
-    return outcome != stands and (stands != "null" or "raised" in json.loads(outcome))
+def is_unlike(outcome: str, recorded: str) -> bool:
+    """Return whether the outcome of a call differs from that in a trace.
+
+    Older traces have null for rows, notices and tares; only an error differs from that.
+    """
+    return outcome != recorded and (recorded != "null" or "raised" in json.loads(outcome))
 
 
 class TracedWiring:
-    """A wiring whose connections write all transfers to a trace."""
+    """Wiring whose connections write all transfers to a trace."""
 
     def __init__(self, wiring: Wiring, trace: WireTrace) -> None:
         self._wiring, self._trace = wiring, trace
@@ -236,20 +248,20 @@ class TracedWiring:
         trace.follow(wiring.clock.now)
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """Function that connects to a CAN bus."""
+        """Return a function that connects to a CAN bus."""
         connect = self._wiring.can(name, bus)
         return lambda: TracedCan(connect(), name, self._trace)  # type: ignore[return-value]
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """Function that connects to an I2C bus."""
+        """Return a function that connects to an I2C bus."""
         connect = self._wiring.i2c(name, bus)
         return lambda: TracedI2c(connect(), name, self._trace)
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
-        """Function that connects to a serial line."""
+        """Return a function that connects to a serial line."""
         connect = self._wiring.serial(name, bus)
 
-        def traced() -> SerialLine:
+        def traced_connect() -> SerialLine:
             try:
                 line = connect()
             except OSError as error:
@@ -257,18 +269,18 @@ class TracedWiring:
                 raise
             return TracedLine(line, name, self._trace)
 
-        return traced
+        return traced_connect
 
     def library(self, device: str) -> Any:
-        """The replacement of a maker's library, which is not traced."""
+        """Return what replaces a maker's library; calls of it are not traced."""
         return self._wiring.library(device)
 
     def wait_for_disk(self) -> None:
-        """Wait as the wiring does before each write of the run file."""
+        """Wait for the disk of the wiring, before each write of the run file."""
         self._wiring.wait_for_disk()
 
     def hang(self, torque: float) -> None:
-        """Apply the torque [N*m] of weights."""
+        """Apply the torque of weights [N*m]."""
         self._wiring.hang(torque)
 
 
@@ -280,7 +292,7 @@ class TracedLine:
         self.close = line.close
 
     def read(self, timeout: float) -> bytes:
-        """Bytes that have arrived."""
+        """Return bytes that have arrived."""
         try:
             read = self._line.read(timeout)
         except OSError as error:
@@ -291,15 +303,15 @@ class TracedLine:
         return read
 
     def write(self, data: bytes) -> int:
-        """Write bytes; those that were not accepted are marked in the trace."""
+        """Write bytes, and mark in the trace those that were not accepted; return the number of those that were."""
         try:
-            taken = self._line.write(data)
+            accepted = self._line.write(data)
         except OSError as error:
             self._trace.failed(self._name, error)
             raise
-        refused = f"{NOT_TAKEN}{data[taken:].hex()}" if taken < len(data) else ""
-        self._trace.write(self._name, SENT, f"{data[:taken].hex()}{refused}")
-        return taken
+        refused = f"{NOT_TAKEN}{data[accepted:].hex()}" if accepted < len(data) else ""
+        self._trace.write(self._name, SENT, f"{data[:accepted].hex()}{refused}")
+        return accepted
 
 
 class TracedCan:
@@ -350,11 +362,12 @@ class TracedI2c:
         self._transfer(lambda: self._bus.write_word_data(i2c_addr, register, value), f"{i2c_addr:02x} {register:02x}")
         self._trace.write(self._name, SENT, f"{i2c_addr:02x} {register:02x} {swapped(value):04x}")
 
-    def _transfer(self, transfer: Callable[[], Any], where: str) -> Any:
+    def _transfer(self, transfer: Callable[[], Any], address: str) -> Any:
+        """Make a transfer; if it fails, add a line with the address and the errno."""
         try:
             return transfer()
         except OSError as error:
-            self._trace.write(self._name, FAILED, f"{where} {error.errno or 0}")
+            self._trace.write(self._name, FAILED, f"{address} {error.errno or 0}")
             raise
 
 
@@ -363,7 +376,7 @@ def read_trace(path: Path) -> list[TraceLine]:
 
     Raises
     ------
-    InputError : no trace, or an invalid line, with its number.
+    InputError : the file is no trace, or has an invalid line, given by its number.
     """
     try:
         text = path.read_bytes().decode("utf-8")
@@ -378,6 +391,12 @@ def read_trace(path: Path) -> list[TraceLine]:
 
 
 def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
+    """Yield the lines of a trace, from the second line of the file on.
+
+    Raises
+    ------
+    InputError : an invalid line, with its number.
+    """
     for number, line in enumerate(lines, start=2):
         time, owner, kind, text = [*line.split(" ", 3), "", "", "", ""][:4]
         try:
@@ -393,18 +412,18 @@ def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
 
 
 def expect_calls(path: Path, lines: Sequence[TraceLine], left_out: Container[str]) -> None:
-    """Refuse a trace that has nothing to replay.
+    """Check that a trace has a call that can be replayed.
 
     Raises
     ------
-    InputError : the trace has no call of a device or bus but of those that are left out.
+    InputError : the trace has no call, except of the devices in `left_out`.
     """
     if not any(line.kind == CALLED and line.owner not in left_out for line in lines):
         raise InputError(f"{path}: holds no call of a device on a bus; a trace of a whole run was expected")
 
 
 def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
-    """Refuse a trace whose CAN frames are in a separate log.
+    """Check that the CAN frames of a trace are not in a separate log.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Connections to buses and the clock: those of this machine; an emulated bench has a wiring of the same interface."""
+"""Connect to the buses of this machine and its clock, by an interface that an emulated bench has too."""
 
 import logging
 from collections.abc import Callable, Iterable
@@ -16,57 +16,57 @@ if TYPE_CHECKING:
     import can
 
 
-# a bus whose constructor failed complains there that nobody shut it down (python-can 4.6); the failure itself is raised
+# python-can 4.6 logs here that a bus was not shut down if its constructor failed; that failure is raised anyway
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def unknown_interface(bus: CanBus) -> str:
-    """A line if python-can does not have the interface of a bus; else empty."""
+    """Return a line if python-can does not have the interface of a bus; else an empty text."""
     import can
 
     known = sorted(can.VALID_INTERFACES)
     if bus.interface in known:
         return ""
-    close = get_close_matches(bus.interface, known, n=1)
-    expected = close[0] if close else f"one of {', '.join(known)}"
+    similar = get_close_matches(bus.interface, known, n=1)
+    expected = similar[0] if similar else f"one of {', '.join(known)}"
     return f"python-can has no interface '{bus.interface}'; {expected} was expected"
 
 
 class Wiring(Protocol):
-    """Factories of connections, and their clock."""
+    """Makes functions that connect to the buses of a bench, and has the clock of the bench."""
 
     @property
     def clock(self) -> Clock:
         """The bench's clock."""
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """Function that connects to a CAN bus."""
+        """Return a function that connects to a CAN bus."""
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """Function that connects to an I2C bus."""
+        """Return a function that connects to an I2C bus."""
 
     def library(self, device: str) -> Any:
-        """Replacement of the maker's library for a device without a bus; None for the library itself."""
+        """Return what replaces the maker's library for a device without a bus; None: the driver uses the library."""
 
     def wait_for_disk(self) -> None:
-        """Called before each write of the run file; an emulated bench waits here for its emulated disk."""
+        """Wait for the emulated disk of an emulated bench; called before each write of the run file."""
 
     def hang(self, torque: float) -> None:
-        """Apply the torque [N*m] of weights on the torque sensor from now on."""
+        """Apply the torque of weights [N*m] to the torque sensor from now on."""
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
-        """Function that connects to a serial line."""
+        """Return a function that connects to a serial line."""
 
 
 class MachineWiring:
-    """The buses of this machine."""
+    """Wiring of the buses of this machine."""
 
     def __init__(self) -> None:
         self.clock: Clock = MonotonicClock()
 
     def load(self, buses: Iterable[Bus]) -> None:
-        """Import what connecting to these buses needs, so that a later connection reads no module from a disk."""
-        import_module("encodings.idna")  # by which sockets take an address
+        """Import the modules that connections to these buses need, so that a connection reads no module from a disk."""
+        import_module("encodings.idna")  # needed by a socket for its address
         for bus in buses:
             if isinstance(bus, CanBus):
                 from can.interfaces import BACKENDS
@@ -82,7 +82,10 @@ class MachineWiring:
                 import_module("serial")
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
-        """Function that connects through any of python-can's interfaces."""
+        """Return a function that connects through python-can.
+
+        The function raises InputError if python-can has no such interface.
+        """
 
         def connect() -> "can.BusABC":
             import can
@@ -97,7 +100,7 @@ class MachineWiring:
         return connect
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
-        """Function that connects through smbus2."""
+        """Return a function that connects through smbus2."""
 
         def connect() -> SmBus:
             from smbus2 import SMBus
@@ -108,7 +111,7 @@ class MachineWiring:
         return connect
 
     def library(self, device: str) -> Any:
-        """None: the driver calls the installed library."""
+        """Return None: the driver uses the installed library."""
         return None
 
     def wait_for_disk(self) -> None:
@@ -118,7 +121,7 @@ class MachineWiring:
         """Do nothing: the operator hangs the weights."""
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
-        """Function that connects to a serial device, or to the raw socket of an instrument."""
+        """Return a function that connects to a serial device, or to the raw socket of an instrument."""
 
         def connect() -> SerialLine:
             if isinstance(bus, VisaBus):

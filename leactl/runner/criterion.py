@@ -1,4 +1,4 @@
-"""Whether a channel meets the criterion of an `until`: a statistic over the latest window, judged as samples come."""
+"""Judge whether a channel meets the criterion of an `until`: a statistic over the latest window lies in a range."""
 
 import math
 from collections import deque
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from leactl.protocol.plan import LEAST_SAMPLES, Until
 
-PARTS = 10  # of a window: its statistic is judged as each of them ends
+PARTS = 10  # of a window; the statistic is judged at the end of each part
 
 
 class Moments(NamedTuple):
@@ -19,24 +19,32 @@ class Moments(NamedTuple):
     time_value: float = 0.0
     value_value: float = 0.0
 
-    def joined(self, other: "Moments") -> "Moments":
-        """Those of both together (Chan, Golub and LeVeque 1983), which loses no digits to large means."""
-        count = self.samples + other.samples
+    def joined(self, added: "Moments") -> "Moments":
+        """Return the moments of two sets of samples together, without a loss of digits to large means.
+
+        Source: Chan, Golub and LeVeque (1983).
+        """
+        count = self.samples + added.samples
         if not count:
             return self
-        share, weight = other.samples / count, self.samples * other.samples / count
-        time, value = other.time - self.time, other.value - self.value
+        share, weight = added.samples / count, self.samples * added.samples / count
+        time_shift, value_shift = added.time - self.time, added.value - self.value
         return Moments(
             count,
-            self.time + share * time,
-            self.value + share * value,
-            self.time_time + other.time_time + weight * time * time,
-            self.time_value + other.time_value + weight * time * value,
-            self.value_value + other.value_value + weight * value * value,
+            self.time + share * time_shift,
+            self.value + share * value_shift,
+            self.time_time + added.time_time + weight * time_shift * time_shift,
+            self.time_value + added.time_value + weight * time_shift * value_shift,
+            self.value_value + added.value_value + weight * value_shift * value_shift,
         )
 
     def statistic(self, name: str) -> float:
-        """Mean, standard deviation, or slope [1/s]; NaN of too few samples."""
+        """Return the mean, standard deviation or slope [1/s] of the values; NaN of too few samples.
+
+        Parameters
+        ----------
+        name : `mean`, `std` or `slope`.
+        """
         if self.samples < LEAST_SAMPLES:
             return math.nan
         if name == "mean":
@@ -47,9 +55,9 @@ class Moments(NamedTuple):
 
 
 class Judge:
-    """Takes the samples of one channel from a moment on and tells once the criterion is met.
+    """Judges the samples of one channel, from a start time on, by one criterion.
 
-    A window that holds a missing sample, or to which the channel gave too few, meets nothing.
+    A window with a missing sample, or with fewer than `LEAST_SAMPLES` samples, does not meet the criterion.
     """
 
     def __init__(self, until: Until, start: float) -> None:
@@ -59,19 +67,24 @@ class Judge:
         self.latest = math.nan  # statistic of the last window that was judged
 
     def receive(self, time: float, value: float) -> None:
-        """Take a sample; one from before the start is no part of any window."""
+        """Add a sample [time in s] to the present part of the window; an older sample is left out."""
         if time >= self._start:
             self._part = self._part.joined(Moments(1, time, value))
 
     def met(self, time: float) -> bool:
-        """Whether the window that has ended by this time meets the criterion."""
-        ended = False
-        while time >= self._start + self._part_s * (1.0 - 1e-9):  # a sum of periods may lack a rounding error
-            ended = True
+        """Return whether a part has ended since the last call, and the window up to its end meets the criterion.
+
+        Parameters
+        ----------
+        time : now [s].
+        """
+        part_ended = False
+        while time >= self._start + self._part_s * (1.0 - 1e-9):  # rounding may leave a sum of periods a little short
+            part_ended = True
             self._start += self._part_s
             self._parts.append(self._part)
             self._part = Moments()
-        if not ended or len(self._parts) < PARTS:
+        if not part_ended or len(self._parts) < PARTS:
             return False
         window = Moments()
         for part in self._parts:

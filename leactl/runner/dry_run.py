@@ -1,4 +1,4 @@
-"""What a run would do and take, without opening a device, and which of its devices can be opened."""
+"""Preview a run without opening a device, and find out which devices of a bench can be opened."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from leactl.safety.thermal.foresight import Forecast
 
 @dataclass(frozen=True)
 class Preview:
-    """What a run would take, from windings at ambient."""
+    """Duration, temperatures and file size of a run that begins with its windings at ambient."""
 
     plan: Plan  # with the waits for cooling that it is to insert
     forecast: Forecast
@@ -34,14 +34,14 @@ class Preview:
 
     @property
     def duration_s(self) -> float:
-        """Bench time, at the least."""
+        """Least duration by the bench's clock [s]."""
         return self.plan.duration_s
 
 
 def preview(request: Request) -> Preview:
-    """Refuse what `execute` would refuse before it opens a device, from windings at ambient; nothing is touched.
+    """Check a request as `execute` does before it opens a device, but with windings at ambient; nothing is touched.
 
-    Another run may hold the bench: this one comes later.
+    No lock is taken: another run may use the bench now, because the previewed run begins later.
 
     Raises
     ------
@@ -61,13 +61,15 @@ def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
 
 
 def failures(request: Request) -> dict[str, str]:
-    """Open each device by itself and let it go; return why it could not be opened, empty where it could.
+    """Open each device alone, make it safe and close it; return, by name, why it could not be opened.
+
+    The text is empty for a device that was opened.
 
     Raises
     ------
     DeviceError : another run holds the bench, or a device that was open is not confirmed safe.
     """
-    texts: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     with locks_of(request):
         wiring = wiring_of(request)
         for device in request.devices:
@@ -75,33 +77,33 @@ def failures(request: Request) -> dict[str, str]:
             try:
                 bench.open()
             except DeviceError as error:
-                texts[device.name] = str(error)
+                reasons[device.name] = str(error)
                 continue
-            texts[device.name] = ""
+            reasons[device.name] = ""
             try:
                 unsafe = unconfirmed_devices(make_safe(list(bench.drivers.values())))
             finally:
                 bench.close()
             if unsafe:
                 raise DeviceError(unsafe)
-    return texts
+    return reasons
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a run would do that began now."""
+    """Plan, file size, temperatures and warnings of a run that would begin now."""
 
     plan: Plan  # with the waits for cooling that it is to insert
     planned_bytes: float
     windings: Windings
     forecast: Forecast
-    left_on: Sequence[str]  # what comes of each supply that nobody switches off
+    left_on: Sequence[str]  # for each supply that the plan switches on, the consequence if nobody switches it off
     warnings: Sequence[str]
-    one_sensor: Sequence[str]  # of each winding whose bound rests on one
+    one_sensor: Sequence[str]  # one line for each heated winding whose bound rests on one sensor
 
 
 def dry_run(request: Request) -> DryRun:
-    """Refuse what `execute` would refuse now, before it opens a device; its locks are held for a moment only.
+    """Check a request as `execute` would now, before it opens a device; the bench's locks are held for a moment only.
 
     Raises
     ------

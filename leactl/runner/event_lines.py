@@ -1,7 +1,7 @@
-"""Writes what happens in a run as JSON lines while it runs, to a file, a pipe or stdout, for scripts and dashboards.
+"""Write the events of a run as JSON lines while it runs, to a file, a pipe or stdout, for scripts and dashboards.
 
-The loop only puts a line into a queue; a thread writes. A reader that is slow, hangs or goes away never delays the run:
-lines that have no room in the queue are dropped and counted.
+The loop only puts a line into a queue; a thread writes it. A reader that is slow, hangs or goes away never delays the
+run: lines for which the queue has no room are dropped and counted.
 """
 
 import errno
@@ -23,22 +23,22 @@ from leactl.runner.progress import Progress
 
 STDOUT = Path("-")
 MOST_QUEUED = 10_000  # lines
-SAMPLES_PER_S = 20  # of every channel's newest value; their mean is written each second
-END_WAIT_S = 1.0  # for a slow reader at the end of a run; twice that for one that blocks
+SAMPLES_PER_S = 20  # newest values of each channel that are taken; their mean is written once a second
+END_WAIT_S = 1.0  # at the end of a run, for a slow reader; twice that for a write that blocks
 
 
 class EventLines:
-    """Lines for one reader of one run: `with EventLines(path) as lines: ...` around it."""
+    """Writes the lines of one run to one output: `with EventLines(path) as lines: ...` encloses the run."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._queued: deque[bytes] = deque()
         self._dropped = 0
-        self._lock = threading.Lock()  # held for an append, and no longer
+        self._lock = threading.Lock()  # held only while lines are queued
         self._ending = threading.Event()
         self._progress: Progress | None = None  # of a run that has begun and not ended
         self._run_began = time.monotonic()
-        self.fault = ""  # why lines are missing at the end
+        self.fault = ""  # why the last lines are missing
         self._file = -1
         self._thread = threading.Thread(target=self._write_until_end, name="event lines", daemon=True)
 
@@ -47,7 +47,7 @@ class EventLines:
 
         Raises
         ------
-        InputError : it cannot be opened, or is a pipe that nobody reads.
+        InputError : the output cannot be opened, or is a pipe that nobody reads.
         """
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | AT_ONCE | OF_THIS_PROCESS | AS_BYTES
         try:
@@ -61,72 +61,78 @@ class EventLines:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self._ending.set()
         self._thread.join(2.0 * END_WAIT_S)
-        if self._thread.is_alive():  # in a write that does not come back: stdout may block, a disk may hang
+        if self._thread.is_alive():  # in a write that does not return: stdout may block, a disk may hang
             self.fault = self.fault or f"--events {self._path}: the reader takes nothing; the last lines are missing"
         else:
             os.close(self._file)
 
     def put(self, event: str, **fields: Any) -> None:
-        """Queue a line; never waits."""
+        """Queue a line without waiting for the reader."""
         with self._lock:
             self._queue(event, fields)
 
     def _queue(self, event: str, fields: Mapping[str, Any]) -> None:
+        """Queue a line, or drop and count it if the queue is full; the line `end` is never dropped.
+
+        The caller holds the lock.
+        """
         if len(self._queued) >= MOST_QUEUED and event != "end":
             self._dropped += 1
             return
-        if self._dropped:  # where the gap is
+        if self._dropped:  # the count is written where the lines are missing
             dropped, self._dropped = self._dropped, 0
             self._queued.append(line("left_out", {"lines": dropped}))
         self._queued.append(line(event, fields))
 
     def begin(self, progress: Progress, **fields: Any) -> None:
-        """Write that a run begins, and its channels' means once a second from now on."""
+        """Queue the line that a run begins; from then on, the means of its channels are written once a second."""
         self._run_began = time.monotonic()
         self.put("begin", **fields)
         self._progress = progress
 
     def end(self, **fields: Any) -> None:
-        """Write how the run ended, last of all."""
+        """Queue the line that the run has ended, which is the last one."""
         with self._lock:
             self._progress = None
             self._queue("end", fields)
 
     def step(self, row: Mapping[str, Any]) -> None:
-        """Write that a step has ended."""
+        """Queue the line that a step has ended; `row` is that of the run's record."""
         self.put("step", name=row["name"], start_s=row["start"], stop_s=row["stop"])
 
     def event(self, row: Mapping[str, Any]) -> None:
-        """Write an event of the run's record."""
+        """Queue the line of an event; `row` is that of the run's record."""
         self.put("event", time_s=round(row["time"], 6), **{key: row[key] for key in ("level", "source", "message")})
 
     # -- in the thread ------------------------------------------------------------------------------------------------
 
     def _write_until_end(self) -> None:
+        """Write lines until the run has ended; store any error in `fault`."""
         try:
             self._write_lines()
-        except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
+        except Exception as error:  # noqa: BLE001 (a failure to show a run must not end it)
             self.fault = f"--events {self._path}: {type(error).__name__}: {error}; lines are missing from there on"
 
     def _write_lines(self) -> None:
+        """Take samples and write lines until the run has ended, then write what is still queued."""
         samples: dict[str, list[float]] = {}
-        means_at = time.monotonic() + 1.0
+        means_due = time.monotonic() + 1.0
         while not self._ending.wait(1.0 / SAMPLES_PER_S):
             self._sample(samples)
-            if time.monotonic() >= means_at:
-                means_at += 1.0
+            if time.monotonic() >= means_due:
+                means_due += 1.0
                 self._queue_means(samples)
                 samples.clear()
             self._write_queued()
-        until = time.monotonic() + END_WAIT_S
+        deadline = time.monotonic() + END_WAIT_S
         while not self._write_queued():
-            if time.monotonic() > until:
+            if time.monotonic() > deadline:
                 self.fault = f"--events {self._path}: the reader takes nothing; the last lines are missing"
                 return
             select.select([], [self._file], [], END_WAIT_S / 10)
 
     def _sample(self, samples: dict[str, list[float]]) -> None:
-        """Add every channel's newest value."""
+        """Add every channel's newest value, if it is finite, to the samples of the channel."""
         progress = self._progress
         if progress is None:
             return
@@ -138,27 +144,28 @@ class EventLines:
                     samples.setdefault(name, []).append(value)
 
     def _queue_means(self, samples: Mapping[str, list[float]]) -> None:
+        """Queue the line of the channels' means, if a run is under way."""
         means = {name: round(sum(values) / len(values), 6) for name, values in samples.items()}
         with self._lock:
-            if self._progress is not None and means:  # nothing comes after the end
+            if self._progress is not None and means:  # no line may follow the end of the run
                 wall_s = round(time.monotonic() - self._run_began, 3)
                 self._queue("values", {"wall_s": wall_s, "means": means})
 
     def _write_queued(self) -> bool:
         """Write queued lines until the output would block; return whether the queue is empty."""
         while self._queued:
-            first = self._queued[0]
+            oldest = self._queued[0]
             try:
-                sent = os.write(self._file, first)
+                sent = os.write(self._file, oldest)
             except BlockingIOError:
                 return False
-            if sent < len(first):
-                self._queued[0] = first[sent:]
+            if sent < len(oldest):
+                self._queued[0] = oldest[sent:]
             else:
                 self._queued.popleft()
         return True
 
 
 def line(event: str, fields: Mapping[str, Any]) -> bytes:
-    """One event as it is written."""
+    """Return an event as one line of JSON."""
     return json.dumps({"event": event, **fields}, default=str).encode() + b"\n"

@@ -1,4 +1,4 @@
-"""A request to run, made from the words of a command line: every fault is found before a device is touched."""
+"""Requests to run, resolved from command-line arguments and checked before a device is touched."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ MOST_SEED = 2**63 - 1
 
 @dataclass(frozen=True)
 class Request:
-    """What to run, on what, and where the file goes; everything in it has been checked."""
+    """One run to be made: its plan, bench, output directory and options, all of them checked."""
 
     plan: Plan
     bench: BenchFile
@@ -39,24 +39,24 @@ class Request:
     cold: bool = False  # a person says that nothing has heated the actuators
     insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
     record_every_s: float = 0.0  # at most one row of a stream is recorded in this time; 0 records every row
-    run_id: str = ""  # where it has to be known before the run; else one is made
-    part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
-    lines: EventLines | None = None  # where the run is told as it goes
-    trace: WireTrace | None = None  # where every byte of its wires goes
+    run_id: str = ""  # if it has to be known before the run; empty: the run makes one
+    part_of: Mapping[str, str] = field(default_factory=dict)  # name of its campaign, key of the run there, and more
+    lines: EventLines | None = None  # receives what happens in the run while it goes on
+    trace: WireTrace | None = None  # receives every byte on its wires
 
     @property
     def in_process(self) -> bool:
-        """Whether the bench is emulated here."""
+        """Whether the bench is emulated in this process."""
         return self.bench.emulated is not None and not self.served
 
     @property
     def latch(self) -> Latch:
-        """What a trip of this bench sets, and what holds it."""
+        """The trip latch of the bench."""
         return latch.of(self.bench, self.bench_document.name, self.in_process)
 
     @property
     def noise_seed(self) -> int | None:
-        """What the noise of a bench that is emulated here is drawn from."""
+        """Seed of the noise of a bench that is emulated in this process; None for another bench."""
         if not self.in_process or self.bench.emulated is None:
             return None
         return self.bench.emulated.seed if self.seed is None else self.seed
@@ -74,21 +74,27 @@ def prepare(
     served: bool = False,
     buses: Sequence[str] = (),
 ) -> Request:
-    """Resolve and check what is to be run.
+    """Resolve and check a protocol and a bench, each by its name or path, with the options of their run.
+
+    Parameters
+    ----------
+    settings : `name=value` for a parameter of the protocol, or `seed=value` for the seed of the request.
+    served : whether another process emulates the bench, on real buses.
+    buses : changes of buses, as `changed_buses` takes them.
 
     Raises
     ------
-    InputError : a name, a file or a setting that cannot be used; one line a fault.
+    InputError : a name, a file or a setting that cannot be used; one line for each fault.
     """
     for option, label in (("--actuator", actuator), ("--condition", condition), ("--operator", operator)):
         check_label(option, label)
     overrides = _settings(settings)
     seed = _seed(overrides.pop("seed", None))
-    placed = _placed(bench, buses, served)
+    loaded = _loaded_bench(bench, buses, served)
     plan = protocolfile.load(protocol, overrides, condition)
     check_analysis(plan, str(protocolfile.locate(protocol)))
-    made = _request(plan, placed, directory, realtime, served)
-    return replace(made, actuator=actuator, operator=operator, seed=seed)
+    request = _request(plan, loaded, directory, realtime, served)
+    return replace(request, actuator=actuator, operator=operator, seed=seed)
 
 
 def prepare_by_hand(
@@ -102,23 +108,28 @@ def prepare_by_hand(
     buses: Sequence[str] = (),
     everything: bool = False,
 ) -> Request:
-    """Resolve and check steps that are given by hand, for the bench's own set-up, or `coupled`, where none is named.
+    """Resolve and check a plan of protocol steps in YAML, without a protocol file.
 
-    `everything` opens devices that are `on_demand` too.
+    Parameters
+    ----------
+    setup : set-up of the plan; empty: that of the bench file, or `coupled` if it has none.
+    served, buses : as for `prepare`.
+    everything : whether devices that are `on_demand` are opened too.
 
     Raises
     ------
     InputError : as `prepare`.
     """
-    placed = _placed(bench, buses, served)
-    plan = by_hand.plan_of(name, setup or placed[0].setup or "coupled", steps)
-    return _request(plan, placed, directory, realtime, served, everything)
+    loaded = _loaded_bench(bench, buses, served)
+    plan = by_hand.plan_of(name, setup or loaded[0].setup or "coupled", steps)
+    return _request(plan, loaded, directory, realtime, served, everything)
 
 
-Placed = tuple[BenchFile, list[CheckedDevice], Document]
+LoadedBench = tuple[BenchFile, list[CheckedDevice], Document]
 
 
-def _placed(bench: str, buses: Sequence[str], served: bool) -> Placed:
+def _loaded_bench(bench: str, buses: Sequence[str], served: bool) -> LoadedBench:
+    """Return a checked bench with changed buses, all its devices and its document."""
     file, devices, document = load_checked(bench)
     if buses and file.emulated is not None and not served:
         raise InputError(
@@ -129,10 +140,11 @@ def _placed(bench: str, buses: Sequence[str], served: bool) -> Placed:
 
 
 def _request(
-    plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool, everything: bool = False
+    plan: Plan, loaded: LoadedBench, directory: Path, realtime: bool, served: bool, everything: bool = False
 ) -> Request:
-    file, every, document = placed
-    devices = every if everything else benchfile.devices_of_run(every, {*plan.needs, *plan.wants})
+    """Check the rate of a plan with the devices of its run, and return the request."""
+    file, all_devices, document = loaded
+    devices = all_devices if everything else benchfile.devices_of_run(all_devices, {*plan.needs, *plan.wants})
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
         plan=plan,
@@ -146,6 +158,7 @@ def _request(
 
 
 def _settings(words: Sequence[str]) -> dict[str, str]:
+    """Return values by name from words `name=value`."""
     overrides: dict[str, str] = {}
     for word in words:
         name, equals, value = word.partition("=")
@@ -158,6 +171,7 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 def _seed(text: str | None) -> int | None:
+    """Return the value of `--set seed=...` as a number; None without one."""
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MOST_SEED):

@@ -1,7 +1,7 @@
-"""Scan wires of this machine that no run uses: which they are, how they are opened, and what each of them says.
+"""List the wires of this machine, and scan those that no run uses for devices that answer.
 
-A wire is held like the bus of a run while it is asked: a run that comes meanwhile is refused, and a wire that a run
-holds is left alone.
+A wire is locked like the bus of a run while it is scanned: a run that begins meanwhile is refused, and a wire that a
+run has locked is not scanned.
 """
 
 import re
@@ -31,27 +31,33 @@ from leactl.runner import locks
 SOCKET_PORTS = (5025, 5555)  # of instruments: IANA's scpi-raw, and what Rigol uses
 FD_MTU = "72"  # bytes of a CAN-FD frame in the kernel; 16 of a classic one
 ALWAYS_FD = ("virtual", "udp_multicast")  # interfaces of python-can without a controller
-CONSOLES = "sys/class/tty/console/active"  # on which a shell may take questions for commands
-LONGEST_NAME = 40
+CONSOLES = "sys/class/tty/console/active"  # lists the serial consoles; a shell there may take a probe for a command
+LONGEST_NAME = 40  # characters, of a bus in a bench file
 
 
 @dataclass(frozen=True)
 class ScannedWire:
-    """A wire of this machine: its name in a bench file and for a person, and the ways in which it may be open."""
+    """A wire of this machine, with its possible settings."""
 
-    name: str
-    shown: str
-    buses: tuple[Bus, ...]
+    name: str  # in a bench file
+    shown: str  # to a person
+    buses: tuple[Bus, ...]  # one for each set of settings with which the wire may be opened
 
 
 def named_wires(
     can: Sequence[str], i2c: Sequence[int], serial: Sequence[str], lan: Sequence[str], bitrate: int
 ) -> list[ScannedWire]:
-    """The wires that a person named; CAN as `[INTERFACE:]CHANNEL`, LAN as `ADDRESS[:PORT]`.
+    """Return the wires that a person names.
+
+    Parameters
+    ----------
+    can : each as `[INTERFACE:]CHANNEL`.
+    lan : each as `ADDRESS[:PORT]`.
+    bitrate : of every CAN bus [bit/s].
 
     Raises
     ------
-    InputError : every word that names no wire.
+    InputError : one line for each word that names no wire.
     """
     wires: list[ScannedWire] = []
     faults: list[str] = []
@@ -69,18 +75,18 @@ def named_wires(
     if faults:
         raise InputError(faults)
     wires += [_i2c_wire(number) for number in i2c]
-    once = {wire.shown: wire for wire in wires}
-    return [_with_a_name_of_its_own(wire, list(once.values())[:place]) for place, wire in enumerate(once.values())]
+    unique = list({wire.shown: wire for wire in wires}.values())
+    return [_with_unique_name(wire, unique[:index]) for index, wire in enumerate(unique)]
 
 
-def _with_a_name_of_its_own(wire: ScannedWire, before: Sequence[ScannedWire]) -> ScannedWire:
-    """The wire with another name where wires before it have the same."""
-    alike = sum(other.name == wire.name for other in before)
-    return replace(wire, name=f"{wire.name[: LONGEST_NAME - 2]}_{alike + 1}") if alike else wire
+def _with_unique_name(wire: ScannedWire, earlier_wires: Sequence[ScannedWire]) -> ScannedWire:
+    """Return the wire, with a number added to its name if earlier wires have the same name."""
+    namesakes = sum(earlier.name == wire.name for earlier in earlier_wires)
+    return replace(wire, name=f"{wire.name[: LONGEST_NAME - 2]}_{namesakes + 1}") if namesakes else wire
 
 
 def wires_of_this_machine(root: Path = Path("/")) -> list[ScannedWire]:
-    """CAN interfaces of the kernel, I2C buses and serial ports that are there, but for the system's console."""
+    """Return the kernel's CAN interfaces, the I2C buses, and the serial ports except those of the system's console."""
     from serial.tools import list_ports
 
     numbers = [int(path.name.removeprefix("i2c-")) for path in i2c_buses(root)]
@@ -94,11 +100,11 @@ def wires_of_this_machine(root: Path = Path("/")) -> list[ScannedWire]:
 
 
 def scan(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring | None = None) -> None:
-    """Ask one wire; a fault of it stands in the report, with what answered before.
+    """Scan one wire and fill its report; a fault of the wire is stored there beside the answers that came before it.
 
     Raises
     ------
-    Stopped : by the watcher.
+    Stopped : the watcher stops the scan.
     """
     try:
         with locks.bus_held(wire.buses[0]):
@@ -109,19 +115,20 @@ def scan(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring
 
 
 def _ask(wire: ScannedWire, report: WireReport, watcher: Watcher, wiring: Wiring) -> None:
+    """Send the probes for the kind of the wire, and fill the report with the answers."""
     bus = wire.buses[0]
     if isinstance(bus, CanBus):
-        ask_can(report, wiring.can(wire.name, bus), wiring.clock, can_probes(), watcher, fd=_ready(bus))
+        ask_can(report, wiring.can(wire.name, bus), wiring.clock, can_probes(), watcher, fd=_carries_fd(bus))
     elif isinstance(bus, I2cBus):
         ask_i2c(report, wiring.i2c(wire.name, bus), wiring.clock, i2c_probes(), watcher)
     else:
-        lines = [each for each in wire.buses if isinstance(each, SerialBus | VisaBus)]
+        lines = [line_bus for line_bus in wire.buses if isinstance(line_bus, SerialBus | VisaBus)]
         probes = line_probes(bus.kind)
         ask_line(report, lambda line: wiring.serial(wire.name, line)(), wiring.clock, probes, lines, watcher)
 
 
-def _ready(bus: CanBus) -> bool:
-    """Whether an interface carries CAN-FD frames.
+def _carries_fd(bus: CanBus) -> bool:
+    """Return whether an interface carries CAN-FD frames.
 
     Raises
     ------
@@ -141,6 +148,12 @@ def _ready(bus: CanBus) -> bool:
 
 
 def _can_wire(word: str, bitrate: int) -> ScannedWire:
+    """Return `[INTERFACE:]CHANNEL` as a wire.
+
+    Raises
+    ------
+    InputError : the channel is missing, or python-can does not know the interface.
+    """
     interface, colon, channel = word.partition(":")
     if not colon:
         interface, channel = "socketcan", word
@@ -155,6 +168,7 @@ def _can_wire(word: str, bitrate: int) -> ScannedWire:
 
 
 def _options(interface: str, channel: str) -> dict[str, bool]:
+    """Return python-can's option for CAN FD if the kernel has set up the interface for it, else no option."""
     if interface != "socketcan":
         return {}
     try:
@@ -169,19 +183,21 @@ def _i2c_wire(number: int) -> ScannedWire:
 
 
 def _serial_wire(port: str) -> ScannedWire:
+    """Return a serial port as a wire, with every baud rate at which a driver has a probe."""
     rates = rates_of(line_probes("serial").values())
     buses = tuple(SerialBus(kind="serial", port=port, baudrate=rate) for rate in rates)
     return ScannedWire(_name(Path(port).name), port, buses)
 
 
 def _lan_wire(word: str) -> ScannedWire:
+    """Return `ADDRESS[:PORT]` as a wire; if the port is missing, with every port of `SOCKET_PORTS`."""
     host, colon, port = word.partition(":")
     ports = [port] if colon else SOCKET_PORTS
-    buses = tuple(VisaBus(kind="visa", resource=f"TCPIP::{host}::{each}::SOCKET") for each in ports)
+    buses = tuple(VisaBus(kind="visa", resource=f"TCPIP::{host}::{number}::SOCKET") for number in ports)
     return ScannedWire(_name(f"lan_{host}"), word, buses)
 
 
 def _name(text: str) -> str:
-    """A name that a bench file takes."""
+    """Return a text as a name that is valid in a bench file."""
     plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_")
     return f"{'' if plain[:1].isalpha() else 'bus_'}{plain}"[:LONGEST_NAME].rstrip("_")

@@ -1,4 +1,4 @@
-"""What people ask of a run: to stop, by signals and sources that the loop looks at; to pause; to record a remark."""
+"""Requests from people to a run: to stop it, by a signal or another source; to pause it; to record a remark."""
 
 import signal
 import socket
@@ -10,58 +10,58 @@ from typing import Any
 from leactl.errors import Stopped
 
 StopSource = Callable[[], str]
-"""Looked at once a cycle: the cause to stop for, or an empty text."""
+"""Called once a cycle; returns the cause for which the run has to stop, or an empty text."""
 
 
 class Wishes:
-    """What people want of a run beside its end: a pause, and remarks in its record."""
+    """Functions that tell whether a person wants the run to pause, and which remarks its record is to hold."""
 
     def __init__(
         self,
         paused: Callable[[], bool] = lambda: False,
         remarks: Callable[[], Sequence[str]] = tuple,
     ) -> None:
-        self.paused = paused  # whether it is wanted now
-        self.remarks = remarks  # those that came since it was called last
+        self.paused = paused  # whether a pause is wanted now
+        self.remarks = remarks  # those that came since the last call
 
 
 class StopRequest:
-    """Whether a person or the system wants the run to end."""
+    """Collects requests to end a run, from signals and from sources."""
 
     def __init__(self) -> None:
         self.cause = ""
         self._sources: list[StopSource] = []
 
     def heed(self, source: StopSource) -> None:
-        """Look at this source too, every time."""
+        """Add a source, which every `check` calls."""
         self._sources.append(source)
 
     def note(self, number: int, _frame: object = None) -> None:
-        """Take a signal; the first one is the cause, later ones change nothing."""
+        """Handle a signal: the first one becomes the cause, later ones change nothing."""
         self.cause = self.cause or f"stopped by {signal.Signals(number).name}"
 
     def check(self) -> None:
-        """End the run where somebody asked for it.
+        """Raise if a signal or a source has asked for the end of the run.
 
         Raises
         ------
-        Stopped : with the cause.
+        Stopped : with the first cause.
         """
         for source in self._sources:
             cause = source()
-            if cause:  # nothing is written otherwise: a signal may have come while the source was looked at
+            if cause:  # writing an empty text could erase the cause of a signal that came during the call
                 self.cause = self.cause or cause
         if self.cause:
             raise Stopped(self.cause)
 
 
 Operator = Callable[[str], Callable[[], bool]]
-"""Asks for something to be done; what it returns says whether the operator has confirmed it."""
+"""Asks the operator to do something; the function that it returns tells whether they have confirmed it."""
 
 
 @dataclass(frozen=True)
 class People:
-    """Who may end or hold up a run, and who is asked during it."""
+    """What connects a run to people: requests to stop it, requests to pause it, and prompts to the operator."""
 
     stop: StopRequest
     wishes: Wishes
@@ -70,40 +70,42 @@ class People:
 
 @contextmanager
 def listening() -> Iterator[StopRequest]:
-    """Take SIGINT, SIGTERM, SIGQUIT and SIGHUP until the block is left; a hangup that is ignored (nohup) stays ignored.
+    """Handle SIGINT, SIGTERM, SIGQUIT and SIGHUP until the block is left; an ignored SIGHUP (nohup) stays ignored.
 
-    What whoever listened before has noted by then counts here too. A shell script's background job begins with SIGINT
-    ignored; who sends it one still means to stop the bench.
+    The stop request that is yielded begins with the cause of a `StopRequest` that handled these signals before. An
+    ignored SIGINT is handled: a shell script starts background jobs with SIGINT ignored, but whoever sends one means to
+    stop the bench.
     """
     request = StopRequest()
-    before = _noted_by(request)
-    for handler in before.values():
+    previous_handlers = _handle_signals(request)
+    for handler in previous_handlers.values():
         owner = getattr(handler, "__self__", None)
         if isinstance(owner, StopRequest):
             request.cause = request.cause or owner.cause
     try:
         yield request
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
 @contextmanager
 def between_runs() -> Iterator[Callable[[], None]]:
-    """Run after run: what is yielded raises `Stopped` where a signal came that no run of them has taken.
+    """Yield a function that raises `Stopped` after a signal, for calls between the runs of a block.
 
-    One that comes while a run closes its file is noted by that run, which looks no more: the descriptor hears it.
+    A run that is closing its file still handles signals, but no longer checks for them. Therefore each signal number is
+    also read from Python's wakeup descriptor.
     """
-    ours, theirs = socket.socketpair()
-    ours.setblocking(False)
-    theirs.setblocking(False)
-    with ours, theirs, listening() as request:
-        before = signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
+    receiver, wakeup = socket.socketpair()
+    receiver.setblocking(False)
+    wakeup.setblocking(False)
+    with receiver, wakeup, listening() as request:
+        previous_descriptor = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
 
         def check() -> None:
             request.check()
             try:
-                numbers = ours.recv(4096)
+                numbers = receiver.recv(4096)
             except BlockingIOError:
                 return
             raise Stopped(f"stopped by {signal.Signals(numbers[0]).name}")
@@ -111,28 +113,30 @@ def between_runs() -> Iterator[Callable[[], None]]:
         try:
             yield check
         finally:
-            signal.set_wakeup_fd(before)
+            signal.set_wakeup_fd(previous_descriptor)
 
 
 @contextmanager
 def to_the_end() -> Iterator[None]:
-    """For what a command makes: signals are noted for whoever listens next within the block, and ignored after it.
+    """Store signals during the block, for the next `listening` in it, and ignore signals after the block.
 
-    What then remains is to tell what was made, a line or two. The system's own answer, to kill the process, would lose
-    them and the exit status, and Python gives back to it every handler of its own while it shuts down.
+    After the block a command only prints a line or two about its result. The system's default action, to kill the
+    process, would lose these lines and the exit status; Python restores that default for each of its own handlers while
+    it shuts down, but leaves ignored signals ignored.
     """
-    noted = _noted_by(StopRequest())
+    handled = _handle_signals(StopRequest())
     try:
         yield
     finally:
-        for number in noted:
+        for number in handled:
             signal.signal(number, signal.SIG_IGN)
 
 
-def _noted_by(request: StopRequest) -> dict[signal.Signals, Any]:
-    """Let a request take the signals; what took each of them before."""
-    heeded = [signal.SIGINT, signal.SIGTERM]
-    heeded += [getattr(signal, name) for name in ("SIGQUIT",) if hasattr(signal, name)]  # Windows has neither of these
+def _handle_signals(request: StopRequest) -> dict[signal.Signals, Any]:
+    """Make a stop request the handler of all signals that end a run; return the previous handler of each."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    # Windows has neither SIGQUIT nor SIGHUP
+    numbers += [getattr(signal, name) for name in ("SIGQUIT",) if hasattr(signal, name)]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        heeded.append(signal.SIGHUP)
-    return {number: signal.signal(number, request.note) for number in heeded}
+        numbers.append(signal.SIGHUP)
+    return {number: signal.signal(number, request.note) for number in numbers}

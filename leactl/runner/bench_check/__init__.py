@@ -1,1 +1,1 @@
-"""Whether a bench file tells the truth: what devices say and read at rest, and how its shaft turns."""
+"""Check a bench file on its bench: identities and readings of its devices at rest, and how its shaft turns."""

@@ -1,4 +1,4 @@
-"""What is known without any current: who answers, and what each channel reads while every drive is off."""
+"""Check a bench without any current: which devices answer, and what each channel reads while every drive is off."""
 
 from collections.abc import Iterator, Mapping
 
@@ -10,12 +10,17 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, StatementVerdict
 from leactl.runner.request import Request
 
-ONE_A_ROLE = ("torque", "velocity", "angle", "q_axis_current")
-NEARLY = 1.5  # times the span of the readings, up to which a `stuck_s` says that noise shows within them
+SINGLE_IN_ROLE = ("torque", "velocity", "angle", "q_axis_current")  # analyses take one channel of a role
+MOST_STUCK_SPANS = 1.5  # a `stuck_s` up to this multiple of the readings' span says that noise shows within them
 
 
 def opening_statements(failures: Mapping[str, str]) -> list[Statement]:
-    """Return a statement for each device: right where its text in `failures` is empty, else wrong for that reason."""
+    """Return for each device whether it answers.
+
+    Parameters
+    ----------
+    failures : by device, why it could not be opened; empty if it was opened.
+    """
     return [
         Statement(
             name, "answers", StatementVerdict.WRONG if text else StatementVerdict.OK, why=text.removeprefix(f"{name}: ")
@@ -29,21 +34,22 @@ def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]
 
     Parameters
     ----------
-    reported : what each device says of itself, as `Outcome.reported`.
+    reported : what each device reports of itself, as `Outcome.reported`.
     """
     channels = [*_channels(run, request), *_measured_twice(run, request)]
     return [*_identities(request, reported), *_notices(run, request), *channels]
 
 
 def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> Iterator[Statement]:
+    """Yield that each device answers, and whether its serial number and firmware are those of the bench file."""
     for device in request.devices:
-        says, stated = reported[device.name], device.entry.facts
+        identity, stated = reported[device.name], device.entry.facts
         yield Statement(
-            device.name, "answers", StatementVerdict.OK, why=", ".join(f"{key} {says[key]}" for key in says)
+            device.name, "answers", StatementVerdict.OK, why=", ".join(f"{key} {identity[key]}" for key in identity)
         )
         for key in ("serial", "firmware"):
-            if key in says and key in stated:  # another serial number is not opened
-                same = key == "serial" or says[key] == stated[key]
+            if key in identity and key in stated:  # a device with another serial number has failed to open
+                same = key == "serial" or identity[key] == stated[key]
                 verdict, why = (
                     (StatementVerdict.OK, "")
                     if same
@@ -51,17 +57,18 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
                 )
             elif key in stated:
                 verdict, why = StatementVerdict.OPEN, f"the bench file says {stated[key]}, the device reports none"
-            elif key in says and key == "serial":
+            elif key in identity and key == "serial":
                 verdict, why = StatementVerdict.OPEN, "the bench file states none: another device would not be noticed"
             else:
                 continue
-            text = "; ".join(filter(None, (says.get(key, ""), why)))
-            change = f'state {key}: "{says[key]}"' if key in says and verdict is not StatementVerdict.OK else ""
+            text = "; ".join(filter(None, (identity.get(key, ""), why)))
+            change = f'state {key}: "{identity[key]}"' if key in identity and verdict is not StatementVerdict.OK else ""
             line = request.bench_document.fault(("devices", device.name, key), change) if change else ""
             yield Statement(device.name, key, verdict, why=text, change=line)
 
 
 def _notices(run: Run, request: Request) -> Iterator[Statement]:
+    """Yield the warnings and errors that devices gave during the run, but for those on their firmware."""
     names = {device.name for device in request.devices}
     for event in run.events:
         if event.source in names and event.level in ("warning", "error") and not event.message.startswith("firmware "):
@@ -69,6 +76,7 @@ def _notices(run: Run, request: Request) -> Iterator[Statement]:
 
 
 def _channels(run: Run, request: Request) -> Iterator[Statement]:
+    """Yield a statement on the readings of each measured channel."""
     measured = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
     for quantity, role in measured:
         if not quantity.endswith("_reference") and quantity not in NOT_MEASURED:
@@ -76,14 +84,14 @@ def _channels(run: Run, request: Request) -> Iterator[Statement]:
 
 
 def _measured_twice(run: Run, request: Request) -> Iterator[Statement]:
-    """Quantities of which an analysis takes the one channel of a role, where several devices or inputs give it."""
+    """Yield each further channel of a quantity and role of which an analysis takes one channel only."""
     settings = {device.name: device.settings for device in request.devices}
-    for quantity, role in ((quantity, role) for quantity in ONE_A_ROLE for role in ("test", "load")):
+    for quantity, role in ((quantity, role) for quantity in SINGLE_IN_ROLE for role in ("test", "load")):
         channels = run.channels(quantity, role)
         for channel in channels[1:]:
-            places = [shown.place for shown in settings[channel.device].shown() if shown.quantity == quantity]
+            locations = [shown.place for shown in settings[channel.device].shown() if shown.quantity == quantity]
             line = request.bench_document.fault(
-                ("devices", channel.device, "settings", *(places[-1][:2] if places else ())),
+                ("devices", channel.device, "settings", *(locations[-1][:2] if locations else ())),
                 f"leave it out, or leave {channels[0].device} out, or give it another role",
             )
             why = f"{channels[0].device} gives it too, and move and analyses take one"
@@ -100,26 +108,27 @@ def _channel(channel: Channel, request: Request) -> Statement:
         return Statement(channel.device, about, StatementVerdict.WRONG, why=text)
     mean, std = float(values.mean()), float(values.std())
     low, high = request.bench.limits.of(quantity) or (np.nan, np.nan)
-    entries = request.bench.interlocks.of(quantity, role)
+    interlocks = request.bench.interlocks.of(quantity, role)
+    shortest_stuck_s = min((interlock.stuck_s for interlock in interlocks if interlock.stuck_s), default=np.inf)
     verdict, why = StatementVerdict.OK, ""
-    missing = 1.0 - len(values) / len(channel)
-    stands, span = len(values) >= FEWEST_REPEATS and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
+    missing_share = 1.0 - len(values) / len(channel)
+    constant, span = len(values) >= FEWEST_REPEATS and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
     if mean < low or mean > high:
         verdict, why = StatementVerdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():
         verdict, why = StatementVerdict.WRONG, "exactly 0, which it never is: is it connected?"
-    elif stands and quantity in AT_REST:
+    elif constant and quantity in AT_REST:
         verdict, why = (
             StatementVerdict.OPEN,
             "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
         )
-    elif stands and min((entry.stuck_s for entry in entries if entry.stuck_s), default=np.inf) <= NEARLY * span:
+    elif constant and shortest_stuck_s <= MOST_STUCK_SPANS * span:
         verdict, why = (
             StatementVerdict.WRONG,
             f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",
         )
-    elif stands:
+    elif constant:
         verdict, why = StatementVerdict.OPEN, f"the same in {len(values)} readings: frozen, or coarser than its noise"
-    elif missing > MISSING:
-        verdict, why = StatementVerdict.OPEN, f"{missing:.1%} of its readings are missing"
+    elif missing_share > MISSING:
+        verdict, why = StatementVerdict.OPEN, f"{missing_share:.1%} of its readings are missing"
     return Statement(channel.device, about, verdict, mean, std, channel.units, float(low), float(high), why)

@@ -1,4 +1,4 @@
-"""Procedure of a bench check: first identities and readings at rest, then, if all are right, a small current."""
+"""Check a bench in two runs: identities and readings at rest, then, if all are right, motion by a small current."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -25,42 +25,46 @@ from leactl.runner.request import Request, prepare_by_hand
 from leactl.runner.thermal_admission import motors_of
 from leactl.safety.thermal.box import Box
 
-READ_S = 0.8  # shorter than a stretch of `stuck_s: 1`: a dead channel is named, and does not trip the bench
-STEP_S = 1e-3  # of the forecast of a move: a hundredth of the time constants of actuators, or less
+READ_S = 0.8  # less than `stuck_s: 1`, so that a dead channel is reported before it trips the bench
+STEP_S = 1e-3  # of the integration of a move: a hundredth of the time constants of actuators, or less
 LEAST_SHARE, MOST_SHARE = 0.03, 0.2  # of the continuous current
-OVER_FRICTION = 2.0  # current over that which overcomes the friction of the motor files
-OF_VELOCITY = 0.5  # of the velocity limit, that a motor of the least friction may reach
+FRICTION_MULTIPLE = 2.0  # of the current that overcomes the friction of the motor files
+MOST_SPEED_SHARE = 0.5  # of the velocity limit; a current is halved until the shaft stays below this speed
 
 
 @dataclass(frozen=True)
 class Move:
-    """The currents [A] of a move by role, and how fast [rad/s] and far [rad] they may turn the shaft."""
+    """The currents of a move, and how fast and how far they may turn the shaft."""
 
-    currents: Mapping[str, float]
-    speed: float
-    travel: float
+    currents: Mapping[str, float]  # A, by role
+    speed: float  # rad/s
+    travel: float  # rad, to either side
 
     def __str__(self) -> str:
-        each = " and ".join(f"{role} {current:.3g} A" for role, current in self.currents.items())
-        far = f"up to {self.speed:.2g} rad/s and {self.travel:.2g} rad"
-        return f"one drive after the other swings the shaft, {each}, {far}"
+        currents = " and ".join(f"{role} {current:.3g} A" for role, current in self.currents.items())
+        reach = f"up to {self.speed:.2g} rad/s and {self.travel:.2g} rad"
+        return f"one drive after the other swings the shaft, {currents}, {reach}"
 
     def check_room(self, run: Run, bench: BenchFile) -> None:
-        """Check that limits and interlocks of the angle leave room for the move from where the shaft stands in a run.
+        """Check that the move cannot turn the shaft beyond the limits and interlocks of its angle.
+
+        Parameters
+        ----------
+        run : a run at rest; the move begins at its last angle.
 
         Raises
         ------
-        InputError : an angle that the move could carry beyond them.
+        InputError : an angle that the move could carry beyond a limit or an interlock.
         """
         for role in self.currents:
             angle = run.channel("angle", role)
-            known = angle.values[np.isfinite(angle.values)]
-            allowed = [each.window("trip") for each in bench.interlocks.of("angle", role)]
-            allowed += [bench.limits.of("angle") or (-math.inf, math.inf)]
-            low, high = max(lows for lows, _ in allowed), min(highs for _, highs in allowed)
-            if len(known) and not low + self.travel <= known[-1] <= high - self.travel:
+            readings = angle.values[np.isfinite(angle.values)]
+            windows = [interlock.window("trip") for interlock in bench.interlocks.of("angle", role)]
+            windows += [bench.limits.of("angle") or (-math.inf, math.inf)]
+            low, high = max(low for low, _ in windows), min(high for _, high in windows)
+            if len(readings) and not low + self.travel <= readings[-1] <= high - self.travel:
                 raise InputError(
-                    f"--move: {angle.device} stands at {known[-1]:.3g} rad, and the move may turn it by"
+                    f"--move: {angle.device} stands at {readings[-1]:.3g} rad, and the move may turn it by"
                     f" {self.travel:.2g} rad to either side; {low:.3g} to {high:.3g} rad are allowed (limits.angle_rad,"
                     " interlocks.angle): turn the shaft towards the middle by hand, or lower --current"
                 )
@@ -68,7 +72,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Examined:
-    """Statements of a check, and the runs that they are based on."""
+    """Result of a check: its statements, and the runs that they are based on."""
 
     bench: str
     statements: Sequence[Statement]
@@ -76,22 +80,22 @@ class Examined:
     error: BaseException | None = None  # that ended the check early
 
     def as_json(self) -> dict[str, Any]:
-        """Return the output of `--json`."""
-        checks = [each.as_json() for each in self.statements]
+        """Return the check as the JSON object that `--json` prints."""
+        checks = [statement.as_json() for statement in self.statements]
         runs = [outcome.as_json() for outcome in self.outcomes]
         return {"bench": self.bench, "checks": checks, "runs": runs}
 
     def end(self) -> BaseException | None:
         """Return the error that the command ends with, or None."""
-        faults = wrong(self.statements)
-        if self.error is not None or not faults:
+        wrong_statements = wrong(self.statements)
+        if self.error is not None or not wrong_statements:
             return self.error
-        named = "; ".join(f"{each.device}: {each.about}" for each in faults)
-        return AcceptanceFailed(f"{len(faults)} of {len(self.statements)} checks are wrong: {named}")
+        named = "; ".join(f"{statement.device}: {statement.about}" for statement in wrong_statements)
+        return AcceptanceFailed(f"{len(wrong_statements)} of {len(self.statements)} checks are wrong: {named}")
 
 
 def reading(bench: str, setup: str, directory: Path, realtime: bool, served: bool, buses: Sequence[str]) -> Request:
-    """Return the run that reads every channel with all drives off.
+    """Return the request for a run that reads every channel with all drives off.
 
     Raises
     ------
@@ -110,16 +114,17 @@ def turning(
     served: bool,
     buses: Sequence[str],
 ) -> tuple[Request, Move]:
-    """Return the run that turns the shaft by one drive after the other, and how far that may go.
+    """Return the request for a run that turns the shaft by one drive after the other, and the move that it makes.
 
     Parameters
     ----------
-    current : of each drive [A]; None: twice what the friction of the motor files takes, at least 3 % and at most 20 %
-        of the continuous current.
+    current : of each drive [A]; None: twice the current that overcomes the friction of the motor files, but at least
+        3 % and at most 20 % of the continuous current.
 
     Raises
     ------
-    InputError : as `prepare_by_hand`, a set-up in which no drive turns, or a current that the limits leave no room for.
+    InputError : as `prepare_by_hand`, a set-up in which no drive turns, a current that is not above 0, or a move with
+        more speed or travel than the limits of the bench allow.
     """
     file, devices, _document = load_checked(bench)
     setup = setup or file.setup or "coupled"
@@ -139,11 +144,12 @@ def examine(
     perform: Callable[[Request], Outcome],
     agrees: Callable[[], bool],
 ) -> Examined:
-    """Check a bench at rest, and then by turning its shaft if that is asked for, agreed to, and nothing is wrong.
+    """Check a bench at rest and then, if nothing is wrong and a person agrees, by turning its shaft.
 
     Parameters
     ----------
-    reading_run, turning_run : as `reading` and `turning` return them.
+    reading_run, turning_run : as `reading` and `turning` return them; None: the shaft is not turned.
+    perform : executes a request.
     agrees : asks the person at the bench; called just before the shaft is turned.
 
     Raises
@@ -152,12 +158,12 @@ def examine(
     """
     name = reading_run.bench.name
     try:
-        first = perform(reading_run)
+        at_rest_outcome = perform(reading_run)
     except DeviceError as error:
         return Examined(name, opening_statements(failures(reading_run)), (), error)
-    with Run.open(first.path) as run:
-        statements = at_rest(run, reading_run, first.reported)
-        examined = Examined(name, statements, (first,), first.error)
+    with Run.open(at_rest_outcome.path) as run:
+        statements = at_rest(run, reading_run, at_rest_outcome.reported)
+        examined = Examined(name, statements, (at_rest_outcome,), at_rest_outcome.error)
         if turning_run is None or examined.end() is not None:
             return examined
         request, move = turning_run
@@ -168,32 +174,36 @@ def examine(
     if not agrees():
         return replace(examined, error=Stopped("not confirmed; nothing was moved (--yes confirms without a question)"))
     try:
-        second = perform(request)
+        turning_outcome = perform(request)
     except LeactlError as error:
         return replace(examined, error=error)
-    with Run.open(second.path) as run:
+    with Run.open(turning_outcome.path) as run:
         statements += Turning(run, request).statements()
-    return Examined(name, statements, (first, second), second.error)
+    return Examined(name, statements, (at_rest_outcome, turning_outcome), turning_outcome.error)
 
 
 def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: str) -> Move:
-    """Return the currents of a move, and the most speed and travel of any friction that the motor files allow.
+    """Return the currents of a move, with the highest speed and travel within the friction of the motor files.
+
+    Parameters
+    ----------
+    chosen : current of each drive [A]; None: see `turning`.
 
     Raises
     ------
-    InputError : no drive, or more speed or travel than the bench's limits allow.
+    InputError : the bench has no drive, or its limits allow less speed or travel.
     """
-    motors, limits, currents, reached = motors_of(file), file.limits, dict[str, float](), [(0.0, 0.0)]
+    motors, limits, currents, swings = motors_of(file), file.limits, dict[str, float](), [(0.0, 0.0)]
     for role in roles:
-        motor, shaft = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
-        friction = sum(Box.of(each).coulomb_friction.high for each in shaft) / motor.torque_constant
+        motor, turned = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
+        friction = sum(Box.of(turned_motor).coulomb_friction.high for turned_motor in turned) / motor.torque_constant
         rated = motor.continuous_current or limits.current_A
-        current = chosen or min(max(OVER_FRICTION * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
-        while _swing(motor, shaft, current)[0] > OF_VELOCITY * limits.velocity_rad_s and not chosen:
+        current = chosen or min(max(FRICTION_MULTIPLE * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
+        while _swing(motor, turned, current)[0] > MOST_SPEED_SHARE * limits.velocity_rad_s and not chosen:
             current /= 2.0
         currents[role] = float(f"{current:.3g}")
-        reached.append(_swing(motor, shaft, currents[role]))
-    speeds, travels = zip(*reached, strict=True)  # both drives may turn one shaft the same way
+        swings.append(_swing(motor, turned, currents[role]))
+    speeds, travels = zip(*swings, strict=True)  # both drives may turn one shaft the same way
     move = Move(currents, max(speeds), sum(travels) if setup == "coupled" else max(travels))
     if not currents:
         raise InputError(f"--move: bench '{file.name}' has no drive")
@@ -204,26 +214,32 @@ def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: st
     return move
 
 
-def _swing(motor: Motor, shaft: Sequence[Motor], current: float) -> tuple[float, float]:
-    """Return the highest speed [rad/s] and travel [rad] of a swing by this current [A] and the pause after it.
+def _swing(motor: Motor, turned: Sequence[Motor], current: float) -> tuple[float, float]:
+    """Return the highest speed [rad/s] and travel [rad] of one swing of the shaft and the pause after it.
 
-    The maximum over all friction that the motor files allow: with a little friction a shaft may go farther to one side
-    than with none.
+    The maxima are over the ranges of friction in the motor files: with a little friction a shaft may go farther to one
+    side than with none.
+
+    Parameters
+    ----------
+    motor : the motor that drives the swing.
+    turned : all motors on the shaft.
+    current : amplitude of the swing [A].
     """
-    boxes = [Box.of(each) for each in shaft]
+    boxes = [Box.of(turned_motor) for turned_motor in turned]
     losses = [box.coulomb_friction for box in boxes], [box.viscous_damping for box in boxes]
     levels = (
         np.linspace(sum(bounds.low for bounds in ranges), sum(bounds.high for bounds in ranges), 5) for ranges in losses
     )
     friction, damping = (grid.ravel() for grid in np.meshgrid(*levels))
-    inertia = sum(each.rotor_inertia for each in shaft)
-    beat = by_hand.swing(np.arange(round(by_hand.SWING_S * by_hand.RATE_HZ)) / by_hand.RATE_HZ)
-    cycles = np.append(beat, np.zeros(round(by_hand.REST_S * by_hand.RATE_HZ)))
+    inertia = sum(turned_motor.rotor_inertia for turned_motor in turned)
+    waveform = by_hand.swing(np.arange(round(by_hand.SWING_S * by_hand.RATE_HZ)) / by_hand.RATE_HZ)
+    cycles = np.append(waveform, np.zeros(round(by_hand.REST_S * by_hand.RATE_HZ)))
     speed = angle = fastest = farthest = np.zeros(len(friction))
     for torque in np.repeat(motor.torque_constant * current * cycles, round(1.0 / by_hand.RATE_HZ / STEP_S)):
-        pulled = speed + STEP_S / inertia * (torque - damping * speed)
-        remaining = np.abs(pulled) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
-        speed = np.copysign(np.maximum(remaining, 0.0), pulled)
+        before_friction = speed + STEP_S / inertia * (torque - damping * speed)
+        remaining = np.abs(before_friction) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
+        speed = np.copysign(np.maximum(remaining, 0.0), before_friction)
         angle = angle + STEP_S * speed
         fastest, farthest = np.maximum(fastest, np.abs(speed)), np.maximum(farthest, np.abs(angle))
     return float(fastest.max()), float(farthest.max())

@@ -1,4 +1,4 @@
-"""One statement of a bench file, held against what the bench shows."""
+"""Compare a statement of a bench file with what the bench shows."""
 
 import math
 from collections.abc import Iterable
@@ -9,11 +9,11 @@ from typing import Any
 from leactl.bench.benchfile import CheckedDevice
 from leactl.runner.request import Request
 
-SURE = 3.0  # standard errors
+SURE = 3.0  # standard errors; a deviation counts from this multiple on
 
 
 class StatementVerdict(StrEnum):
-    """What the bench says of a statement."""
+    """Whether the bench confirms a statement, contradicts it, or does not show either."""
 
     OK = "ok"
     WRONG = "wrong"
@@ -22,21 +22,21 @@ class StatementVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Statement:
-    """What was measured beside what the bench file lets expect; a number that is not known is NaN."""
+    """A measured value, the range expected by the bench file, and the verdict; an unknown number is NaN."""
 
     device: str
-    about: str
+    about: str  # the quantity or property that is judged
     verdict: StatementVerdict
     measured: float = math.nan
-    std: float = math.nan
+    std: float = math.nan  # of the readings at rest, or standard error of a fitted value
     units: str = ""
-    low: float = math.nan  # expected
+    low: float = math.nan  # of the expected range
     high: float = math.nan
     why: str = ""
     change: str = ""  # the line of the bench file, and what it should say
 
     def as_json(self) -> dict[str, Any]:
-        """The statement as `--json` prints it: what is not finite becomes null."""
+        """Return the statement as `--json` prints it; a number that is not finite becomes null."""
         numbers = {name: getattr(self, name) for name in ("measured", "std", "low", "high")}
         finite = {name: number if math.isfinite(number) else None for name, number in numbers.items()}
         texts = {name: str(getattr(self, name)) for name in ("device", "about", "verdict", "units", "why", "change")}
@@ -44,7 +44,13 @@ class Statement:
 
 
 def ratio(device: str, about: str, value: float, std: float, bound: float) -> Statement:
-    """Hold a ratio, with its standard error, against 1; `bound` is what a sound bench may miss it by."""
+    """Judge a measured ratio that should be 1.
+
+    Parameters
+    ----------
+    std : standard error of the ratio.
+    bound : largest difference from 1 that a sound bench may show.
+    """
     margin = bound + SURE * std
     sound = abs(value - 1.0) <= margin
     if not math.isfinite(margin) or (sound and margin > 2.0 * bound):
@@ -62,11 +68,16 @@ def ratio(device: str, about: str, value: float, std: float, bound: float) -> St
 
 
 def wrong(statements: Iterable[Statement]) -> list[Statement]:
-    """Statements that the bench contradicts."""
-    return [each for each in statements if each.verdict is StatementVerdict.WRONG]
+    """Return the statements that the bench contradicts."""
+    return [statement for statement in statements if statement.verdict is StatementVerdict.WRONG]
 
 
 def setting(request: Request, device: CheckedDevice, names: Iterable[str], advice: str) -> str:
-    """The line of the first of these settings that the device's driver has, else of all of them, with what to do."""
-    known = [name for name in names if name in type(device.settings).model_fields]
-    return request.bench_document.fault(("devices", device.name, "settings", *known[:1]), advice)
+    """Return advice on a setting, preceded by its location in the bench file.
+
+    Parameters
+    ----------
+    names : settings, of which the first that the driver has is located, or the block of settings if it has none.
+    """
+    available = [name for name in names if name in type(device.settings).model_fields]
+    return request.bench_document.fault(("devices", device.name, "settings", *available[:1]), advice)

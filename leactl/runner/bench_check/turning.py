@@ -1,4 +1,4 @@
-"""Checks by a small current: direction of the shaft, and agreement of channels with each other and the motor file.
+"""Check a bench by a small current: direction of the shaft, agreement of channels with each other and the motor file.
 
 Each relation is a slope over the whole move, with a standard error that takes the autocorrelation of its residuals into
 account. Torque on the shaft is T = T0 + Kt i - c sign(w) - b w - J dw/dt of the test actuator, and the negative of it
@@ -27,18 +27,18 @@ from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
 
 Array = npt.NDArray[np.float64]
 
-UNALIKE = 3.0  # inertia over that of the motor files, by couplings and sensors; wrong counts give a factor of 4
-SLOW = 0.2  # of the highest speed, below which friction may change its sign between two samples
-FEWEST = 20  # samples of a slope
-WINDOW = 5  # samples, over which the change of the angle is compared with the velocity
-TURNED_RAD = 0.02  # from which on a shaft counts as turned, far above its torsion and the counts of an encoder
-LAGS = 0.01  # error of a ratio of two channels of motion, by the lag of a filter
-LOOP = 0.1  # relative error of a current whose demand swings at 2 Hz
-ALIKE = 0.1  # relative difference of the factors of both drives, up to which the torque sensor is the cause
-ENDED = "the move ended early"
+INERTIA_FACTOR = 3.0  # to the motor files' inertia, at most, by couplings and sensors; wrong counts give a factor of 4
+SLOW_SHARE = 0.2  # of the highest speed; below, friction may change its sign between two samples
+FEWEST_SAMPLES = 20  # of a slope
+WINDOW_SAMPLES = 5  # over which the change of the angle is compared with the velocity
+TURNED_RAD = 0.02  # least travel of a shaft that has turned, far above its torsion and the counts of an encoder
+LAG_ERROR = 0.01  # of a ratio of two channels of motion, by the lag of a filter
+LOOP_ERROR = 0.1  # relative, of a current whose demand swings at 2 Hz
+SAME_FACTOR = 0.1  # largest relative difference of the factors of both drives if the torque sensor is the cause
+ENDED_EARLY = "the move ended early"
 SENSES = {"test": 1.0, "load": -1.0}  # sign of a role's torque at the sensor
-COUNTS = ("counts_per_turn",)
-CONSTANT, INERTIA = 0, 3  # of the coefficients of a torque
+COUNT_SETTINGS = ("counts_per_turn",)
+CONSTANT, INERTIA = 0, 3  # indices into the coefficients of a torque
 
 
 class Slope(NamedTuple):
@@ -60,23 +60,32 @@ class DriveMotion(NamedTuple):
 
     @classmethod
     def of(cls, run: Run, role: str) -> "DriveMotion":
-        """Read a role's channels."""
+        """Read the channels of the drive in a role."""
         current = run.channel("q_axis_current", role)
         quantities = ("q_axis_current_reference", "velocity", "angle", "drive_enabled")
         demand, velocity, angle, enabled = (run.channel(name, role).values for name in quantities)
         return cls(current.time, demand, current.values, velocity, angle, enabled == 1.0)
 
     def travels(self) -> tuple[Array, Array]:
-        """Integral of the velocity and change of the angle from sample to sample [rad], shapes (samples - 1,)."""
+        """Return the integral of the velocity and the change of the angle from sample to sample [rad].
+
+        Both have the shape (samples - 1,).
+        """
         return 0.5 * (self.velocity[1:] + self.velocity[:-1]) * np.diff(self.time), np.diff(self.angle)
 
 
 def slopes(columns: Array, response: Array) -> list[Slope]:
-    """Fit a response by columns, of shape (samples, columns); empty where the samples do not tell the columns apart."""
-    known = np.isfinite(columns).all(axis=1) & np.isfinite(response)
-    design, values = columns[known], response[known]
+    """Fit a response by a linear combination of columns; return no slopes if the samples do not determine them.
+
+    Parameters
+    ----------
+    columns : shape (samples, columns).
+    response : shape (samples,); samples that are not finite are left out.
+    """
+    finite = np.isfinite(columns).all(axis=1) & np.isfinite(response)
+    design, values = columns[finite], response[finite]
     lengths = np.sqrt(np.sum(design**2, axis=0))
-    if len(values) < FEWEST or not lengths.all() or np.linalg.cond(design / lengths) > 1e6:
+    if len(values) < FEWEST_SAMPLES or not lengths.all() or np.linalg.cond(design / lengths) > 1e6:
         return []
     inverse = np.linalg.inv(design.T @ design)
     coefficients = inverse @ design.T @ values
@@ -85,17 +94,17 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
 
 
 def of_size_one(slope: Slope) -> bool:
-    """Whether a ratio of two channels of motion may be 1 or -1."""
+    """Return whether a ratio of two channels of motion may be 1 or -1."""
     size = abs(slope.value)
-    return abs(math.log(size)) < LAGS + SURE * slope.std / size
+    return abs(math.log(size)) < LAG_ERROR + SURE * slope.std / size
 
 
 def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
-    """Return a text on the cause that a factor of an angle or a velocity suggests; empty if none is known."""
+    """Return the probable cause of a factor between two angles or velocities, as text; empty if none is known."""
     size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
     error = SURE * slope.std / size
     if of_size_one(slope):
-        return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAGS else turned
+        return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAG_ERROR else turned
     name, number = convention(size, error), whole(size, error)
     if name in UNITS and number is None:
         return " and ".join(filter(None, (turned, f"near {name}: another unit")))
@@ -133,26 +142,26 @@ class Turning:
             yield from self._torque(torques)
 
     def _drive(self, role: str) -> Iterator[Statement]:
-        """Yield the statements on a drive's current over its demand, its direction, and its velocity and angle."""
+        """Yield the statements on a drive's current, its direction, and the agreement of its velocity and angle."""
         motion, name = self._motions[role], self._drives[role].name
         demanded = motion.on & (motion.demand != 0.0)
         if fitted := slopes(motion.demand[demanded, np.newaxis], motion.current[demanded]):
-            judged = ratio(name, "current over its demand", *fitted[0], LOOP)
-            none_read = "no current is read while one is demanded: is the motor connected?"
-            yield judged if fitted[0].value else replace(judged, why=none_read)
+            statement = ratio(name, "current over its demand", *fitted[0], LOOP_ERROR)
+            no_current = "no current is read while one is demanded: is the motor connected?"
+            yield statement if fitted[0].value else replace(statement, why=no_current)
         else:
-            why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED
+            why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED_EARLY
             yield Statement(name, "current over its demand", StatementVerdict.OPEN, why=why)
-        yield self._turned(role)
-        yield self._velocity(role, *motion.travels())
+        yield self._direction(role)
+        yield self._angle_over_velocity(role, *motion.travels())
 
     def _silence_of(self, role: str, *quantities: str) -> str:
-        """Return which of these channels of a role fell silent, and since when; empty if none did."""
+        """Return as text which of these channels of a role fell silent, and since when; empty if none did."""
         silent = [(name, self._silences[name, role]) for name in quantities if (name, role) in self._silences]
         return "; ".join(f"{name} of {role}: {silence}" for name, silence in silent)
 
-    def _turned(self, role: str) -> Statement:
-        """State whether a positive current accelerates the shaft forwards, by the inertia that it turns."""
+    def _direction(self, role: str) -> Statement:
+        """State whether a positive current accelerates the shaft forwards, by the sign of the fitted inertia."""
         motion, name, about = self._motions[role], self._drives[role].name, "inertia that its current turns"
         moving = motion.on & (np.abs(motion.velocity) > TURNING_RAD_S)
         rate = np.gradient(motion.velocity, motion.time) if len(motion.time) > 1 else motion.velocity
@@ -162,9 +171,9 @@ class Turning:
             silent = self._silence_of(role, "velocity", "q_axis_current", "drive_enabled")
             why = silent or "the shaft has hardly turned: is it free, is --current enough?"
             return Statement(name, about, StatementVerdict.OPEN, why=why)
-        turned = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
-        rotors = sum(motor.rotor_inertia for motor in turned)
-        low, high, (value, std) = rotors / UNALIKE, rotors * UNALIKE, fitted[0]
+        motors = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
+        rotor_inertia = sum(motor.rotor_inertia for motor in motors)
+        low, high, (value, std) = rotor_inertia / INERTIA_FACTOR, rotor_inertia * INERTIA_FACTOR, fitted[0]
         verdict, why, change = StatementVerdict.OK, "", ""
         if value < 0.0:
             verdict, why = (
@@ -173,18 +182,25 @@ class Turning:
             )
         elif not low <= value <= high:
             verdict = StatementVerdict.OPEN
-            why = f"as if a turn had {rotors / value:.2g} times the counts, or as if more turned than the rotors"
-            change = setting(self._request, self._drives[role], COUNTS, "does the encoder have as many?")
+            why = f"as if a turn had {rotor_inertia / value:.2g} times the counts, or as if more turned than the rotors"
+            change = setting(self._request, self._drives[role], COUNT_SETTINGS, "does the encoder have as many?")
         return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
 
-    def _velocity(self, role: str, by_velocity: Array, by_angle: Array) -> Statement:
-        """State whether the change of the angle is the integral of the velocity."""
+    def _angle_over_velocity(self, role: str, by_velocity: Array, by_angle: Array) -> Statement:
+        """State whether the change of the angle is the integral of the velocity.
+
+        Parameters
+        ----------
+        by_velocity, by_angle : travel from sample to sample by either channel [rad].
+        """
         device, about = self._drives[role], "angle over integral of velocity"
-        rows = len(by_velocity) // WINDOW * WINDOW
-        windows = np.stack([part[:rows].reshape(-1, WINDOW).sum(axis=1) for part in (by_velocity, by_angle)])
+        rows = len(by_velocity) // WINDOW_SAMPLES * WINDOW_SAMPLES
+        windows = np.stack(
+            [travel[:rows].reshape(-1, WINDOW_SAMPLES).sum(axis=1) for travel in (by_velocity, by_angle)]
+        )
         velocity, angle = windows[:, np.isfinite(windows).all(axis=0)]
         silent = self._silence_of(role, "velocity", "angle")
-        reach = [float(np.ptp(np.cumsum(part))) if len(part) else 0.0 for part in (velocity, angle)]
+        reach = [float(np.ptp(np.cumsum(travel))) if len(travel) else 0.0 for travel in (velocity, angle)]
         if max(reach) < TURNED_RAD:
             return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has not turned")
         if not velocity.any() or not angle.any():
@@ -194,13 +210,13 @@ class Turning:
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
-            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or ENDED)
-        judged = ratio(device.name, about, *fitted[0], LAGS)
-        if judged.verdict is not StatementVerdict.WRONG:
-            return judged
-        near = factor_of_a_turn(fitted[0], self._motors[role].pole_pairs)
+            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or ENDED_EARLY)
+        statement = ratio(device.name, about, *fitted[0], LAG_ERROR)
+        if statement.verdict is not StatementVerdict.WRONG:
+            return statement
+        cause = factor_of_a_turn(fitted[0], self._motors[role].pole_pairs)
         advice = f"divide the angle's scale by {fitted[0].value:.4g}, or multiply the velocity's by it"
-        return replace(judged, why=near, change=setting(self._request, device, COUNTS, advice))
+        return replace(statement, why=cause, change=setting(self._request, device, COUNT_SETTINGS, advice))
 
     def _shaft(self, torques: Mapping[str, Sequence[Slope]]) -> Statement:
         """State whether the velocities of both drives are those of one shaft."""
@@ -208,52 +224,53 @@ class Turning:
         about, device = "velocity over that of test", self._drives["load"]
         moving = (np.abs(test) > TURNING_RAD_S) | (np.abs(load) > TURNING_RAD_S)
         for role, velocity in (("test", test[moving]), ("load", load[moving])):
-            if len(velocity) >= FEWEST and not np.nan_to_num(velocity).any():
+            if len(velocity) >= FEWEST_SAMPLES and not np.nan_to_num(velocity).any():
                 why = "no velocity of it while the other drive's says that the shaft turns"
                 return Statement(self._drives[role].name, about, StatementVerdict.WRONG, why=why)
         fitted = slopes(test[moving, np.newaxis], load[moving])
         if not fitted:
             silent = "; ".join(filter(None, (self._silence_of(role, "velocity") for role in ("test", "load"))))
             return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has hardly turned")
-        judged = ratio(device.name, about, *fitted[0], LAGS)
-        if judged.verdict is not StatementVerdict.WRONG:
-            return judged
-        slope, near = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
+        statement = ratio(device.name, about, *fitted[0], LAG_ERROR)
+        if statement.verdict is not StatementVerdict.WRONG:
+            return statement
+        slope, cause = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
         if slope.value < 0.0 and of_size_one(slope):
             line = setting(self._request, device, ("sign",), "turn it: the drive is mounted the other way")
-            return replace(judged, why=near, change=line)
-        off = {role: self._off_by_inertia(role, fit) for role, fit in torques.items() if fit}
-        device = self._drives[max(off, key=lambda role: off[role])] if len(off) == 2 else device
+            return replace(statement, why=cause, change=line)
+        errors = {role: self._inertia_error(role, fit) for role, fit in torques.items() if fit}
+        device = self._drives[max(errors, key=lambda role: errors[role])] if len(errors) == 2 else device
         advice = f"a turn of it has {abs(slope.value):.4g} or {1.0 / abs(slope.value):.4g} times as many"
         advice += "; it is mounted the other way as well (sign)" if slope.value < 0.0 else ""
-        by_inertia = ", by the inertia of" if len(off) == 2 else "; of either drive, first of"
-        why = f"{near or 'no usual factor'}{by_inertia} {device.name}"
-        return replace(judged, why=why, change=setting(self._request, device, COUNTS, advice))
+        by_inertia = ", by the inertia of" if len(errors) == 2 else "; of either drive, first of"
+        why = f"{cause or 'no usual factor'}{by_inertia} {device.name}"
+        return replace(statement, why=why, change=setting(self._request, device, COUNT_SETTINGS, advice))
 
-    def _off_by_inertia(self, role: str, fit: Sequence[Slope]) -> float:
-        """Return |log| of the inertia that a drive's motion shows over that of its motor file."""
+    def _inertia_error(self, role: str, fit: Sequence[Slope]) -> float:
+        """Return |log| of the ratio of the fitted inertia to that of the motor file; infinite if it is not positive."""
         inertia = fit[INERTIA].value / self._motors[role].rotor_inertia
         return abs(math.log(inertia)) if inertia > 0.0 else math.inf
 
     def _torques(self) -> dict[str, Sequence[Slope]]:
         """Fit torque constant, friction, damping and inertia of each role whose torque passes the sensor.
 
-        A role is left out if the other drive has not turned the shaft: friction of the role is then part of its torque.
+        A role is left out if the other drive has not turned the shaft, because then friction of the role cannot be told
+        from the torque of its current.
         """
         fits: dict[str, Sequence[Slope]] = {}
-        whole = self._run.has("torque") and self._run.status == "complete"
-        for role in SENSED_ROLES.get(self._request.plan.setup, ()) if whole else ():
+        complete = self._run.has("torque") and self._run.status == "complete"
+        for role in SENSED_ROLES.get(self._request.plan.setup, ()) if complete else ():
             if role not in self._drives:
                 continue
             torque, motion = self._run.channel("torque"), self._motions[role]
-            known = np.isfinite(motion.velocity) & np.isfinite(motion.current)
-            if known.sum() < FEWEST:
+            finite = np.isfinite(motion.velocity) & np.isfinite(motion.current)
+            if finite.sum() < FEWEST_SAMPLES:
                 continue
-            acceleration = np.gradient(motion.velocity[known], motion.time[known])
-            columns = (motion.current[known], motion.velocity[known], acceleration, motion.on[known])
-            current, velocity, rate, on = (np.interp(torque.time, motion.time[known], column) for column in columns)
-            moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW * float(np.max(np.abs(velocity))))
-            if np.sum(moving & (on == 0.0)) < FEWEST:
+            acceleration = np.gradient(motion.velocity[finite], motion.time[finite])
+            columns = (motion.current[finite], motion.velocity[finite], acceleration, motion.on[finite])
+            current, velocity, rate, on = (np.interp(torque.time, motion.time[finite], column) for column in columns)
+            moving = np.abs(velocity) > max(TURNING_RAD_S, SLOW_SHARE * float(np.max(np.abs(velocity))))
+            if np.sum(moving & (on == 0.0)) < FEWEST_SAMPLES:
                 continue
             sense = SENSES[role]
             terms = [sense * current, -sense * np.sign(velocity), -sense * velocity, -sense * rate]
@@ -263,44 +280,53 @@ class Turning:
 
     def _torque(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
         """State whether the torque sensor agrees with the currents and the torque constants of the motor files."""
-        about, judged = "torque of its current over the motor file's", dict[str, Statement]()
+        about, statements = "torque of its current over the motor file's", dict[str, Statement]()
         for role in self._drives if self._request.plan.setup == "coupled" else ():
             fit = fits.get(role)
             constant, name = self._motors[role].torque_constant, self._drives[role].name
             if fit:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
-                judged[role] = ratio(name, about, *relative, WEAKER)
+                statements[role] = ratio(name, about, *relative, WEAKER)
             else:
-                alone = "it takes a shaft that either drive turns, in turn"
+                one_drive = "it takes a shaft that either drive turns, in turn"
                 silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
-                why = "; ".join(filter(None, silent)) or (alone if self._run.status == "complete" else ENDED)
-                judged[role] = Statement(name, about, StatementVerdict.OPEN, why=why)
-        off = {role: each.measured for role, each in judged.items() if each.verdict is StatementVerdict.WRONG}
-        size = max(1.0, *map(abs, off.values())) if off else 1.0
-        shared = len(off) == 2 and abs(off["test"] - off["load"]) < ALIKE * size
-        for role, each in judged.items():
-            yield self._named(role, each, shared) if role in off else each
+                why = "; ".join(filter(None, silent)) or (one_drive if self._run.status == "complete" else ENDED_EARLY)
+                statements[role] = Statement(name, about, StatementVerdict.OPEN, why=why)
+        factors = {
+            role: statement.measured
+            for role, statement in statements.items()
+            if statement.verdict is StatementVerdict.WRONG
+        }
+        size = max(1.0, *map(abs, factors.values())) if factors else 1.0
+        by_sensor = len(factors) == 2 and abs(factors["test"] - factors["load"]) < SAME_FACTOR * size
+        for role, statement in statements.items():
+            yield self._with_cause(role, statement, by_sensor) if role in factors else statement
 
-    def _named(self, role: str, judged: Statement, sensor: bool) -> Statement:
-        """Name the cause of a wrong torque: the sensor if both drives show it, else the current or the motor file."""
-        factor, margin = judged.measured, SURE * judged.std
+    def _with_cause(self, role: str, statement: Statement, by_sensor: bool) -> Statement:
+        """Return a statement on a wrong torque with its cause: the sensor, or else the current or the motor file.
+
+        Parameters
+        ----------
+        by_sensor : whether both drives show the same factor.
+        """
+        factor, margin = statement.measured, SURE * statement.std
         size = abs(factor)
-        known = conventions(size - margin - ALIKE / 4.0, size, size + margin + ALIKE / 4.0)
-        why = f"{'or both currents are' if sensor else 'the current is'} near {known}" if known else ""
+        likely = conventions(size - margin - SAME_FACTOR / 4.0, size, size + margin + SAME_FACTOR / 4.0)
+        why = f"{'or both currents are' if by_sensor else 'the current is'} near {likely}" if likely else ""
         device = self._drives[role]
-        if sensor:
+        if by_sensor:
             name = self._run.channel("torque").device
-            device = next(each for each in self._request.devices if each.name == name)
+            device = next(candidate for candidate in self._request.devices if candidate.name == name)
         key, advice = "sign", "turn it"
-        if size < ALIKE:
+        if size < SAME_FACTOR:
             why, key, advice = "the torque does not follow the current", "", "is it connected?"
         elif factor > 0.0:
-            key, advice = "scale_per_V" if sensor else "current_convention", f"off by {factor:.4g}"
-            other = f"torque_constant of motor '{self._request.bench.motors[role]}'"  # type: ignore[index]
-            advice += f", or {other} by {factor:.4g}" + (", and so for the other drive" if sensor else "")
+            key, advice = "scale_per_V" if by_sensor else "current_convention", f"off by {factor:.4g}"
+            constant = f"torque_constant of motor '{self._request.bench.motors[role]}'"  # type: ignore[index]
+            advice += f", or {constant} by {factor:.4g}" + (", and so for the other drive" if by_sensor else "")
         elif abs(size - 1.0) > WEAKER:
             advice += f"; the scale is off by {size:.4g} as well"
-        place = next((shown.place for shown in device.settings.shown() if sensor and shown.quantity == "torque"), ())
-        location = ("devices", device.name, "settings", *place[:2])
+        keys = next((shown.place for shown in device.settings.shown() if by_sensor and shown.quantity == "torque"), ())
+        location = ("devices", device.name, "settings", *keys[:2])
         line = self._request.bench_document.fault((*location, *filter(None, [key])), advice)
-        return replace(judged, why=why, change=line)
+        return replace(statement, why=why, change=line)

@@ -1,23 +1,25 @@
-"""Campaign files: find by name or path, and check whole.
+"""Find campaign files by name or path, and check them as a whole.
+
+An example of a campaign file:
 
 name: paper
 title: The experiments of the paper
 bench: emulated                          # a name, or a path from this file
-actuators: [LEA-1]                       # labels; left out, runs carry none
-conditions: [unloaded, design, loaded]   # left out, runs carry none
+actuators: [LEA-1]                       # labels; without this key, runs have no label
+conditions: [unloaded, design, loaded]   # without this key, runs have no condition
 order: [actuators, conditions, steps, repeats]  # the default, outermost first
 shuffle: [conditions]                    # levels whose order is drawn by the seed, anew within each outer block
 seed: 1                                  # of the shuffling, and of what emulated benches draw for each run
 steps:
   - name: friction
-    protocol: friction                   # a name, or a path from this file; the step's name where left out
-    bench: mine.yaml                     # over the campaign's; so are actuators and conditions
+    protocol: friction                   # a name, or a path from this file; the default is the step's name
+    bench: mine.yaml                     # instead of the campaign's; a step may have actuators and conditions too
     repeats: 2
     set: {trials: 3}                     # parameters of the protocol
-    prompt: Take the coupling off        # with what is asked of the operator before it
+    prompt: Take the coupling off        # added to what the operator is asked to mount before the step
     insert_cooldown: true                # waits within a run where a winding would grow too hot
 variants:
-  short:                                 # --variant short: over these keys of these steps
+  short:                                 # values that replace those of a step with --variant short
     friction: {repeats: 1, set: {trials: 1}}
 """
 
@@ -47,7 +49,10 @@ NameOrPath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class StepEntry(Block):
-    """One protocol, under every condition and on every actuator of the campaign where it names none of its own."""
+    """One step: a protocol to run on each actuator under each condition.
+
+    Without actuators or conditions of its own, a step has those of the campaign.
+    """
 
     name: Name
     protocol: NameOrPath | None = None
@@ -61,7 +66,7 @@ class StepEntry(Block):
 
 
 class Variation(Block):
-    """What a variant changes of a step; `set` goes over the step's own, key by key."""
+    """The values of a step that a variant replaces; of `set`, single parameters are replaced."""
 
     actuators: Labels | None = None
     conditions: Labels | None = None
@@ -70,7 +75,7 @@ class Variation(Block):
 
 
 class CampaignFile(Block):
-    """The whole file."""
+    """The keys of a campaign file."""
 
     name: Name
     title: Annotated[str, Field(max_length=200)] = ""
@@ -184,10 +189,12 @@ def load(name_or_path: str, variant: str = "", seed: int | None = None) -> Campa
 
 
 def _shipped() -> Path:
+    """Return the folder of the campaign files that ship with leactl."""
     return Path(str(resources.files("leactl_protocols.campaigns")))
 
 
 def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
+    """Yield the faults of a campaign file that its schema does not find, each with its location."""
     seen: dict[str, int] = {}
     for index, step in enumerate(file.steps):
         first = seen.setdefault(step.name, index)
@@ -209,6 +216,7 @@ def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
 
 
 def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, location: Location) -> Iterator[str]:
+    """Yield the faults of one step, or of the changes that a variant makes in a step."""
     yield from _repeated_items(document, (*location, "actuators"), block.actuators or ())
     yield from _repeated_items(document, (*location, "conditions"), block.conditions or ())
     if "seed" in block.set:
@@ -219,12 +227,14 @@ def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, 
 
 
 def _repeated_items(document: yamlfile.Document, location: Location, items: Sequence[str]) -> Iterator[str]:
+    """Yield one fault for each item of a list that is in it already."""
     for index, item in enumerate(items):
         if item in items[:index]:
             yield document.fault((*location, index), f"'{item}' stands twice")
 
 
 def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> CampaignStep:
+    """Return a step of a campaign file, with the defaults of the campaign; `folder` is that of the file."""
     entry, location = file.steps[index], ("steps", index)
     return CampaignStep(
         name=entry.name,
@@ -242,6 +252,7 @@ def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: P
 
 
 def _with_variation(step: CampaignStep, change: Variation, location: Location) -> CampaignStep:
+    """Return a step with the changes that a variant makes in it."""
     unchanged = {
         setting: location for setting, location in step.settings.items() if setting.partition("=")[0] not in change.set
     }
@@ -255,10 +266,12 @@ def _with_variation(step: CampaignStep, change: Variation, location: Location) -
 
 
 def _conditions(labels: Labels | None, location: Location) -> dict[str, Location]:
+    """Return the location of each condition, by its label."""
     return {label: (*location, "conditions", index) for index, label in enumerate(labels or ())}
 
 
 def _settings(values: Mapping[str, Any], location: Location) -> dict[str, Location]:
+    """Return the location of each parameter, by its text `name=value`."""
     return {f"{name}={_setting_text(value)}": (*location, "set", name) for name, value in values.items()}
 
 
@@ -278,6 +291,7 @@ def _resolved(folder: Path, name: str) -> str:
 
 
 def _ordered_cells(file: CampaignFile, steps: Mapping[str, CampaignStep], seed: int) -> list[Cell]:
+    """Return the cells of all steps in the order of execution."""
     cells = [
         Cell(step.name, actuator, condition, repeat)
         for step in steps.values()

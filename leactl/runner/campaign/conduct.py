@@ -1,4 +1,4 @@
-"""Make the runs of a campaign that are not finished yet, one after the other, each by the machinery of `leactl run`.
+"""Make the runs of a campaign that are not finished yet, one after the other, each as `leactl run` makes a run.
 
 Between two runs a person mounts what the next one needs and the windings cool. If a run is stopped or fails, the
 campaign ends there, and the next start makes that run again.
@@ -31,7 +31,7 @@ from leactl.runner.thermal_admission import Windings
 POLL_INTERVAL_S = 0.05  # of the keyboard and of signals, between two runs
 
 Perform = Callable[[Request, str], Outcome]
-"""Executes a request; the text begins the title of its live view."""
+"""Executes a request; the text is the beginning of the title of its live view."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class CampaignOptions:
 
     perform: Perform
     tell: Callable[[str], None]
-    attended: bool  # somebody can answer at the terminal
-    mounted: bool = False  # what the first prompt asks for is mounted already
+    attended: bool  # whether somebody can answer at the terminal
+    mounted: bool = False  # whether everything that the first run needs is mounted already
     cold: bool = False  # a person says that nothing has heated the actuators
     redo_lost: bool = False
     accept_changes: bool = False
@@ -68,8 +68,9 @@ def conduct(
 
     Raises
     ------
-    InputError, SafetyTrip, DeviceError : as `leactl run`, before the first run; a folder that cannot be gone on with.
-    Stopped : asked for before the first run.
+    InputError, SafetyTrip, DeviceError : as `leactl run`, before the first run; or the campaign cannot go on in this
+        folder.
+    Stopped : a person stopped the campaign before its first run.
     """
     with campaign_folder.held(folder), ExitStack() as bench_locks, between_runs() as check:
         runs = {entry.cell.key: entry.digest for entry in entries}
@@ -135,6 +136,16 @@ class _Conductor:
             self._make(entry, self._heading(index), self._durations_s[index])
 
     def _make(self, entry: CampaignEntry, heading: str, bench_s: float) -> None:
+        """Make one run, and write to the journal that it began and that it finished.
+
+        Parameters
+        ----------
+        bench_s : expected duration by the bench's clock [s].
+
+        Raises
+        ------
+        LeactlError : the error that ended the run.
+        """
         self._options.tell(f"{heading}: {entry.cell}")
         request = replace(entry.request, run_id=new_run_id(entry.request.plan.name, datetime.now(UTC)))
         self._save(self.journal.begun(entry.cell.key, request.run_id))
@@ -162,12 +173,12 @@ class _Conductor:
 
     def _pace(self) -> float:
         """Return the wall seconds per second of the bench's clock over the finished runs; NaN while none is known."""
-        first = self._pending[0].request
-        if first.realtime or not first.in_process:
+        request = self._pending[0].request
+        if request.realtime or not request.in_process:
             return 1.0
-        done = self.journal.finished.values()
-        bench_s = sum(run.bench_s for run in done)
-        return sum(run.wall_s for run in done) / bench_s if bench_s > 0 else math.nan
+        finished = self.journal.finished.values()
+        bench_s = sum(run.bench_s for run in finished)
+        return sum(run.wall_s for run in finished) / bench_s if bench_s > 0 else math.nan
 
     def _mount(self, entry: CampaignEntry, check: Callable[[], None]) -> None:
         """Ask the operator to mount what a run needs, unless it is mounted or the bench is emulated.
@@ -178,16 +189,16 @@ class _Conductor:
         """
         if entry.request.bench.emulated is not None:
             return
-        needed, text = entry.mounting, f"Mount {entry.mounting_prompt}"
-        first = not self._mounting
-        if needed != self._mounting and not (first and self._options.mounted):
+        mounting, text = entry.mounting, f"Mount {entry.mounting_prompt}"
+        is_first = not self._mounting
+        if mounting != self._mounting and not (is_first and self._options.mounted):
             if not self._options.attended:
                 raise Stopped(f"{text}; stdin is no terminal to confirm it at: see to it, then start again with --yes")
             answered = at_the_terminal(text)
             while not answered():
                 check()
                 time.sleep(POLL_INTERVAL_S)
-        self._mounting = needed
+        self._mounting = mounting
         if entry.protocol_has_prompts and not self._options.attended:
             raise Stopped(f"protocol '{entry.request.plan.name}' asks the operator, and stdin is no terminal")
 
@@ -197,8 +208,8 @@ class _Conductor:
             return
         while rest_s := self._windings(entry).rest_before(entry.request.plan):
             self._options.tell(f"waiting {clock(rest_s)} for the windings to cool, for {entry.cell}")
-            until = time.monotonic() + rest_s
-            while time.monotonic() < until:
+            end = time.monotonic() + rest_s
+            while time.monotonic() < end:
                 check()
                 time.sleep(POLL_INTERVAL_S)
 
@@ -215,4 +226,5 @@ def clock(seconds: float) -> str:
 
 
 def _unmet(plan: Plan, run: Path) -> tuple[str, ...]:
+    """Return one line for each acceptance limit of a plan that its run did not meet."""
     return tuple(judge(plan, run)[1]) if plan.acceptance else ()

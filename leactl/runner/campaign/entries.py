@@ -1,4 +1,4 @@
-"""The runs of a campaign as requests; all faults of all runs are reported before the first run begins."""
+"""Make requests for the runs of a campaign, and report all faults of all runs before the first run begins."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -85,6 +85,7 @@ def entries_of(campaign: Campaign, options: EntryOptions) -> list[CampaignEntry]
 
 
 def _prepared(step: CampaignStep, condition: str, options: EntryOptions) -> Request:
+    """Return the request for a step under one condition, for any actuator and repeat."""
     request = prepare(
         step.protocol,
         step.bench,
@@ -101,7 +102,8 @@ def _prepared(step: CampaignStep, condition: str, options: EntryOptions) -> Requ
 
 
 def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep) -> CampaignEntry:
-    # repeats on an emulated bench would otherwise be the same to the last digit
+    """Return the entry of a cell: the prepared request with actuator, seed and campaign, and its digest."""
+    # with one seed, repeats on an emulated bench would be the same to the last digit
     seed = hashed_number(f"{campaign.seed}/{cell.key}") if prepared.in_process else None
     digest_inputs = {
         "key": cell.key,

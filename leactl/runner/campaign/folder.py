@@ -1,4 +1,4 @@
-"""The folder of a campaign: one process at a time holds it, and checks its run files before it adds any."""
+"""Lock the folder of a campaign for one process, and check the run files in it before any is added."""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,12 +19,12 @@ MOST_LISTED_KEYS = 3  # in a message
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Make a campaign's folder where there is none, and hold it until the block is left.
+    """Create the folder of a campaign if it is missing, and lock it until the block is left.
 
     Raises
     ------
-    InputError : it cannot be made or written to.
-    DeviceError : another process conducts a campaign in it.
+    InputError : the folder cannot be made or written to.
+    DeviceError : another process conducts a campaign in the folder.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -37,12 +37,12 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def busy(folder: Path) -> bool:
-    """Whether a process conducts a campaign in the folder."""
+    """Return whether a process conducts a campaign in the folder."""
     try:
         import fcntl
 
         descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY)
-    except (OSError, ImportError):  # nobody can hold it on a system without locks
+    except (OSError, ImportError):  # a system without locks, or a folder without a lock file
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -70,7 +70,7 @@ def journal_and_progress(
 def resumable(
     campaign: Campaign, entries: Sequence[CampaignEntry], folder: Path, accept_changes: bool, redo_lost: bool
 ) -> tuple[Journal, CampaignProgress]:
-    """Return journal and progress of a campaign that may go on; see `refuse_changed` and `refuse_lost`.
+    """Return journal and progress of a campaign, if it may begin or go on; see `refuse_changed` and `refuse_lost`.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def refuse_changed(
 
 
 def refuse_lost(progress: CampaignProgress) -> None:
-    """Refuse to go on where finished runs have lost their files.
+    """Refuse to go on with a campaign if the files of finished runs are lost.
 
     Raises
     ------
@@ -126,8 +126,8 @@ def refuse_lost(progress: CampaignProgress) -> None:
     if progress.lost:
         raise InputError(
             [
-                f"{key} was finished, and {fate}; put its file back, or --redo-lost makes the run again"
-                for key, fate in progress.lost.items()
+                f"{key} was finished, and {reason}; put its file back, or --redo-lost makes the run again"
+                for key, reason in progress.lost.items()
             ]
         )
 
@@ -144,5 +144,6 @@ def put_aside(files: Sequence[RunFile], folder: Path) -> list[Path]:
 
 
 def _listed(keys: Sequence[str]) -> str:
+    """Return the first keys as the subject of a sentence, with its verb."""
     more = f" and {len(keys) - MOST_LISTED_KEYS} more" if len(keys) > MOST_LISTED_KEYS else ""
     return f"{', '.join(keys[:MOST_LISTED_KEYS])}{more} {'is' if len(keys) == 1 else 'are'}"

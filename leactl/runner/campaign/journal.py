@@ -67,8 +67,8 @@ class Journal(Block):
         unjournaled : finished runs that the journal lacks, or lists with a file that is lost.
         finished : keys of all runs that have their files; all others are to be made again.
         """
-        kept = {key: run for key, run in {**self.finished, **unjournaled}.items() if key in finished}
-        return self.model_copy(update={"runs": runs, "finished": kept, "underway": None})
+        finished_runs = {key: run for key, run in {**self.finished, **unjournaled}.items() if key in finished}
+        return self.model_copy(update={"runs": runs, "finished": finished_runs, "underway": None})
 
 
 def new_journal(campaign: Campaign, runs: dict[str, str]) -> Journal:
@@ -77,7 +77,7 @@ def new_journal(campaign: Campaign, runs: dict[str, str]) -> Journal:
 
 
 def save(journal: Journal, folder: Path) -> None:
-    """Write the journal to the disk and return once it is there.
+    """Write the journal to its file, and return when it is on the disk.
 
     Raises
     ------

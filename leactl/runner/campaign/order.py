@@ -1,4 +1,4 @@
-"""The order of a campaign's runs: nested loops over the levels, each in the order of the file or shuffled."""
+"""Sort the runs of a campaign by nested loops over its levels, each in the order of the file or shuffled."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -65,6 +65,7 @@ def _arranged(
     shuffled: Collection[Level],
     block_path: str,  # the seed, then the names of the outer levels
 ) -> list[Cell]:
+    """Return the cells of one block of the outer levels, sorted by the remaining levels."""
     if not order:
         return list(cells)
     level, *inner = order

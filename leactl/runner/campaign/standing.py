@@ -64,16 +64,16 @@ def campaign_progress(
     name : of the campaign; files of other campaigns are ignored.
     runs : digests by key of the planned runs, in order.
     """
-    ours = [file for file in files if file.part_of.get("name") == name]
+    campaign_files = [file for file in files if file.part_of.get("name") == name]
     by_id = {file.run_id: file for file in files}
     finished, lost = {}, {}
     for key, entry in journal.finished.items():
         file = by_id.get(entry.run_id)
-        if file is not None and file.whole and file in ours and file.key == key:
+        if file is not None and file.whole and file in campaign_files and file.key == key:
             finished[key] = file
         else:
             lost[key] = f"{entry.run_id}.h5: {_reason_lost(file, key)}"
-    for file in ours:  # complete, but the process died before it wrote the journal
+    for file in campaign_files:  # complete, but the process died before it wrote the journal
         if file.whole and file.key not in finished:
             finished[file.key] = file
             lost.pop(file.key, None)
@@ -85,12 +85,15 @@ def campaign_progress(
     unfinished = [
         file
         for file in files
-        if file.run_id not in journaled_ids and not file.whole and (file in ours or file.run_id == underway_id)
+        if file.run_id not in journaled_ids
+        and not file.whole
+        and (file in campaign_files or file.run_id == underway_id)
     ]
     return CampaignProgress(finished, lost, damaged, unfinished, changed)
 
 
 def _reason_lost(file: RunFile | None, key: str) -> str:
+    """Return why a file does not prove that the run with this key is finished."""
     if file is None:
         return "is missing"
     if file.faults:
@@ -104,7 +107,7 @@ def files_in(folder: Path) -> list[RunFile]:
 
 
 def read_run_file(path: Path) -> RunFile:
-    """Read status and campaign of a run file; a complete one of a campaign is also checked throughout."""
+    """Read status and campaign of a run file; verify the whole file if it is complete and of a campaign."""
     try:
         with Run.open(path) as run:
             run_id = str(run.attributes.get("run_id", "")) or path.stem

@@ -1,1 +1,1 @@
-"""The drill: what a bench does when something goes wrong, tried on purpose and judged."""
+"""Drill of a bench: cause faults and stops on purpose, and judge whether each run ends in a safe state."""

@@ -1,4 +1,4 @@
-"""Rehearse the catalogue of faults on an emulated bench, one short run each, and judge by the emulated plant itself.
+"""Rehearse each fault of the catalogue in a short run on an emulated bench, and judge it by the emulated plant itself.
 
 The runs are executed as any other run. Their latches and locks are in a temporary state directory, so that those of the
 user are neither read nor changed.
@@ -43,7 +43,7 @@ from leactl.runner.signals import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits if that is less
 HELD_BEFORE_S = 0.3  # from the start of the held step to the fault
-HELD_AFTER_S = 0.2  # that the held step lasts beyond the latest allowed reaction to the fault
+HELD_AFTER_S = 0.2  # from the latest allowed reaction to the end of the held step
 CYCLE_S = 1 / by_hand.RATE_HZ
 NO_FAULT, STOP = "no_fault", "stop"  # names of the two rehearsals without a fault of the catalogue
 STOP_REASON = "stopped by the drill"
@@ -51,7 +51,7 @@ STOP_REASON = "stopped by the drill"
 
 @dataclass(frozen=True)
 class _RehearsedRun:
-    """The run of one rehearsal, and what the emulated plant shows of it."""
+    """The run of one rehearsal, with its end as the emulated plant shows it."""
 
     outcome: Outcome
     power_watch: DrivePowerWatch
@@ -63,7 +63,14 @@ class EmulatedDrill:
     """The drill of one emulated bench."""
 
     def __init__(self, bench: str, only: Collection[str], directory: Path, tell: Tell) -> None:
-        """Check what is to be rehearsed.
+        """Choose the rehearsals, and the steps that each of their runs takes.
+
+        Parameters
+        ----------
+        bench : name of a shipped bench, or path of a bench file.
+        only : names of the faults to rehearse, `stop` among them; empty: all. A run without a fault is always made.
+        directory : of the run files and the changed bench files.
+        tell : shows progress.
 
         Raises
         ------
@@ -77,7 +84,7 @@ class EmulatedDrill:
         self._stops = not only or STOP in only
         self._directory, self._tell = directory, tell
         self._roles = drives(devices)
-        longest = max([item.drill.within_s for item in self._rehearsals], default=0.5)
+        longest = max([rehearsal.drill.within_s for rehearsal in self._rehearsals], default=0.5)
         self._setup = setup_of(self._file, self._roles)
         self._steps = by_hand.motion_steps(
             self._setup,
@@ -100,7 +107,8 @@ class EmulatedDrill:
         rehearsed = [(NO_FAULT, "", "nothing goes wrong")]
         rehearsed += [(STOP, "", "the run is stopped")] if self._stops else []
         rehearsed += [
-            (item.fault, item.on, f"ought to be ended by: {item.drill.ended_by}") for item in self._rehearsals
+            (rehearsal.fault, rehearsal.on, f"ought to be ended by: {rehearsal.drill.ended_by}")
+            for rehearsal in self._rehearsals
         ]
         planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
         devices = [device.name for device in request.devices]
@@ -119,41 +127,53 @@ class EmulatedDrill:
             self._tell(NO_FAULT, 0, count)
             no_fault, fault_time = self._rehearse_no_fault()
             if not no_fault.held:
-                untried = dict.fromkeys((item.fault for item in self._rehearsals), "a run without a fault did not pass")
-                return Drilled(self._file.name, True, [no_fault], untried)
+                reason = "a run without a fault did not pass"
+                not_rehearsed = dict.fromkeys((rehearsal.fault for rehearsal in self._rehearsals), reason)
+                return Drilled(self._file.name, True, [no_fault], not_rehearsed)
             findings = [no_fault]
             if self._stops:
                 check()
                 self._tell(STOP, 1, count)
                 findings.append(self._rehearse_stop(fault_time))
-            for item in self._rehearsals:
+            for rehearsal in self._rehearsals:
                 check()
-                self._tell(" ".join(filter(None, (item.fault, item.on))), len(findings), count)
-                findings.append(self._rehearse_fault(item, fault_time, len(findings)))
+                self._tell(" ".join(filter(None, (rehearsal.fault, rehearsal.on))), len(findings), count)
+                findings.append(self._rehearse_fault(rehearsal, fault_time, len(findings)))
             check()
         return Drilled(self._file.name, True, findings, self._left_out)
 
     def _rehearse_no_fault(self) -> tuple[DrillFinding, float]:
-        """Make a run without a fault; return its finding, and the bench time [s] of the fault or stop in later runs."""
+        """Make a run without a fault; return its finding, and the time of the fault or stop in later runs [s].
+
+        The time is by the bench's clock; it is 0 if the run has faults.
+        """
         rehearsed = self._run(NO_FAULT, [])
         faults = [*end_faults(rehearsed.outcome, ["complete"], rehearsed.ends), *rehearsed.file_faults]
         fault_time = 0.0
         if not faults:
             with Run.open(rehearsed.outcome.path) as run:
                 held = next(step for step in run.steps if step.name == by_hand.HELD)
-            # in the middle of a cycle: the next cycle is the first that can notice
+            # half a cycle later, so that it is clear which cycle is the first that can notice the fault
             fault_time = round(rehearsed.power_watch.run_start + held.start + HELD_BEFORE_S + 0.5 * CYCLE_S, 6)
         return self._finding(NO_FAULT, "", {}, "nothing", None, rehearsed, None, faults), fault_time
 
     def _rehearse_stop(self, stop_time: float) -> DrillFinding:
+        """Make a run that is asked to stop at this time by the bench's clock [s], and judge it."""
         rehearsed = self._run(STOP, [], stop_at=stop_time)
         faults = [*end_faults(rehearsed.outcome, ["stopped"], rehearsed.ends), *rehearsed.file_faults]
         return self._finding(STOP, "", {}, "the stop request", CYCLE_S, rehearsed, stop_time, faults)
 
-    def _rehearse_fault(self, item: FaultRehearsal, fault_time: float, number: int) -> DrillFinding:
-        rehearsed = self._run(f"{number:02d}-{item.fault}", [dict(item.entry) | {"at_s": fault_time}])
-        drill = item.drill
-        faults = end_faults(rehearsed.outcome, CAUGHT_STATUSES, rehearsed.ends, item.on if drill.stays_on else "")
+    def _rehearse_fault(self, rehearsal: FaultRehearsal, fault_time: float, number: int) -> DrillFinding:
+        """Make a run with a fault at this time by the bench's clock [s], and judge it.
+
+        Parameters
+        ----------
+        number : of the rehearsal in the drill, for the name of its bench file.
+        """
+        rehearsed = self._run(f"{number:02d}-{rehearsal.fault}", [dict(rehearsal.entry) | {"at_s": fault_time}])
+        drill = rehearsal.drill
+        stays_on = rehearsal.on if drill.stays_on else ""
+        faults = end_faults(rehearsed.outcome, CAUGHT_STATUSES, rehearsed.ends, stays_on)
         reaction_s = rehearsed.power_watch.last_cycle - fault_time
         if rehearsed.outcome.status in CAUGHT_STATUSES and reaction_s > drill.within_s:
             faults.append(f"caught after {reaction_s:.2f} s; {drill.within_s:g} s were expected")
@@ -164,7 +184,15 @@ class EmulatedDrill:
             if drill.stays_on and end.without_power is False and not end.confirmed
         ]
         return self._finding(
-            item.fault, item.on, item.parameters, drill.ended_by, drill.within_s, rehearsed, fault_time, faults, notes
+            rehearsal.fault,
+            rehearsal.on,
+            rehearsal.parameters,
+            drill.ended_by,
+            drill.within_s,
+            rehearsed,
+            fault_time,
+            faults,
+            notes,
         )
 
     def _finding(
@@ -179,6 +207,7 @@ class EmulatedDrill:
         faults: list[str],
         notes: list[str] | None = None,
     ) -> DrillFinding:
+        """Return the finding, with the times from the event to the last cycle and to the loss of all power."""
         outcome, power_watch = rehearsed.outcome, rehearsed.power_watch
         noticed = event_time is not None and outcome.status != "complete"
         start = event_time or 0.0
@@ -200,7 +229,13 @@ class EmulatedDrill:
         )
 
     def _run(self, name: str, faults: list[dict[str, Any]], stop_at: float | None = None) -> _RehearsedRun:
-        """Make one run with these faults instead of the bench file's; the changed bench file is kept beside the run."""
+        """Make one run with these faults instead of the bench file's, from a changed bench file beside the run file.
+
+        Parameters
+        ----------
+        faults : entries of `emulated.faults` in the bench file.
+        stop_at : time by the bench's clock at which the run is asked to stop [s]; None: it is not.
+        """
         bench_path = self._directory / f"{name}.yaml"
         data = self._document.data
         data = data | {"emulated": {**data["emulated"], "faults": faults}}
@@ -208,16 +243,16 @@ class EmulatedDrill:
         request = prepare_by_hand("drill", self._steps, str(bench_path), self._setup, self._directory, realtime=False)
         power_watch = DrivePowerWatch()
 
-        def begin(_progress: object) -> nullcontext[None]:
+        def record_start(_progress: object) -> nullcontext[None]:
             power_watch.run_start = power_watch.bench.time.now()
             return nullcontext()
 
-        def each_cycle() -> str:
+        def stop_source() -> str:
             power_watch.last_cycle = power_watch.bench.time.now()
             return STOP_REASON if stop_at is not None and power_watch.last_cycle >= stop_at else ""
 
         with _temporary_state(), observed(power_watch.see):
-            outcome = execute(request, granted, begin, [each_cycle])
+            outcome = execute(request, granted, record_start, [stop_source])
         if isinstance(outcome.error, Stopped) and outcome.reason != STOP_REASON:
             raise outcome.error
         power_watch.end()
@@ -233,7 +268,7 @@ class EmulatedDrill:
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes YAML without anchors, since `leactl.yamlfile` reads none."""
+    """Writes YAML without anchors, because `leactl.yamlfile` does not read them."""
 
     def ignore_aliases(self, _data: Any) -> bool:
         """Return True: an object that occurs twice is written twice."""
@@ -241,27 +276,27 @@ class _Plain(yaml.SafeDumper):
 
 
 def drives(devices: Collection[CheckedDevice]) -> dict[str, str]:
-    """Return the role of each drive of a bench by its name."""
+    """Return the role of each drive of a bench, by the name of the drive."""
     return {
         device.name: device.entry.role for device in devices if hasattr(registry.load(device.entry.driver), "engage")
     }
 
 
 def setup_of(file: BenchFile, roles: Mapping[str, str]) -> str:
-    """Return the set-up that the bench file names, or else `coupled` for two drives and `free` for fewer."""
+    """Return the set-up of the bench file; if it has none, `coupled` for two drives and `free` for fewer."""
     return file.setup or ("coupled" if len(roles) > 1 else "free")
 
 
 @contextmanager
 def _temporary_state() -> Iterator[None]:
     """Keep latches, locks and the list of runs under way in a temporary directory until the block is left."""
-    before = os.environ.get("LEACTL_STATE")
+    previous = os.environ.get("LEACTL_STATE")
     with tempfile.TemporaryDirectory(prefix="leactl-drill-") as directory:
         os.environ["LEACTL_STATE"] = directory
         try:
             yield
         finally:
-            if before is None:
+            if previous is None:
                 del os.environ["LEACTL_STATE"]
             else:
-                os.environ["LEACTL_STATE"] = before
+                os.environ["LEACTL_STATE"] = previous

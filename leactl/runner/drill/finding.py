@@ -1,4 +1,4 @@
-"""The plan and the result of a drill: for each rehearsal what ended its run, how fast, and how each device ended."""
+"""The plan and the result of a drill: for each rehearsal, what ended its run, after what time, and in which state."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,17 +10,17 @@ from leactl.runner.outcome import Outcome
 CAUGHT_STATUSES = ("tripped", "failed")  # of a run that a fault has ended
 
 Tell = Callable[[str, int, int], None]
-"""Shows progress: the name of the next rehearsal, the number of those done, and the number of all."""
+"""Shows progress, from the name of the next rehearsal, the number of rehearsals done, and the number of all."""
 
 
 @dataclass(frozen=True)
 class PlannedRehearsal:
     """One rehearsal that a drill would make now."""
 
-    name: str  # of the fault, or of what a person does
-    on: str  # device or bus
-    explained: str  # what happens
-    plan: Plan  # of its run, which the rehearsal may end early
+    name: str  # of the fault, or of the action of a person
+    on: str  # name of the device or bus with the fault
+    explained: str  # what happens in it, for a person
+    plan: Plan  # of its run, which may end early
 
 
 @dataclass(frozen=True)
@@ -29,26 +29,26 @@ class PlannedDrill:
 
     bench: str
     emulated: bool
-    devices: Sequence[str]  # names of those that would be opened
+    devices: Sequence[str]  # names of the devices that would be opened
     rehearsals: Sequence[PlannedRehearsal]
-    left_out: Mapping[str, str]  # what would not be rehearsed, and why
+    left_out: Mapping[str, str]  # names of faults that would not be rehearsed: why
 
 
 @dataclass(frozen=True)
 class DeviceEnd:
-    """How a device ended: what it confirmed, and what the emulated bench itself shows."""
+    """The state of a device after a run, as it reports it and as the emulated bench shows it."""
 
-    confirmed: bool
-    detail: str
-    without_power: bool | None  # of an emulated drive; None where nothing but the device can tell
+    confirmed: bool  # whether its safe state is confirmed
+    detail: str  # text of the confirmation
+    without_power: bool | None  # of an emulated drive; None for any other device
 
 
 @dataclass(frozen=True)
 class DrillFinding:
     """The result of one rehearsal."""
 
-    name: str  # of the fault, or of what a person does
-    on: str  # device or bus
+    name: str  # of the fault, or of the action of a person
+    on: str  # name of the device or bus with the fault
     parameters: Mapping[str, Any]
     ought: str  # what ought to end the run
     within_s: float | None  # longest allowed time from the fault or stop
@@ -58,7 +58,7 @@ class DrillFinding:
     ended_s: float | None
     zero_torque_s: float | None  # time from the fault to no power at any emulated drive; None: unknown, or never
     devices: Mapping[str, DeviceEnd]
-    faults: Sequence[str]  # what was not as it ought to be
+    faults: Sequence[str]  # of the end of its run, of the reaction time and of the run file; one line each
     notes: Sequence[str] = ()
     run: str = ""  # path of the run file; empty if the file is not kept
 
@@ -75,7 +75,7 @@ class Drilled:
     bench: str
     emulated: bool
     findings: Sequence[DrillFinding]
-    left_out: Mapping[str, str] = field(default_factory=dict)  # what was not rehearsed, and why
+    left_out: Mapping[str, str] = field(default_factory=dict)  # names of faults that were not rehearsed: why
 
     @property
     def held(self) -> bool:

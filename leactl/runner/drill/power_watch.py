@@ -1,4 +1,4 @@
-"""Watch an emulated bench during a drill: since when no drive has had power, whatever its devices report."""
+"""Watch the power of emulated drives during a drill, on the emulated plant and not by the reports of its devices."""
 
 from typing import TYPE_CHECKING
 
@@ -7,10 +7,10 @@ if TYPE_CHECKING:
 
 
 class DrivePowerWatch:
-    """Watches since when no drive of an emulated bench has had power, during one run."""
+    """Notes during one run since when no drive of an emulated bench has had power."""
 
     def __init__(self) -> None:
-        self.run_start = self.last_cycle = 0.0  # s on the bench's clock; whoever runs the bench sets both
+        self.run_start = self.last_cycle = 0.0  # s on the bench's clock; the caller sets both
         self.unpowered_since: float | None = None  # s on the bench's clock; None while any drive has power
         self._bench: EmulatedBench | None = None
 
@@ -31,6 +31,7 @@ class DrivePowerWatch:
         return actuator.mode != "off" or actuator.current_true != 0.0
 
     def _update(self, now: float) -> None:
+        """Set `unpowered_since` to this time [s] once no drive has power, and to None while any drive has."""
         if any(self.powered(role) for role in self.bench.rig.actuators):
             self.unpowered_since = None
         elif self.unpowered_since is None:

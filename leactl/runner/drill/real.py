@@ -1,4 +1,4 @@
-"""Rehearse on a real bench what needs no injected fault: stops, and a sensor that a person unplugs.
+"""Rehearse on a real bench the cases that need no injected fault: stops, and a sensor that a person unplugs.
 
 Setpoints are small, and a person agrees to each rehearsal before it begins. The runs are executed as any other run,
 with the locks, latch and watchdog of the bench.
@@ -37,28 +37,28 @@ from leactl.runner.session import execute
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 1.0, 1.0  # or a twentieth of the bench's limits if that is less
 STOP_AFTER_S = 1.0  # from the first cycle to the stop request
-TIME_TO_ACT_S = 30.0  # that a person has to press the key or to unplug the sensor
-KEY_REASON = "stopped by the operator: key"  # how the reason of such a run begins
+TIME_TO_ACT_S = 30.0  # in which a person has to press the key or to unplug the sensor
+KEY_REASON = "stopped by the operator: key"  # beginning of the reason of a run that a key has stopped
 STOP, KEY, UNPLUGGED, DEAD_MAN = "stop", "operator_stop", "sensor_unplugged", "dead_man"
 EXERCISE_NAMES = (STOP, KEY, UNPLUGGED, DEAD_MAN)
 
 
 @dataclass(frozen=True)
 class Person:
-    """How the drill asks and tells the person at the bench."""
+    """Functions by which the drill talks to the person at the bench."""
 
-    agrees: Callable[[str], bool]
+    agrees: Callable[[str], bool]  # shows a rehearsal and returns whether the person agrees to it
     tell: Callable[[str], None]
-    present: bool  # at a terminal, so that they can press a key and unplug a sensor
+    present: bool  # whether somebody is at a terminal, who can press a key and unplug a sensor
 
 
 class _Exercise(NamedTuple):
     """One rehearsal that this drill can make, by one run."""
 
     name: str
-    explained: str
+    explained: str  # what happens in it, for a person
     needs_person: bool
-    steps: Sequence[str]  # of its run
+    steps: Sequence[str]  # of its run, in YAML
     rehearse: Callable[[], DrillFinding]
 
 
@@ -74,7 +74,15 @@ class RealDrill:
         served: bool = False,
         buses: Sequence[str] = (),
     ) -> None:
-        """Check what is to be rehearsed.
+        """Choose the rehearsals, and the setpoints of their runs.
+
+        Parameters
+        ----------
+        bench : name of a shipped bench, or path of a bench file.
+        only : names of the rehearsals to make; empty: all.
+        directory : of the run files.
+        served : whether another process emulates the bench, on real buses.
+        buses : changes of buses, as `changed_buses` takes them.
 
         Raises
         ------
@@ -94,7 +102,7 @@ class RealDrill:
         self._velocity = min(MOST_VELOCITY_RAD_S, 0.05 * limits.velocity_rad_s)
         self._current = min(MOST_CURRENT_A, 0.05 * limits.current_A)
         self._roles = roles.values()
-        self._moving(TIME_TO_ACT_S)  # raises InputError if no drive could be moved
+        self._motion_steps(TIME_TO_ACT_S)  # raises InputError if no drive could be moved
         sensors = (device.name for device in devices if hasattr(registry.load(device.entry.driver), "tare"))
         self._sensor = next(sensors, "")
         silences = benchfile.host_silences(devices)
@@ -131,7 +139,7 @@ class RealDrill:
         for exercise in self._exercises():
             if exercise.name not in left_out:
                 request = self._request(exercise.steps)
-                devices = [device.name for device in request.devices]  # of each run the same
+                devices = [device.name for device in request.devices]  # the same for each run
                 plan = dry_run(request).plan
                 on = self._sensor if exercise.name == UNPLUGGED else ""
                 planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
@@ -140,18 +148,20 @@ class RealDrill:
     def _exercises(self) -> list[_Exercise]:
         """Return the chosen rehearsals; the one that latches the bench comes last."""
         motion = f"at {self._velocity:g} rad/s and {self._current:g} A at the most; keep clear of the shaft"
-        stopped = f"The drives move for {STOP_AFTER_S:g} s and are stopped, {motion}."
-        pressed = f"The drives move until you press space or q, {motion}."
-        unplugged = f"Drives off; you unplug {self._sensor} and the bench has to trip. It stays latched afterwards."
-        every = (
-            _Exercise(STOP, stopped, False, self._moving(STOP_AFTER_S + TIME_TO_ACT_S), self._rehearse_stop),
-            _Exercise(KEY, pressed, True, self._moving(TIME_TO_ACT_S), self._rehearse_key),
-            _Exercise(UNPLUGGED, unplugged, True, by_hand.reading_steps(TIME_TO_ACT_S), self._rehearse_unplugging),
+        stop_text = f"The drives move for {STOP_AFTER_S:g} s and are stopped, {motion}."
+        key_text = f"The drives move until you press space or q, {motion}."
+        unplug_text = f"Drives off; you unplug {self._sensor} and the bench has to trip. It stays latched afterwards."
+        stop_steps, key_steps = self._motion_steps(STOP_AFTER_S + TIME_TO_ACT_S), self._motion_steps(TIME_TO_ACT_S)
+        reading_steps = by_hand.reading_steps(TIME_TO_ACT_S)
+        exercises = (
+            _Exercise(STOP, stop_text, False, stop_steps, self._rehearse_stop),
+            _Exercise(KEY, key_text, True, key_steps, self._rehearse_key),
+            _Exercise(UNPLUGGED, unplug_text, True, reading_steps, self._rehearse_unplugging),
         )
-        return [exercise for exercise in every if exercise.name in self._only]
+        return [exercise for exercise in exercises if exercise.name in self._only]
 
     def _left_out(self) -> dict[str, str]:
-        """Return the names of the chosen rehearsals that cannot be made here, and why."""
+        """Return the chosen rehearsals that cannot be made here: the reason of each, by name."""
         left_out = {DEAD_MAN: self._dead_man_instructions} if DEAD_MAN in self._only else {}
         for exercise in self._exercises():
             if exercise.name == UNPLUGGED and not self._sensor:
@@ -162,21 +172,23 @@ class RealDrill:
 
     @property
     def _faults_left_out(self) -> dict[str, str]:
-        """Why the faults of the catalogue are not rehearsed."""
+        """The reason why the faults of the catalogue are not rehearsed."""
         return {f"{len(known_faults())} faults of the catalogue": "no fault can be put into a real bench"}
 
     @property
     def _dead_man_instructions(self) -> str:
-        """How a person tests the dead-man by hand: a run cannot and should not stop sending to a drive."""
+        """Instructions to test the dead-man by hand, since a run cannot and should not stop sending to a drive."""
         return (
             f"nothing here lets a drive starve; by hand: `leactl bench jog {self._bench} --current 0 --for 20`,"
             f" `kill -9` of its process, and the drive's own display: out of operation within {self._silence_s:g} s"
         )
 
-    def _moving(self, hold_s: float) -> list[str]:
+    def _motion_steps(self, hold_s: float) -> list[str]:
+        """Return steps that move the drives, with a hold of this duration [s]."""
         return by_hand.motion_steps(self._setup, self._roles, self._velocity, self._current, hold_s)
 
     def _rehearse_stop(self) -> DrillFinding:
+        """Make a run that is asked to stop after `STOP_AFTER_S`, and judge the time to its safe state."""
         cycle_times: list[float] = []
         stop_times: list[float] = []
 
@@ -188,18 +200,21 @@ class RealDrill:
             return STOP_REASON
 
         outcome, safe_at = self._run(
-            self._moving(STOP_AFTER_S + TIME_TO_ACT_S), [stop_after_delay], expected_reason=STOP_REASON
+            self._motion_steps(STOP_AFTER_S + TIME_TO_ACT_S), [stop_after_delay], expected_reason=STOP_REASON
         )
         reaction_s = safe_at - stop_times[0] if stop_times else None
         return self._finding(STOP, "", "the stop request", SAFE_STATE_S, outcome, ["stopped"], reaction_s)
 
     def _rehearse_key(self) -> DrillFinding:
+        """Make a run that a person stops by a key, and judge it."""
         with keyboard(shown=True) as keys:
             instruction = f"Press space or q now: {TIME_TO_ACT_S:g} s are left."
-            outcome, _safe_at = self._run(self._moving(TIME_TO_ACT_S), [keys.pressed], instruction, KEY_REASON)
+            steps = self._motion_steps(TIME_TO_ACT_S)
+            outcome, _safe_at = self._run(steps, [keys.pressed], instruction, KEY_REASON)
         return self._finding(KEY, "", "the operator's key", None, outcome, ["stopped"], None)
 
     def _rehearse_unplugging(self) -> DrillFinding:
+        """Make a run with the drives off, in which a person unplugs the sensor, and judge whether the bench trips."""
         instruction = f"Unplug {self._sensor} now: {TIME_TO_ACT_S:g} s are left."
         outcome, _safe_at = self._run(by_hand.reading_steps(TIME_TO_ACT_S), [], instruction)
         return self._finding(
@@ -210,6 +225,11 @@ class RealDrill:
         self, steps: Sequence[str], stops: Sequence[Callable[[], str]], instruction: str = "", expected_reason: str = ""
     ) -> tuple[Outcome, float]:
         """Make one run; return its outcome and the `time.monotonic` at which its devices were safe [s].
+
+        Parameters
+        ----------
+        stops : asked once a cycle for a reason to stop the run; an empty text lets it go on.
+        instruction : told to the person when the run begins.
 
         Raises
         ------
@@ -245,6 +265,7 @@ class RealDrill:
         allowed_statuses: Sequence[str],
         reaction_s: float | None,
     ) -> DrillFinding:
+        """Return the finding, with the faults of the run's end, its reaction time and its run file."""
         ends = {device: DeviceEnd(end.safe, end.detail, None) for device, end in outcome.safe.items()}
         if name == UNPLUGGED:  # an unplugged sensor cannot confirm anything, and has no power
             ends.pop(on, None)
