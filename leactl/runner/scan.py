@@ -7,6 +7,7 @@ run has locked is not scanned.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -75,14 +76,12 @@ def named_wires(
     if faults:
         raise InputError(faults)
     wires += [_i2c_wire(number) for number in i2c]
-    unique = list({wire.shown: wire for wire in wires}.values())
-    return [_with_unique_name(wire, unique[:index]) for index, wire in enumerate(unique)]
-
-
-def _with_unique_name(wire: ScannedWire, earlier_wires: Sequence[ScannedWire]) -> ScannedWire:
-    """Return the wire, with a number added to its name if earlier wires have the same name."""
-    namesakes = sum(earlier.name == wire.name for earlier in earlier_wires)
-    return replace(wire, name=f"{wire.name[: LONGEST_NAME - 2]}_{namesakes + 1}") if namesakes else wire
+    named: list[ScannedWire] = []
+    for wire in {wire.shown: wire for wire in wires}.values():
+        taken = {earlier.name for earlier in named}
+        numbered = (f"{wire.name[: LONGEST_NAME - 1 - len(str(number))]}_{number}" for number in count(2))
+        named.append(replace(wire, name=next(name for name in chain([wire.name], numbered) if name not in taken)))
+    return named
 
 
 def wires_of_this_machine(root: Path = Path("/")) -> list[ScannedWire]:

@@ -41,11 +41,12 @@ def test_each_wire_has_a_name_that_a_bench_file_takes_and_no_other_has():
     ports = [
         "/dev/ttyUSB0",
         "/dev/a/ttyUSB0",
+        "/dev/ttyUSB0_2",
         "/dev/serial/by-id/usb-Silicon_Labs_CP2102N_USB_to_UART_Bridge_Controller_0001",
     ]
     wires = named_wires(["can0", "can0", "slcan:/dev/ttyACM0"], [0], ports, ["10.0.0.7", "10.0.0.7:5025"], 500_000)
     names = [wire.name for wire in wires]
-    assert len(wires) == len(set(names)) == 8
+    assert len(wires) == len(set(names)) == 9
     assert all(re.fullmatch(r"[a-z][a-z0-9_]{0,39}", name) for name in names)
     adapter = next(wire.buses[0] for wire in wires if wire.shown == "slcan:/dev/ttyACM0")
     assert (adapter.interface, adapter.channel, adapter.bitrate) == ("slcan", "/dev/ttyACM0", 500_000)

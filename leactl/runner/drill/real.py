@@ -248,7 +248,8 @@ class RealDrill:
         outcome = execute(request, granted, watch, stops)
         if isinstance(outcome.error, Stopped) and not (expected_reason and outcome.reason.startswith(expected_reason)):
             raise outcome.error
-        return outcome, safe_at[0]
+        # where the instruction could not be told, the view never began: a later moment, which no drill passes wrongly
+        return outcome, safe_at[0] if safe_at else time.monotonic()
 
     def _request(self, steps: Sequence[str]) -> Request:
         return prepare_by_hand(
