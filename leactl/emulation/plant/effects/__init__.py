@@ -1,7 +1,7 @@
-"""Effects that the nominal plant does not have: each is a module of this package, found by listing it.
+"""Effects that the nominal plant does not have: the subclasses of `PlantEffect` in the modules of this package.
 
-A module defines one subclass of `PlantEffect`, a frozen dataclass whose fields carry their range. To add an effect,
-add a file here; nothing else is edited.
+Each is a frozen dataclass whose fields carry their range; `PlantBusSag` is the effect `bus_sag`. To add an effect, add
+its class to the module of its family, or a module of its own: the package is listed, and nothing else is edited.
 """
 
 import importlib
@@ -16,15 +16,15 @@ __all__ = ["PlantEffect", "known_effects", "make_effect"]
 
 
 def known_effects() -> dict[str, type[PlantEffect]]:
-    """Map the name of each module to its effect class."""
+    """Map the name of each effect to its class, in the order of the names."""
     effects: dict[str, type[PlantEffect]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
         for member in vars(module).values():
             is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
             if is_defined_here and issubclass(member, PlantEffect) and member is not PlantEffect:
-                effects[entry.name] = member
-    return effects
+                effects[member.effect_name()] = member
+    return dict(sorted(effects.items()))
 
 
 def make_effect(name: str, parameters: Mapping[str, Any] | None = None) -> PlantEffect:

@@ -5,6 +5,7 @@ methods, each over many lanes at once: an effect made by `stacked` holds arrays 
 and its methods accept both.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self, TypeAlias
@@ -42,6 +43,11 @@ class PlantEffect(Checked):
         super().__post_init__()
         if self.role not in ("test", "load"):
             raise InputError(f"role: found {self.role!r}, expected test or load")
+
+    @classmethod
+    def effect_name(cls) -> str:
+        """Return the name that files and the vocabulary have for the effect: `bus_sag` for `PlantBusSag`."""
+        return re.sub("(?<!^)(?=[A-Z])", "_", cls.__name__.removeprefix("Plant")).lower()
 
     @classmethod
     def stacked(cls, effects: "Sequence[PlantEffect]") -> Self:

@@ -137,7 +137,7 @@ class Rig:
         self.effects = tuple(effects)
         beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
         if beyond:
-            names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
+            names = ", ".join(effect.effect_name() for effect in beyond)
             raise InputError(f"effect {names}: only the stepped plant has a form for it, the emulated bench has none")
         self.noise = Noise(seed)
         self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only

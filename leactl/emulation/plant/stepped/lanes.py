@@ -86,5 +86,5 @@ def _kinds(lane: Lane) -> tuple[tuple[type[PlantEffect], str], ...]:
 
 def in_groups(lanes: Sequence[Lane]) -> list[int]:
     """Order the lane indices so that lanes with the same kinds of effects are adjacent."""
-    names = [[f"{kind.__module__}.{role}" for kind, role in _kinds(lane)] for lane in lanes]
+    names = [[f"{kind.effect_name()}.{role}" for kind, role in _kinds(lane)] for lane in lanes]
     return sorted(range(len(lanes)), key=lambda index: (names[index], index))

@@ -34,7 +34,7 @@ class SteppedRig:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
         if beyond := [effect for effect in effects if effect.needs_whole_record]:
-            names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
+            names = ", ".join(effect.effect_name() for effect in beyond)
             raise InputError(f"effect {names}: its form needs a whole record, which a live bench has not; leave it out")
         self.setup, self.bench, self.heater_current = setup, bench or BenchParameters(), 0.0
         if self.bench.phase_resolved:

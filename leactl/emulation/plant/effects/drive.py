@@ -1,0 +1,105 @@
+"""What drive, inverter and supply do to the current that is asked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Path, PlantEffect, Value
+from leactl.emulation.plant.effects.lag_and_delay import Delay
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class PlantTransportDelay(PlantEffect):
+    """A drive whose current follows its reference after a delay, as from a fieldbus or a slow cycle.
+
+    The current loop gets the reference of `delay` earlier.
+    """
+
+    delay: float = bounded(0.0, 0.0, 0.5)  # s
+
+    def reference_path(self, lanes: int, step_s: float) -> Path:
+        """Delay the reference."""
+        return Delay(self.delay, lanes, step_s)
+
+
+@dataclass(frozen=True)
+class PlantCommandSlewLimit(PlantEffect):
+    """A drive whose current reference changes no faster than a fixed rate.
+
+    The current reference changes by at most rate x step.
+    """
+
+    rate: float = bounded(1e6, 1e-3, 1e9)  # A/s
+
+    def reference_path(self, lanes: int, step_s: float) -> Path:
+        """Move towards the reference by at most rate x step."""
+        followed = np.zeros(lanes)
+        most = self.rate * step_s
+
+        def step(reference: Value) -> Value:
+            np.add(followed, np.minimum(np.maximum(reference - followed, -most), most), out=followed)
+            return followed
+
+        return step
+
+
+@dataclass(frozen=True)
+class PlantTorqueLimit(PlantEffect):
+    """A drive that limits its current below the reference.
+
+    The current loop follows its reference up to a maximum current.
+    """
+
+    current: float = bounded(1e4, 1e-3, 1e6)  # A
+
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """Clip the reference at the maximum, in both directions."""
+        return np.minimum(np.maximum(reference, -self.current), self.current)
+
+
+STANDSTILL = 1e-6  # rad/s, below which no power flows
+
+
+@dataclass(frozen=True)
+class PlantPowerFoldback(PlantEffect):
+    """A drive that reduces its current at speed.
+
+    The current loop follows its reference as far as the power limit allows.
+    """
+
+    power: float = bounded(1e6, 1e-3, 1e9)  # W
+
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """Limit the current so that torque constant times velocity times current stays within the power."""
+        most = self.power / (torque_constant * np.maximum(np.abs(velocity), STANDSTILL))
+        return np.minimum(np.maximum(reference, -most), most)
+
+
+@dataclass(frozen=True)
+class PlantDeadTime(PlantEffect):
+    """An inverter that loses voltage, with the sign of the current.
+
+    Loss = voltage x i / sqrt(i^2 + current^2).
+    """
+
+    voltage: float = bounded(0.0, 0.0, 20.0)  # V
+    current: float = bounded(0.3, 1e-3, 100.0)  # A
+
+    def lost_voltage(self, current: Value) -> Value:
+        """Rise with the current and saturate."""
+        return self.voltage * current / np.hypot(current, self.current)
+
+
+@dataclass(frozen=True)
+class PlantBusSag(PlantEffect):
+    """A supply with an internal resistance.
+
+    Voltage at which source and load agree: V = source - resistance x power / V.
+    """
+
+    resistance: float = bounded(0.0, 0.0, 10.0)  # ohm
+
+    def bus_voltage(self, source: Value, power: Value) -> Value:
+        """Return the upper root of the quadratic; half the source voltage if the source cannot supply the power."""
+        return 0.5 * (source + np.sqrt(np.maximum(source * source - 4.0 * self.resistance * power, 0.0)))

@@ -1,0 +1,37 @@
+"""The shaft between two actuators: play and compliance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class PlantBacklash(PlantEffect):
+    """Free play between actuator and shaft.
+
+    The shaft is strained by the part of the twist beyond half the play on either side.
+    """
+
+    width: float = bounded(0.0, 0.0, 1.0)  # rad
+
+    def transmitted_twist(self, twist: Value) -> Value:
+        """Subtract the play from the twist; zero within the play."""
+        half = 0.5 * self.width
+        return twist - np.minimum(np.maximum(twist, -half), half)
+
+
+@dataclass(frozen=True)
+class PlantShaftCompliance(PlantEffect):
+    """A shaft or sensor much softer than the model's.
+
+    Shaft stiffness that replaces the bench's.
+    """
+
+    stiffness: float = bounded(6000.0, 1.0, 1e7)
+
+    def shaft_stiffness(self, nominal: Value) -> Value:
+        """Return this stiffness in place of the nominal one."""
+        return self.stiffness + 0.0 * nominal

@@ -1,0 +1,124 @@
+"""Torque sensors that read something else than the shaft's torque, or late."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Path, PlantEffect, Value
+from leactl.emulation.plant.effects.lag_and_delay import Delay, Lag
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorGain(PlantEffect):
+    """A torque sensor whose calibration is wrong by a factor.
+
+    Reading = gain x torque.
+    """
+
+    gain: float = bounded(1.0, 0.1, 10.0)
+
+    def sense_torque(self, torque: float) -> float:
+        """Multiply the torque by the gain."""
+        return self.gain * torque
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorOffset(PlantEffect):
+    """A torque sensor whose zero is wrong.
+
+    Reading = torque + offset.
+    """
+
+    offset: float = bounded(0.0, -100.0, 100.0)  # N*m
+
+    def sense_torque(self, torque: float) -> float:
+        """Add the offset to the torque."""
+        return torque + self.offset
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorDrift(PlantEffect):
+    """A torque channel whose zero drifts with time.
+
+    Zero = rate x time, levelling off over ten minutes as an amplifier warms.
+    """
+
+    rate: float = bounded(0.0, -1.0, 1.0)  # N*m/s
+
+    def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
+        """Add the drift of the zero."""
+        return torque + self.rate * 600.0 * -np.expm1(-time / 600.0)
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorCrosstalk(PlantEffect):
+    """Misalignment that loads the torque sensor in bending once a turn.
+
+    Reading = torque + amplitude sin(angle + phase).
+    """
+
+    amplitude: float = bounded(0.0, 0.0, 100.0)  # N*m
+    phase: float = bounded(0.0, -7.0, 7.0)  # rad
+
+    def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
+        """Add the reading that bending causes."""
+        return torque + self.amplitude * np.sin(angle + self.phase)
+
+
+REACHES = np.array([0.1, 0.25, 0.5])  # of the swing
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorHysteresis(PlantEffect):
+    """A torque sensor whose reading depends on the direction from which the torque comes.
+
+    Sliders in the sensor's spring slip one after the other; the reading lags by the torque that they hold.
+    """
+
+    needs_whole_record: ClassVar[bool] = True
+    width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
+
+    def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
+        """Subtract the mean torque that the sliders hold back, which is limited by the reach of each."""
+        swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
+        reach = REACHES[:, None] * swing
+        share = self.width / REACHES.mean()
+        held = np.zeros_like(reach)
+        before = torque[0]
+        reading = np.empty_like(torque)
+        for k, now in enumerate(torque):
+            np.add(held, now - before, out=held)
+            np.minimum(np.maximum(held, -reach, out=held), reach, out=held)
+            reading[k] = now - share * held.mean(axis=0)
+            before = now
+        return reading
+
+
+@dataclass(frozen=True)
+class PlantTorqueSensorLag(PlantEffect):
+    """A torque channel that lags more than its filter does.
+
+    A first-order lag in addition to the filter.
+    """
+
+    time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
+
+    def torque_path(self, lanes: int, step_s: float) -> Path:
+        """Apply the lag, from zero torque at the start."""
+        return Lag(self.time_constant, lanes, step_s)
+
+
+@dataclass(frozen=True)
+class PlantTimeSkew(PlantEffect):
+    """A torque stream that is late relative to the drive's streams.
+
+    The torque reading shows the torque of `delay` earlier.
+    """
+
+    delay: float = bounded(0.0, 0.0, 0.5)  # s
+
+    def torque_path(self, lanes: int, step_s: float) -> Path:
+        """Delay the torque reading."""
+        return Delay(self.delay, lanes, step_s)
