@@ -300,10 +300,10 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
         rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(applied_forms)))
         unrest_by_run, lines = left_over(evidence, rest_of_set)
-        surprise = max(surprise, unexplained(unrest(unrest_by_run), lines), key=lambda item: item.probability)
+        surprise = max(surprise, unexplained(unrest(unrest_by_run), lines), key=lambda sign: sign.probability)
     if not (applied_forms or servo_runs or at_bounds(calibrated_alone)) and surprise.probability < UNKNOWN:
         off = unexplained_in_a_run(unrest_by_run), unlike_fitted(evidence, applied_forms, case.held_out)
-        surprise = max(surprise, *off, key=lambda item: item.probability)
+        surprise = max(surprise, *off, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, applied_forms, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)

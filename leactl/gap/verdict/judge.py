@@ -20,11 +20,7 @@ from leactl.gap.search.sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
 from leactl.gap.signals.record import Record
 
 EXACT_FORM_ERROR = 0.0005
-SURE, HALF, SLOPE = (
-    0.998,
-    3.8,
-    2.5,
-)  # largest probability, height with a probability of one half, and slope of the probability over height
+SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # largest probability, height with even odds, and slope of the probability
 CLASS = 0.2  # share of the winner's weight above which a rival is named together with it
 COVERED_WIDTH = 0.02  # change of the explained share over which the probability changes
 UNCONFIRMED = 0.4  # factor on the probability of an effect that makes held-out runs worse

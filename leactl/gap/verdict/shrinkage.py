@@ -169,8 +169,8 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
     """Return the ratio of squared gaps of the third to the second model, with an interval from resampled blocks.
 
     The squares of all channels are added in units of their floors, each at least `NEAR_FLOOR` squared; a channel
-    without a floor does not count. NaN where no channel counts, and where a channel on which the two models differ has fewer
-    than `FEWEST_BLOCKS` blocks.
+    without a floor does not count. NaN where no channel counts, and where a channel on which the two models differ has
+    fewer than `FEWEST_BLOCKS` blocks.
     """
     unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
     observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLED, 2)), list[Array]()
