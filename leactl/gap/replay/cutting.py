@@ -139,7 +139,9 @@ def drive_torque(job: Job, magnets: Array) -> Array:
     if job.current is None or constant is None:
         logged = logged_torque(job)
         assert logged is not None
-        logged = logged - (constant or 1.0) * job.plant.current_offset  # a drive's force that is told shares its zero
+        logged = (
+            logged - (constant or 1.0) * job.plant.current_offset
+        )  # a logged force has the offset of the drive's current
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
     flowing = restamped(job.current, job.clock.stamping.get(BALANCE.get(job.record.mechanical, "")), job.parts)
     torque = constant * spread(magnets, job.parts) * flowing

@@ -298,7 +298,7 @@ def search(evidence: Evidence) -> EffectSet:
             break
         hypothesis = exchange(evidence, [*hypothesis, added])
         hypothesis = replace_by_refined_rivals(evidence, refine(evidence, hypothesis))
-    evidence.settle(hypothesis)  # finer forms leave less noise, under which they are told more finely
+    evidence.settle(hypothesis)  # finer forms leave less noise, which allows a further refinement
     return describe(evidence, prune(evidence, refine(evidence, hypothesis)))
 
 
