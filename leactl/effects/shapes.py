@@ -34,10 +34,11 @@ def play(values: Array, half_width: float) -> Array:
 def stuck_between(low: Array, high: Array) -> Array:
     """Return a level that starts at zero and stays constant until a bound moves it; each low is at most its high."""
     lows, highs = in_blocks(low), in_blocks(high)
+    # bounds after a block's steps so far, as functions of its start
     least, most = (
         np.empty_like(lows),
         np.empty_like(highs),
-    )  # bounds after a block's steps so far, as functions of its start
+    )
     bounds = np.array([np.full(lows.shape[1], -np.inf), np.full(lows.shape[1], np.inf)])
     for k in range(len(lows)):
         bounds = np.fmin(np.fmax(bounds, lows[k]), highs[k])

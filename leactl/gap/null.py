@@ -164,9 +164,7 @@ class NullValues:
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # by effect: machines, forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # their standard errors
-    fits: dict[str, list[list[FurtherEffect | None]]] = field(
-        default_factory=dict
-    )  # fits behind both, without periodic effects
+    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # behind both; none periodic
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)

@@ -139,9 +139,8 @@ def drive_torque(job: Job, magnets: Array) -> Array:
     if job.current is None or constant is None:
         logged = logged_torque(job)
         assert logged is not None
-        logged = (
-            logged - (constant or 1.0) * job.plant.current_offset
-        )  # a logged force has the offset of the drive's current
+        # a logged force has the offset of the drive's current
+        logged = logged - (constant or 1.0) * job.plant.current_offset
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
     flowing = restamped(job.current, job.clock.stamping.get(BALANCE.get(job.record.mechanical, "")), job.parts)
     torque = constant * spread(magnets, job.parts) * flowing

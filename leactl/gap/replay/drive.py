@@ -27,9 +27,8 @@ def follow(job: Job) -> None:
         if not moved_by_a_servo(clock):
             reference = led(reference, plant.model.bench, job.step)
         measured_current = clock.get("q_axis_current")
-        begin = (
-            reference[:1] if measured_current is None else measured_current[:1]
-        )  # a run may begin during a transient
+        # a run may begin during a transient
+        begin = reference[:1] if measured_current is None else measured_current[:1]
         for becomes in plant.command:
             reference = becomes(np.concatenate([begin, reference]), job.step)[1:]
         if plant.command_at_speed and (speed := speed_over_steps(job)) is not None:

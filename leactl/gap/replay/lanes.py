@@ -111,9 +111,8 @@ def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
     # at a step's start, half a step late, back-EMF would reduce the inertia and make a light axis oscillate
     braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
     decay, gain = _answer(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
-    free_response = _answer(
-        lanes.damping + lanes.emf_damping, lanes.inertia, h
-    )  # where a servo is off, no current brakes
+    # where a servo is off, no current brakes
+    free_response = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     shaft_damping = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))

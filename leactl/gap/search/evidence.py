@@ -60,10 +60,11 @@ PRIORS = {
     "thermal.housing_capacitance": 0.2,
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
+# effects that cannot be fitted where no back-EMF determines the torque constant
 GAINS = (
     "torque_sensor_gain",
     "current_sensor_gain",
-)  # effects that cannot be fitted where no back-EMF determines the torque constant
+)
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # torque sensors; without them the constant is held
 MOST_MOVED = 1.0  # largest change of an identifiable parameter in fits to sound machines, over its prior
 MISSED = 0.2  # share of a common bias of fits to sound machines that remains uncertain once it is corrected

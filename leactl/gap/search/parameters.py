@@ -226,9 +226,8 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     refined = evidence.form_spread.get(candidate)
     if refined is not None:
         form_covariance = widening * refined
-        undetermined = (
-            np.diag(form_covariance) > math.log(SMALLEST) ** 2
-        )  # an error of this size means that no run shows the number
+        # an error of this size means that no run shows the number
+        undetermined = np.diag(form_covariance) > math.log(SMALLEST) ** 2
         form_covariance[undetermined, undetermined] = math.inf
         form_variances = propagated(parameters, with_logs, form_covariance)
         variances = {key: variances[key] + form_variances[key] for key in parameters}

@@ -291,9 +291,8 @@ def disagreement(normal: Normal, fit: Fit, index: int) -> float:
     for gram, local, weight in zip(normal.stack.grams, normal.stack.local, normal.weights, strict=True):
         local_direction = direction[local]
         scores.append(weight * float(local_direction @ (gram[1:, 0] - gram[1:, 1:] @ full[local])))
-        informations.append(
-            max(weight * float(local_direction @ gram[1:, 1:] @ local_direction), 0.0)
-        )  # rounding may make zero negative
+        # rounding may make zero negative
+        informations.append(max(weight * float(local_direction @ gram[1:, 1:] @ local_direction), 0.0))
     information = np.asarray(informations)
     informative = information > LEAST_TOLD * information.sum()
     freedom = int(informative.sum()) - 1

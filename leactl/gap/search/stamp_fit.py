@@ -13,9 +13,8 @@ Array = npt.NDArray[np.float64]
 # samples on either side: of each of two channels, of an input that is held, and of a loop that is sampled
 EACH = (1.0, 1.0, 0.5, 0.5)
 LATEST = sum(EACH)
-LATE_STD = math.sqrt(
-    sum(each**2 for each in EACH) / 3.0
-)  # samples, standard deviation of their sum, each uniform over its range
+# samples, standard deviation of their sum, each uniform over its range
+LATE_STD = math.sqrt(sum(each**2 for each in EACH) / 3.0)
 SURE = 2.0  # standard deviations beyond `LATEST` from which an equation is overdue
 PIVOT = 1  # neighbour whose weight follows from the others' where neither side is late
 

@@ -50,9 +50,8 @@ class Clocked:
     setpoints_held: bool = False  # whether a run of the log shows that setpoints hold over an interval
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle; almost zero if interpolated
-    between: dict[Key, tuple[Array, Array]] = field(
-        default_factory=dict
-    )  # own stamps and values of interpolated channels
+    # own stamps and values of interpolated channels
+    between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)
     fed: Array | None = None  # degC, temperature of the phases that two leads feed; None where not measured apart
     begin: float | None = None  # first stamp of the whole run, where this is a stretch
     fastest: float = 0.0  # rad/s or m/s, highest speed of the whole run, where this is a stretch

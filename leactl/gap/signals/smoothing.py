@@ -72,20 +72,22 @@ def bent_senses(speeds: Array, noise: float) -> Array:
         if not 3 <= sample < len(speeds) - 2:
             continue
         speed_before, speed_after = float(speeds[sample - 2]), float(speeds[sample + 1])
+        # per interval
         change_before, change_after = (
             speed_before - float(speeds[sample - 3]),
             float(speeds[sample + 2]) - speed_after,
-        )  # per interval
+        )
         if (
             speed_before * speed_after >= 0.0
             or speed_before * change_before >= 0.0
             or speed_before * change_after >= 0.0
         ):
             continue
+        # in intervals
         times_to_zero, slopes = (
             np.array([-speed_before / change_before, -speed_after / change_after]),
             np.array([change_before, change_after]),
-        )  # in intervals
+        )
         share = slopes**2 / np.sum(slopes**2)
         moment = float(share @ (np.array([sample - 2.5, sample + 0.5]) + times_to_zero))
         moment_error = noise * float(
