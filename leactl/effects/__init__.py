@@ -15,7 +15,7 @@ from leactl.vocabulary.effect import definition_file, effect_names, modules_of_o
 
 @cache
 def library() -> dict[str, Effect]:
-    """Every effect by its name, sorted.
+    """Return every effect by its name, sorted.
 
     Raises
     ------
@@ -25,10 +25,10 @@ def library() -> dict[str, Effect]:
     modules = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
     for name in (*modules, *modules_of_others().values()):
         module = importlib.import_module(name)
-        for thing in vars(module).values():
-            own = isinstance(thing, type) and thing.__module__ == module.__name__
-            if own and issubclass(thing, Effect) and hasattr(thing, "name"):
-                effects[thing.name] = thing()
+        for member in vars(module).values():
+            defined_here = isinstance(member, type) and member.__module__ == module.__name__
+            if defined_here and issubclass(member, Effect) and hasattr(member, "name"):
+                effects[member.name] = member()
     known = set(effect_names())
     undefined = [f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(effects) - known]
     homes = {name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in known - set(effects)}

@@ -1,7 +1,7 @@
-"""What an effect of the library says of itself: the places of the equations it touches, as columns of a regression.
+"""Contract of an effect of the library: its columns in the places of the equations, and its parameters.
 
-The equations of the bench (voltage, torque balance, sensor channels, heat) know places, not effects: a drag on the
-rotor, a factor on the torque constant, something the torque channel reads. An effect fills places with columns, one for
+The equations of the bench (voltage, torque balance, sensor channels, heat) have places for any effect: a drag on the
+rotor, a factor on the torque constant, an error of the torque channel. An effect fills places with columns, one for
 each of its coefficients, and turns fitted coefficients into the parameters of its definition.
 """
 
@@ -41,11 +41,11 @@ PLACES = (
 
 SCALES = (
     "1",
-    "highest speed",  # rad/s, that the runs reach
-    "highest current",  # A, that the runs reach
-    "highest power",  # W, of torque and speed, that the runs reach or ask for
-    "longest run",  # s, of those that turn
-    "travel",  # rad, that the widest run covers
+    "highest speed",  # rad/s, of the runs
+    "highest current",  # A, of the runs, measured or as a reference
+    "highest power",  # W, of torque by the reference current, and speed
+    "longest run",  # s, of turning runs
+    "travel",  # rad, angle range of the widest run
     "loop",  # s, time constant of the model's current loop
     "velocity filter",  # s, time constant
     "torque filter",  # s, time constant
@@ -54,15 +54,15 @@ SCALES = (
     "sampling rate",  # Hz, the finest
     "housing",  # s, time constant with which it cools
 )
-"""A machine's own scales, in which forms of effects are told, so that similar machines have similar forms."""
+"""A machine's own scales, in which forms of effects are given, so that similar machines have similar forms."""
 
 
 @dataclass
 class Signals:
-    """What one run shows at its base rate, smoothed where the equations take derivatives; NaN-free, SI and degC.
+    """Signals of one run at its base rate, smoothed where the equations take derivatives; NaN-free, SI and degC.
 
-    `angle`, `velocity`, `acceleration` come from the encoder's angle, `torque` is what the model says the shaft
-    carries, never what the sensor reads; `sliding` is -1, 0 or 1 and smooth in between.
+    `angle`, `velocity`, `acceleration` come from the encoder's angle, `torque` is the model's torque on the shaft,
+    never the sensor's reading; `sliding` is the sign of the velocity, -1, 0 or 1, and smooth in between.
     """
 
     mechanical: str
@@ -70,11 +70,11 @@ class Signals:
     model: Model
     interval: float
     run: str = ""
-    fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
+    fastest: float = 0.0  # rad/s, highest speed of the whole run, where this is a stretch of it
     current: Array | None = None
-    command: Array | None = None  # A, that the model's loop is to follow over each interval
-    command_held: bool = False  # as far as the log tells: it steps where an interval begins and holds from there
-    following: Array | None = None  # A, what the model's loop makes of the reference, as the current is read
+    command: Array | None = None  # A, reference of the model's loop over each interval
+    command_held: bool = False  # whether the log says that it steps where an interval begins and holds from there
+    following: Array | None = None  # A, response of the model's loop to the reference, as the current is read
     # the same of a command that ramps to its value as each interval begins, then holds: called with the values, the
     # share of each interval that the ramp takes, and the value before the first
     looped: Callable[[Array, Array, float], Array] | None = None
@@ -86,11 +86,11 @@ class Signals:
     sliding: Array | None = None
     torque: Array | None = None
     count: float = 0.0  # rad, of the encoder; zero where its steps do not show
-    settled: npt.NDArray[np.bool_] | bool = True  # whether it is known where a locked rotor sticks,
-    unleapt: npt.NDArray[np.bool_] | bool = True  # and how it slides
-    resolved: npt.NDArray[np.bool_] | bool = True  # whether samples tell the motion between them
-    calm_torque: Array | None = None  # the same and
-    calm_velocity: Array | None = None  # smoothed until the encoder's steps no longer show: what lags are made of
+    settled: npt.NDArray[np.bool_] | bool = True  # whether the sticking position of a locked rotor is known
+    unleapt: npt.NDArray[np.bool_] | bool = True  # whether the sliding of a locked rotor is known
+    resolved: npt.NDArray[np.bool_] | bool = True  # whether the samples resolve the motion between them
+    calm_torque: Array | None = None  # torque smoothed until the encoder's steps no longer show, for lags
+    calm_velocity: Array | None = None  # velocity smoothed in the same way
     winding_rise: Array | None = None  # K above the model's reference temperature
     housing_rise: Array | None = None
     winding: Array | None = None  # degC
@@ -99,7 +99,7 @@ class Signals:
     line_current: Array | None = None
     bus_voltage: Array | None = None
     extra: dict[str, Array] = field(default_factory=dict)
-    smoothed: Callable[[Array], Array] = np.asarray  # as torques and accelerations are
+    smoothed: Callable[[Array], Array] = np.asarray  # smoothing of torques and accelerations
 
     def waves(self, order: float) -> tuple[Array, Array]:
         """Cosine and sine of order times angle, attenuated by the mean over an interval and by the smoothing.
@@ -112,79 +112,79 @@ class Signals:
         """
         if self.angle is None or self.velocity is None:
             raise ValueError("waves over the angle of a run that has none")
-        turned = order * (self.angle if self.sharp_angle is None else self.sharp_angle)
+        phase = order * (self.angle if self.sharp_angle is None else self.sharp_angle)
         advance = order * np.abs(self.velocity) * self.interval
-        left = np.where(advance < np.pi, np.sinc(advance / (2.0 * np.pi)), 0.0)
-        return self.smoothed(left * np.cos(turned)), self.smoothed(left * np.sin(turned))
+        attenuation = np.where(advance < np.pi, np.sinc(advance / (2.0 * np.pi)), 0.0)
+        return self.smoothed(attenuation * np.cos(phase)), self.smoothed(attenuation * np.sin(phase))
 
 
 class Effect:
-    """One effect; a file of this room holds one subclass, found by listing the room."""
+    """One effect; each file of this package holds one subclass, found by listing the package."""
 
     name: ClassVar[str]
-    forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried, in
-    form_scales: ClassVar[tuple[str, ...]] = ()  # the machine's scales; pure numbers where left out
-    relative_to: ClassVar[tuple[str, ...]] = ()  # the model's parameters whose part in a torque it is a share of
-    one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
-    least: ClassVar[float] = 0.0  # size below which it is something else
-    continuous: ClassVar[bool] = True  # whether values between those of its forms make sense,
-    refined: ClassVar[int] = 1  # and for how many of a form's numbers, the first first
-    narrow: ClassVar[bool] = False  # whether the first of them may lie between its forms where both show nothing
-    shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
-    delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
-    explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
-    periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
-    orders: ClassVar[tuple[int, int]] = (0, 0)  # of a wave over the angle, first number of its form; that are tried
+    forms: ClassVar[Sequence[Form]] = ((),)  # grid of its non-linear parameters, in units of `form_scales`
+    form_scales: ClassVar[tuple[str, ...]] = ()  # names in `SCALES`; missing ones are 1
+    relative_to: ClassVar[tuple[str, ...]] = ()  # model parameters whose part of a torque it is a share of
+    one_sided: ClassVar[bool] = False  # whether its coefficient has to be positive
+    least: ClassVar[float] = 0.0  # size below which another cause is assumed
+    continuous: ClassVar[bool] = True  # whether values between those of its forms are possible
+    refined: ClassVar[int] = 1  # how many of a form's numbers are refined, from the first on
+    narrow: ClassVar[bool] = False  # whether the first number may lie between two forms that both show nothing
+    shaped: ClassVar[bool] = False  # whether its coefficient is a share of a shape, and 1 for the whole effect
+    delays: ClassVar[bool] = False  # whether it is a pure delay, as wrong stamps are
+    explains: ClassVar[float] = 0.82  # share of its action on its channels that its columns must explain
+    periodic: ClassVar[str] = ""  # place whose column repeats over the angle, where orders are searched
+    orders: ClassVar[tuple[int, int]] = (0, 0)  # lowest and highest order tried of a wave, the first number of its form
 
     def forms_at(self, scales: Mapping[str, float]) -> list[Form]:
-        """Forms in SI units at a machine's scales (see `SCALES`); none where one of these is not known."""
-        counted = [scales.get(name) for name in self.form_scales]
-        if None in counted:
+        """Return the forms in SI units at a machine's scales (see `SCALES`); none where a scale is not known."""
+        scale_values = [scales.get(name) for name in self.form_scales]
+        if None in scale_values:
             return []
-        return [tuple(part * (scale or 1.0) for part, scale in zip_longest(form, counted)) for form in self.forms]
+        return [tuple(part * (scale or 1.0) for part, scale in zip_longest(form, scale_values)) for form in self.forms]
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Columns for each place and coefficient; empty where the run cannot show the effect."""
+        """Return the columns by place and coefficient; empty where the run cannot show the effect."""
         raise NotImplementedError
 
     def terms_of_all(self, signals: Signals, forms: Sequence[Form]) -> Iterator[Terms]:
-        """The same of several forms; an effect says it where all at once cost less."""
+        """Yield the terms of several forms; an effect overrides it where all at once cost less."""
         return (self.terms(signals, form) for form in forms)
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Put the effect with these parameters into a simulated bench."""
+        """Add the effect with these parameters to a simulated bench."""
         raise NotImplementedError
 
     def applies(self, model: Model) -> bool:
-        """Whether a model of this kind can lack the effect."""
+        """Return whether a model of this kind can lack the effect."""
         return True
 
     def is_usual(self, travel: float) -> bool:
-        """Whether it is what one thinks of first, of effects that share an equation, on a joint that travels so far.
+        """Return whether it is the usual one of several effects with equal columns.
 
-        travel : rad, that the widest of the runs covers.
+        travel : rad, angle range of the widest run.
         """
         return True
 
     def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
-        """Whether runs show with these coefficients what tells it from a constant torque.
+        """Return whether runs with these coefficients distinguish the effect from a constant torque.
 
         visited : rad, lowest and highest angle of the runs.
         """
         return True
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The parameters of the definition from fitted coefficients."""
+        """Return the parameters of the definition from fitted coefficients."""
         raise NotImplementedError
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The form at which a shape that was found at some strength would be whole."""
+        """Return the form in which a shape with a fitted strength would have the strength 1."""
         return (form[0] * strength, *form[1:])
 
     def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
-        """The form about which columns are made once coefficients are known."""
+        """Return the form about which columns are linearised once coefficients are known."""
         return form
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """How large the effect is, in units of its leading parameter; zero where it is absent."""
+        """Return the size of the effect in units of its leading parameter; zero where it is absent."""
         return abs(next(iter(self.parameters(form, coefficients, model).values())))

@@ -16,9 +16,9 @@ from leactl.model.nominal import Model
 
 DAMPED = 0.05  # of critical, as gears and belts have it
 CREEPS = 1.0  # of critical: such a load follows without a swing, which a lag of the motor's own may be
-HIGHEST = 0.9  # of the inertia, that a load has in a simulation: the motor's rotor is the rest
-DIES_AWAY = 4.0  # time constants, after which two per cent of a swing are left
-GONE = 36.0  # time constants, after which less is left than a rounding error
+HIGHEST = 0.9  # largest share of the inertia in a simulated load: the motor's rotor has the remainder
+DIES_AWAY = 4.0  # time constants after which two per cent of a swing remain
+GONE = 36.0  # time constants after which a swing is below rounding errors
 FEWEST = 4  # samples for each number of a fit
 
 
@@ -39,7 +39,7 @@ class JointElasticity(Effect):
         return model.bench.shaft_stiffness is None and model.load.type == "none"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Torque that the load takes from the rigid joint's balance, for all of the inertia."""
+        """Return the change of the rigid joint's torque balance if the whole inertia were elastically coupled."""
         inertia = signals.model.rotor_inertia
         if signals.mechanical != "free" or signals.acceleration is None or inertia is None:
             return {}
@@ -50,22 +50,22 @@ class JointElasticity(Effect):
         return {"drag": {"share": inertia * (behind - signals.acceleration)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The load's share of the inertia, the frequency of its swing, and how that is damped."""
+        """Return the load's share of the inertia, and frequency and damping ratio of its swing."""
         return {"share": coefficients["share"], "frequency": form[0], "damping_ratio": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A second inertia behind a spring."""
+        """Add a second inertia behind a spring."""
         damping = parameters.get("damping_ratio", DAMPED)
         share = min(parameters["share"], HIGHEST)
         plant.elastic_load = ElasticLoad(share, parameters["frequency"], damping)
 
 
 def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
-    """What the load's acceleration has beyond `behind` since a run's start, dying away as the load's swing does.
+    """Return the decaying part of the load's acceleration, beyond `behind`, from a swing at a run's start.
 
-    A run may begin while the load swings, or with a leap within its first sample: no angle before tells of it. Fitted
-    over the time in which it dies away, the run's current being what its torques add up to; nothing where the current
-    is not logged, and where the fit has no load worth the name.
+    A run may begin while the load swings, or with a leap within its first sample, of which no earlier angle is logged.
+    The swing is fitted to the torque balance of the run's current over its decay time. It is zero where the current is
+    not logged, and where the fitted load is too small.
     """
     rate = 2.0 * np.pi * form[0]
     fading, ringing = form[1] * rate, rate * np.sqrt(1.0 - form[1] ** 2)
@@ -85,26 +85,26 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
 
 
 def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
-    """Cosine and sine of a swing that dies away; zero where a rounding error is larger than what is left of it."""
-    lasts = int(np.searchsorted(time, GONE / fading))
+    """Return cosine and sine of a decaying swing, zero where they are below rounding errors."""
+    sample_count = int(np.searchsorted(time, GONE / fading))
     swings = np.zeros((2, len(time)))
-    left = np.exp(-fading * time[:lasts])
+    envelope = np.exp(-fading * time[:sample_count])
     for swing, wave in zip(swings, (np.cos, np.sin), strict=True):
-        swing[:lasts] = left * wave(ringing * time[:lasts])
+        swing[:sample_count] = envelope * wave(ringing * time[:sample_count])
     return list(swings)
 
 
 def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
-    """The load's acceleration behind a motor's; at first it moves along."""
-    above, below = behind_motor(frequency, damping_ratio, interval)
-    first = acceleration[0]
-    return np.asarray(first + lfilter(above, below, acceleration - first), np.float64)
+    """Return the load's acceleration for that of the motor; at first both are equal."""
+    numerator, denominator = behind_motor(frequency, damping_ratio, interval)
+    initial = acceleration[0]
+    return np.asarray(initial + lfilter(numerator, denominator, acceleration - initial), np.float64)
 
 
 @lru_cache(maxsize=1024)  # every run of a machine, and of each sound one in its place, asks for the same
 def behind_motor(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
-    """Numerator and denominator of the filter over samples that leads from a motor's acceleration to its load's."""
+    """Return numerator and denominator of the discrete filter from a motor's acceleration to its load's."""
     rate = 2.0 * np.pi * frequency
-    over = [2.0 * damping_ratio * rate, rate**2]
-    above, below, _ = cont2discrete((over, [1.0, *over]), interval, "foh")
-    return above.ravel(), below.ravel()
+    stiffness_terms = [2.0 * damping_ratio * rate, rate**2]
+    numerator, denominator, _ = cont2discrete((stiffness_terms, [1.0, *stiffness_terms]), interval, "foh")
+    return numerator.ravel(), denominator.ravel()

@@ -1,7 +1,7 @@
 """A simulated bench as effects change it: its numbers, and lists of functions by the place where they act.
 
 Each effect of the library puts its simulation form here (`Effect.act`), so that any of them combine: factors multiply,
-torques and voltages add, what becomes of a reference or a reading runs through one after the other. Mechanical
+torques and voltages add, transformations of a reference or a reading are applied in turn. Mechanical
 functions see many stretches of runs at once (`Moment`), the others a whole run (`Course`).
 """
 
@@ -23,7 +23,7 @@ class Moment:
     """Rotors of many stretches of runs at one instant."""
 
     angle: Array  # rad
-    velocity: Array  # rad/s, before this step's friction has taken its part: its sign tells where a rotor would go
+    velocity: Array  # rad/s, before this step's friction: its sign is the direction in which a rotor would move
     drive: Array  # N*m, of the current
     transmitted: Array  # N*m, onto the shaft
 
@@ -45,7 +45,7 @@ Reads = Callable[[Course, Array], Array]  # a run, and the reading so far
 
 
 class ElasticLoad(NamedTuple):
-    """A part of a rotor's inertia that follows by a spring and a damper."""
+    """A part of a rotor's inertia that is coupled by a spring and a damper."""
 
     share: float  # of the whole inertia
     frequency: float  # Hz, of its swing while the rest stands
@@ -103,5 +103,5 @@ class Plant:
 
 
 def bare(model: Model) -> Plant:
-    """The bench as the model has it, without its effects."""
+    """Return the bench of a model without its effects."""
     return Plant(model, model.bench.shaft_stiffness, model.resistance_coefficient)

@@ -19,11 +19,11 @@ class PositionSpring(Effect):
     one_sided = True
 
     def applies(self, model: Model) -> bool:
-        """A pendulum's servo is judged by free runs, which know no spring. A bench's shaft has no cable."""
+        """Return whether the joint has no pendulum, whose free runs include no spring, and no bench shaft."""
         return model.load.type != "pendulum" and model.bench.shaft_stiffness is None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The pull of a spring that rests at the form's angle, and what it changes by as the rest moves."""
+        """Return the torque of a spring at rest at the form's angle, and its derivative with that angle."""
         if signals.angle is None or signals.mechanical != "free":
             return {}
         reach, rest = form
@@ -33,25 +33,25 @@ class PositionSpring(Effect):
         return {"drag": {"pull": away / np.sqrt(bent), "rest": -(bent**-1.5)}}
 
     def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
-        """A spring that no run takes through its rest pulls one way, as a constant torque does."""
+        """Return whether some run passes the rest: else the spring pulls in one direction, as a constant torque."""
         low, high = ((angle - form[1]) * coefficients["pull"] for angle in visited)
         return low <= coefficients["rest"] <= high
 
     def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
-        """Columns about the rest that was found."""
+        """Return the form with the fitted rest."""
         return form[0], self._rest(form, coefficients)
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Stiffness, rest and reach."""
+        """Return stiffness, rest angle and reach."""
         return {"stiffness": coefficients["pull"], "rest_angle": self._rest(form, coefficients), "reach": form[0]}
 
     def _rest(self, form: Form, coefficients: Mapping[str, float]) -> float:
-        """Angle [rad] at which it does not pull."""
+        """Return the angle [rad] at which the spring does not pull."""
         stiffness = coefficients["pull"]
         return form[1] + (coefficients["rest"] / stiffness if stiffness else 0.0)
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque over the angle."""
+        """Add a torque over the angle to the rotor."""
         stiffness, rest = parameters["stiffness"], parameters["rest_angle"]
         reach = parameters.get("reach", np.inf)
 

@@ -18,11 +18,11 @@ class ReferenceRateLimit(Effect):
     one_sided = True
 
     def applies(self, model: Model) -> bool:
-        """A servo's alone."""
+        """Return whether a position servo drives the model."""
         return model.drive is not None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Nothing: what a set-point does shows where runs are simulated."""
+        """Return no terms: the effect is judged by simulation."""
         return {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
@@ -30,7 +30,7 @@ class ReferenceRateLimit(Effect):
         return {"speed": coefficients["speed"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A set-point that goes to its reference no faster than the limits allow."""
+        """Add a set-point that follows its reference within the limits."""
         speed, acceleration = parameters["speed"] or math.inf, parameters.get("acceleration", 0.0)
         if acceleration:
             plant.set_point.append(lambda values, interval: trapezoidal(values, speed, acceleration, interval))
@@ -39,15 +39,15 @@ class ReferenceRateLimit(Effect):
 
 
 def trapezoidal(values: Array, speed: float, acceleration: float, interval: float) -> Array:
-    """What goes to values with no more than a speed and an acceleration, and slows down so that it stops there."""
-    point, pace, out = float(values[0]), 0.0, []
+    """Return the profile that follows values with limited speed and acceleration, and stops at each value."""
+    point, current_speed, profile = float(values[0]), 0.0, []
     gain = acceleration * interval
     for value in values.tolist():
-        left = (value - point) / interval
-        # the fastest from which equal steps of braking end at the value
-        most = min(gain * (math.sqrt(0.25 + 2.0 * abs(left) / gain) - 0.5), abs(left), speed)
-        wanted = math.copysign(most, left)
-        pace += min(max(wanted - pace, -gain), gain)
-        point += pace * interval
-        out.append(point)
-    return np.array(out, np.float64)
+        needed_speed = (value - point) / interval
+        # the highest speed from which equal steps of braking end at the value
+        highest = min(gain * (math.sqrt(0.25 + 2.0 * abs(needed_speed) / gain) - 0.5), abs(needed_speed), speed)
+        target_speed = math.copysign(highest, needed_speed)
+        current_speed += min(max(target_speed - current_speed, -gain), gain)
+        point += current_speed * interval
+        profile.append(point)
+    return np.array(profile, np.float64)

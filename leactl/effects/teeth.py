@@ -9,21 +9,21 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 CHUNK = 128  # samples that are followed in one piece
 PARTS = 4  # steps from one sample to the next
-PASSES = 6  # at most, until each piece begins as the one before it ends
-LOOSELY, NEARLY = 0.02, 1e-3  # of half the play, and of the highest speed, by which it may begin elsewhere
+PASSES = 6  # most passes until each piece begins as the previous one ends
+LOOSELY, NEARLY = 0.02, 1e-3  # largest mismatch of its start: shares of half the play and of the highest speed
 
 
 def followed(speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array) -> tuple[Array, Array]:
-    """Speeds [rad/s] of loads that teeth with play move, and how far the motor is beyond them [rad]; (loads, samples).
+    """Return speeds [rad/s] of loads driven through play, and the motor's relative angle [rad]; (loads, samples).
 
-    A run is followed in pieces side by side, and again those that did not begin where the one before them ended.
+    Pieces of a run are stepped side by side; those that did not begin at the end of the previous one are repeated.
 
     Parameters
     ----------
     speed : rad/s, of the motor at its samples.
     half_plays : rad, of each load.
-    damping : 1/s, by which each slows while it is free.
-    friction : rad/s^2, the same of its Coulomb friction.
+    damping : 1/s, decay rate of each load while it is free.
+    friction : rad/s^2, deceleration of each by Coulomb friction.
     """
     loads, pieces = len(half_plays), -(-(len(speed) - 1) // CHUNK)
     motor = np.concatenate([speed, np.full(pieces * CHUNK + 1 - len(speed), speed[-1])])
@@ -38,9 +38,9 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
         teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
         state = starts[0, load, piece], starts[1, load, piece]
         for index in range(CHUNK):
-            before, after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
+            motor_before, motor_after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
             states[0, index, load, piece], states[1, index, load, piece] = state
-            moments = before + (after - before) * shares
+            moments = motor_before + (motor_after - motor_before) * shares
             for part in range(PARTS):
                 state = teeth.step(state[0], state[1], moments[part], moments[part + 1])
         followed_by = piece + 1 < pieces
@@ -51,9 +51,11 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
         load, piece = load[began_elsewhere], piece[began_elsewhere]  # which are stepped again, from where they begin
         if len(load) == 0:
             break
-    whole = states.transpose(0, 2, 3, 1).reshape(2, loads, -1)
-    both = np.concatenate([whole, whole[:, :, -1:]], axis=2)[:, :, : len(speed)]  # the last sample as the one before
-    return both[0], both[1]
+    joined = states.transpose(0, 2, 3, 1).reshape(2, loads, -1)
+    trimmed = np.concatenate([joined, joined[:, :, -1:]], axis=2)[
+        :, :, : len(speed)
+    ]  # the last sample as the one before
+    return trimmed[0], trimmed[1]
 
 
 @dataclass(frozen=True)
@@ -66,22 +68,22 @@ class Teeth:
     interval: float  # s, of a step
 
     @cached_property
-    def _kept(self) -> Array:
-        """Of the speed of a free load, that a step leaves."""
+    def _decay(self) -> Array:
+        """Factor on the speed of a free load over a step."""
         return np.exp(-self.damping * self.interval)
 
     @cached_property
     def _slowed(self) -> Array:
-        """What friction takes at most in a step [rad/s]."""
+        """Largest change of speed by friction in a step [rad/s]."""
         return self.friction * self.interval
 
-    def step(self, load: Array, twist: Array, before: Array, after: Array) -> tuple[Array, Array]:
-        """Speed of the loads and angle of the motors beyond them after a step in which motors go on evenly."""
+    def step(self, load: Array, twist: Array, motor_before: Array, motor_after: Array) -> tuple[Array, Array]:
+        """Return the loads' speeds and the motors' relative angles after a step with linear motor speed."""
         # by minimum and maximum: `np.clip` takes several times as long for so few lanes
-        free = load * self._kept
+        free = load * self._decay
         free = free - np.minimum(np.maximum(free, -self._slowed), self._slowed)
-        ahead = twist + 0.5 * (before + after - load - free) * self.interval
+        ahead = twist + 0.5 * (motor_before + motor_after - load - free) * self.interval
         side = np.sign(ahead)
-        pushed = side * np.maximum(side * free, side * after)
+        pushed = side * np.maximum(side * free, side * motor_after)
         moved = np.where(np.abs(ahead) >= self.half_play, pushed, free)
         return moved, np.minimum(np.maximum(ahead, -self.half_play), self.half_play)

@@ -1,18 +1,18 @@
-"""What a diagnosis says, and its JSON form (format "leactl-gap", version 1)."""
+"""Result of a diagnosis, and its JSON form (format "leactl-gap", version 1)."""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
-REPLAY_MISS = 6.0  # floors, by which a replay of the right model may miss
+REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
 Verdict = Literal["none", "calibration", "effect", "unknown"]
 Presence = Literal["alike", "differs", "absent", "not asked"]  # of an effect of a simulator, in the real runs
 
 
 @dataclass(frozen=True)
 class Region:
-    """The stretch of one variable that holds most of a gap."""
+    """Interval of one variable that holds most of a gap."""
 
     variable: str
     low: float
@@ -23,7 +23,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Where:
-    """One channel in one kind of run: how far the model is from the data, and where."""
+    """Distance of the model from the data in one channel and set-up, and the region of the gap."""
 
     quantity: str
     role: str
@@ -38,18 +38,18 @@ class Where:
 
 @dataclass(frozen=True)
 class CalibratedParameter:
-    """A parameter of the nominal model, fitted again."""
+    """A calibrated parameter of the nominal model."""
 
     parameter: str
     nominal: float
     fitted: float
-    std: float  # of one that these runs do not tell, that of what is usual
+    std: float  # the prior's where these runs do not determine the parameter
     units: str
     not_told_by_these_runs: bool = False  # it stays at its nominal value
 
     @property
     def has_ratio(self) -> bool:
-        """Whether fitted over nominal value says anything; an offset may be nominally next to nothing."""
+        """Whether the ratio of fitted to nominal value is meaningful; an offset may be nominally near zero."""
         return self.nominal != 0.0 and self.parameter != "ambient_offset"
 
 
@@ -80,23 +80,23 @@ class ResidualBin:
 
 @dataclass(frozen=True)
 class Picture:
-    """What an equation leaves over on held-out runs, over the variable that an effect acts in."""
+    """Residual of an equation on held-out runs in bins of the variable that an effect acts in."""
 
     variable: str
     variable_units: str
-    periods: float | None  # of an angle that is folded: how many parts of a turn lie on each other
-    along: str | None  # variable along whose sign the residual is counted; None where it is taken as it is
+    periods: float | None  # parts of a turn that an angle is folded by; None where it is not folded
+    along: str | None  # variable whose sign the residual is multiplied by; None for no sign
     quantity: str
     role: str
     mechanical: str
     equation: str
     units: str
-    before_rms: float  # of the means in bins, each counted by its samples
+    before_rms: float  # of the bin means, weighted by their samples
     after_rms: float
-    off_zero_before: int  # bins whose interval does not hold zero
+    off_zero_before: int  # bins whose interval does not contain zero
     off_zero_after: int
     bins: tuple[ResidualBin, ...]
-    # whether `before` has everything else fitted anew; else the effect alone is taken out; None where nothing is fitted
+    # whether `before` is a fit without the effect, or only has the effect added back; None where nothing is fitted
     refitted: bool | None = None
 
 
@@ -112,12 +112,12 @@ class Cause:
     separating_experiment: str | None = None
     family: str = ""  # machine, sensor, drive, thermal or setup
     change: str | None = None  # of a fault of the set-up: the line that undoes it
-    picture: Picture | None = None  # of an effect that stands in the augmented model
+    picture: Picture | None = None  # of an effect in the augmented model
 
 
 @dataclass(frozen=True)
 class Near:
-    """An effect that comes near to explaining what is left, and why it was refused."""
+    """An effect that nearly explains the residual, and why it was refused."""
 
     effect: str
     refused_because: str
@@ -125,7 +125,7 @@ class Near:
 
 @dataclass(frozen=True)
 class Rest:
-    """What is not explained: of the channel that is farthest from a sound machine's, what it depends on."""
+    """Unexplained residual of the channel that is farthest from a sound machine's, and what it depends on."""
 
     depends_on: tuple[str, ...]  # variables of the state, or time, or nothing that is logged
     repeats_Hz: float | None  # noqa: N815 (a unit keeps its letter)  how often it repeats in time; None where it does not
@@ -136,12 +136,12 @@ class Rest:
     equation: str
     shapes: tuple[Picture, ...]  # over each variable, before and after that function
     nearest: tuple[Near, ...]
-    experiment: str | None  # the shipped protocol that would decide
+    experiment: str | None  # shipped protocol that separates the possible effects
 
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """How far the gap of one channel shrinks on held-out runs."""
+    """Shrinkage of the gap of one channel on held-out runs."""
 
     quantity: str
     role: str
@@ -158,7 +158,7 @@ class Shrinkage:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A simulated run and the real one whose inputs it has."""
+    """A simulated run and the real run with the same inputs."""
 
     real: str  # path
     simulated: str
@@ -167,10 +167,10 @@ class SimulatedRun:
 
 @dataclass(frozen=True)
 class EffectiveParameter:
-    """A parameter of the model, as the simulated runs and as the real ones have it."""
+    """A parameter of the model, fitted to the simulated and to the real runs."""
 
     parameter: str
-    start: float  # of the model that the fits began with
+    start: float  # value from which the fits began
     simulated: float
     simulated_std: float
     real: float | None  # null where nothing is calibrated for the real runs
@@ -181,12 +181,12 @@ class EffectiveParameter:
 
 @dataclass(frozen=True)
 class SizeInBoth:
-    """A parameter of an effect that the simulator contains; in the real runs in the same form."""
+    """A parameter of a simulator's effect, fitted to the simulated and in the same form to the real runs."""
 
     name: str
     simulated: float
     simulated_std: float
-    real: float | None  # null where the real runs were not asked
+    real: float | None  # null where it was not fitted to the real runs
     real_std: float | None
     units: str
 
@@ -203,19 +203,19 @@ class SimulatorEffect:
 
 @dataclass(frozen=True)
 class SimulatorFloor:
-    """What the simulator leaves of one channel against its fitted form, on its own held-out runs."""
+    """Residual of one channel of the simulator's held-out runs against its fitted form."""
 
     quantity: str
     role: str
     mechanical: str
     units: str
-    left_rms: float  # beyond noise and replay
-    floor_rms: float  # of noise and replay
+    left_rms: float  # residual beyond the floor
+    floor_rms: float  # floor of noise and replay
 
 
 @dataclass(frozen=True)
 class SimulatorAnswer:
-    """What the simulator contains whose runs are the nominal."""
+    """Diagnosis of the simulator whose runs replace the nominal model."""
 
     verdict: Verdict  # of the simulated runs against the plain form
     unexplained_probability: float
@@ -228,7 +228,7 @@ class SimulatorAnswer:
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """The whole answer."""
+    """The whole result of a diagnosis."""
 
     verdict: Verdict
     unexplained_probability: float
@@ -242,7 +242,7 @@ class DiagnosisResult:
     simulator: SimulatorAnswer | None = None  # where simulated runs are the nominal; else not part of the JSON
 
     def as_json(self) -> dict[str, Any]:
-        """The document; a number that is not known is null."""
+        """Return the JSON document; a number that is not finite is null."""
         body = asdict(replace(self, extra={}))
         body.pop("extra")
         if self.simulator is None:

@@ -1,4 +1,4 @@
-"""How far two runs are apart, channel by channel, without a model: simulated and measured ones, or repeats."""
+"""Compare two runs channel by channel without a model: simulated and measured ones, or repeats."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ LONGEST_LAG = 0.25  # of the common span
 
 @dataclass(frozen=True)
 class Distance:
-    """One channel of two runs."""
+    """Difference of one channel between two runs."""
 
     quantity: str
     role: str
@@ -29,73 +29,79 @@ class Distance:
     samples: int
     rms: float  # of the second minus the first
     mean: float
-    correlation: float | None  # null where a channel stands still
-    lag_s: float | None  # by which the second follows the first, to a sample; the same
+    correlation: float | None  # null where a channel is constant
+    lag_s: float | None  # delay of the second after the first, to a sample; null where a channel is constant
 
 
 def compare_runs(first: Path, second: Path) -> list[Distance]:
-    """Every channel that both runs have, at the stamps of the first, where both were recording.
+    """Compare every channel that both runs have, at the stamps of the first, where both were recording.
 
     Raises
     ------
     InputError : a file that cannot be used, no channel in common, or one in different units.
     """
     refuse_altered([first, second])
-    with Run.open(first) as one, Run.open(second) as other:
-        ours, theirs = _channels(one), _channels(other)
-    common = [key for key in ours if key in theirs]
+    with Run.open(first) as first_run, Run.open(second) as second_run:
+        first_channels, second_channels = _channels(first_run), _channels(second_run)
+    common = [key for key in first_channels if key in second_channels]
     faults = [
-        f"{second}: {key[0]} of {key[1]} is in {theirs[key].units}, {first} has {ours[key].units}"
+        f"{second}: {key[0]} of {key[1]} is in {second_channels[key].units}, {first} has {first_channels[key].units}"
         for key in common
-        if theirs[key].units != ours[key].units
+        if second_channels[key].units != first_channels[key].units
     ]
     if faults:
         raise InputError(faults)
-    distances = [distances for key in common if (distances := distance(ours[key], theirs[key])) is not None]
+    distances = [
+        distances for key in common if (distances := distance(first_channels[key], second_channels[key])) is not None
+    ]
     if not distances:
         raise InputError(f"{second}: no channel in common with {first} for {FEWEST} samples or more")
     return distances
 
 
 def distance(first: Channel, second: Channel) -> Distance | None:
-    """The plain distance of two channels; None where they have too little in common."""
-    measured, there = np.isfinite(first.values), np.isfinite(second.values)
-    if there.sum() < FEWEST:
+    """Return the difference of two channels; None where they have too few common samples."""
+    first_valid, valid = np.isfinite(first.values), np.isfinite(second.values)
+    if valid.sum() < FEWEST:
         return None
-    stamps = second.time[there]
-    inside = measured & (first.time >= stamps[0]) & (first.time <= stamps[-1])
+    stamps = second.time[valid]
+    inside = first_valid & (first.time >= stamps[0]) & (first.time <= stamps[-1])
     inside &= near(first.time, stamps, REACH * max(bridging_interval(stamps), pace(first.time)))
     if inside.sum() < FEWEST:
         return None
-    time, ours = first.time[inside], first.values[inside]
-    theirs = np.interp(time, stamps, second.values[there])
-    apart = theirs - ours
-    correlation, lag = _likeness(time, ours, theirs)
+    time, first_values = first.time[inside], first.values[inside]
+    second_values = np.interp(time, stamps, second.values[valid])
+    difference = second_values - first_values
+    correlation, lag = _likeness(time, first_values, second_values)
     return Distance(
         first.quantity,
         first.role,
         first.location,
         first.units,
         len(time),
-        float(np.sqrt(np.mean(apart**2))),
-        float(np.mean(apart)),
+        float(np.sqrt(np.mean(difference**2))),
+        float(np.mean(difference)),
         correlation,
         lag,
     )
 
 
-def _likeness(time: Array, ours: Array, theirs: Array) -> tuple[float | None, float | None]:
-    a, b = ours - ours.mean(), theirs - theirs.mean()
-    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
-    if size <= 1e-12 * len(a) * max(float(np.max(np.abs(ours))), float(np.max(np.abs(theirs)))) ** 2:
+def _likeness(time: Array, first: Array, second: Array) -> tuple[float | None, float | None]:
+    first_centred, second_centred = first - first.mean(), second - second.mean()
+    size = float(np.sqrt(np.sum(first_centred**2) * np.sum(second_centred**2)))
+    if size <= 1e-12 * len(first_centred) * max(float(np.max(np.abs(first))), float(np.max(np.abs(second)))) ** 2:
         return None, None
-    # the lag is found on an even clock; what is missing in between is bridged
+    # the lag is found on an even clock; gaps are interpolated
     interval = float(np.median(np.diff(time)))
-    even = np.arange(time[0], time[-1] + 0.5 * interval, interval)
-    alike = correlate(np.interp(even, time, b), np.interp(even, time, a), method="fft")
-    lags = correlation_lags(len(even), len(even))
-    near = np.abs(lags) <= LONGEST_LAG * len(even)
-    return float(np.sum(a * b)) / size, float(lags[near][np.argmax(alike[near])] * interval)
+    even_times = np.arange(time[0], time[-1] + 0.5 * interval, interval)
+    correlations = correlate(
+        np.interp(even_times, time, second_centred), np.interp(even_times, time, first_centred), method="fft"
+    )
+    lags = correlation_lags(len(even_times), len(even_times))
+    near = np.abs(lags) <= LONGEST_LAG * len(even_times)
+    return float(np.sum(first_centred * second_centred)) / size, float(
+        lags[near][np.argmax(correlations[near])] * interval
+    )
 
 
 def _channels(run: Run) -> dict[tuple[str, str, str], Channel]:
@@ -109,5 +115,5 @@ def _channels(run: Run) -> dict[tuple[str, str, str], Channel]:
 
 
 def as_json(distances: list[Distance]) -> dict[str, Any]:
-    """The same for other programs."""
-    return {"channels": [asdict(one) for one in distances]}
+    """Return the distances as a document for other programs."""
+    return {"channels": [asdict(channel) for channel in distances]}

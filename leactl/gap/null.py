@@ -1,9 +1,9 @@
-"""What a sound machine of this kind leaves over, measured on the case: the model itself through the case's own runs.
+"""Measure the null of a case: simulate sound machines, which have no effect, through its runs, and fit them alike.
 
-Each run is simulated again without any effect, in one piece, kept near its measured motion by a torque that its
-current then carries, so that the simulated run is one that the model explains exactly. Its channels get the noise and
-rounding that the measured ones show, and pass through the same regression. What is found there is no effect: its size
-is the floor of each effect, what it leaves over that of each equation, how far it moves a parameter that one's error.
+Each run is simulated again without any effect, in one piece. A torque keeps it near the measured motion and is added to
+its current, so that the model explains the simulated run exactly. Its channels get the noise and rounding of the
+measured ones and pass through the same regression. The sizes fitted there are the floors of the effects, the residuals
+are the floors of the equations, and the changes of the parameters are their errors.
 """
 
 import math
@@ -55,10 +55,10 @@ from leactl.gap.signals.smoothing import BASE, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
-NULLS = 3  # sound machines
-ALIKE = 2.0  # standard errors of a mean over them, above which they show an effect alike
+NULLS = 3  # number of sound machines
+ALIKE = 2.0  # standard errors of the mean over all machines above which they show a common size
 TORQUE_CONSTANT = "torque_constant"
-FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
+FARTHEST_STAMP = 1.0  # samples; largest error of a stamp whose meaning the file does not give
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
@@ -69,37 +69,38 @@ def measure(
     only: Sequence[Candidate] | None = None,
     seed: int = 0,
 ) -> Null:
-    """Simulate the runs of a case as sound machines would make them, and look for effects there.
+    """Simulate the runs of a case with sound machines, and fit the effects there.
 
-    only : forms of effects to look for, all if not given.
+    only : forms of effects to fit, all if not given.
 
-    A voltage or a torque sensor determines the torque constant. Where one is logged and too noisy to do so, the
-    constant and all torques are biased towards zero together: then the machines are simulated again, with constants on
-    either side of the model's, and fits hold the model's. Where none is logged, `Evidence` holds the constant in all
+    A voltage or a torque sensor determines the torque constant. Where such a channel is too noisy, the constant and all
+    torques are biased towards zero together: then the machines are simulated again with constants on either side of the
+    model's, and fits hold the model's constant. Where no such channel is logged, `Evidence` holds the constant in all
     fits.
     """
     random = np.random.default_rng(seed)
     machines_runs = sound_runs(records, [model] * machines, random)
-    moved, kept = unidentifiable_torque_constant(machines_runs, model)
-    if kept:
+    moved, held_parameters = unidentifiable_torque_constant(machines_runs, model)
+    if held_parameters:
         machines_runs = sound_runs(records, machines_off(model, TORQUE_CONSTANT, machines), random)
-    shown = NullValues()
+    values = NullValues()
     for runs in machines_runs:
-        shown.add_machine(Evidence(runs, model, only, kept))
-    return shown.null(shown.parameters() | moved, kept)
+        values.add_machine(Evidence(runs, model, only, held_parameters))
+    return values.null(values.parameters() | moved, held_parameters)
 
 
 def unidentifiable_torque_constant(
     machines_runs: Sequence[Sequence[Record]], model: Model
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
-    """Where runs cannot tell the torque constant: mean and scatter of its relative change, and its name; else empty.
+    """Return the torque constant's relative change (mean, scatter) and its name where the runs do not determine it.
 
-    No effect is looked for: its columns take most of the time of a null, and a calibration needs none of them.
+    Both are empty otherwise. No effect is fitted: columns of effects take most of the time of a null, and a calibration
+    needs none of them.
     """
     calibrations = NullValues()
     for runs in machines_runs:
         evidence = Evidence(runs, model, only=())
-        if evidence.tells_nothing_of(TORQUE_CONSTANT):  # nothing should tell it
+        if evidence.tells_nothing_of(TORQUE_CONSTANT):  # no channel could determine it
             return {}, ()
         if evidence.stack.rows:
             calibrations.add_calibration(evidence)
@@ -109,72 +110,77 @@ def unidentifiable_torque_constant(
 
 
 def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> Null:
-    """The null with what runs of another simulator of the same machine show in it, whose nominal the model is.
+    """Return the null raised by the runs of the simulator whose nominal the model is.
 
-    The variance that they leave over counts where it is larger, not its ratio to their noise: a simulator may write
-    none. The size of each effect there is combined with its floor in quadrature, but for waves over the angle: their
-    one floor stands for all orders, and a simulator's own wave of one order says nothing of another.
+    The larger of both residual variances counts. The ratio to the noise does not, since a simulator may write no noise.
+    The size of each effect in the simulator's runs is combined with its floor in quadrature. Waves over the angle are
+    excepted: they have one floor for all orders, and a simulator's wave of one order says nothing of another order.
     """
-    shown = NullValues()
-    shown.add_machine(Evidence(records, model, kept=null.kept))
-    own = shown.null(null.moved, null.kept)
-    left = {key: max(value, own.left.get(key, 0.0)) for key, value in null.left.items()}
+    values = NullValues()
+    values.add_machine(Evidence(records, model, kept=null.kept))
+    simulator_null = values.null(null.moved, null.kept)
+    variances = {key: max(variance, simulator_null.left.get(key, 0.0)) for key, variance in null.left.items()}
     floors = {
-        effect: np.hypot(sizes, own.floors[effect]).tolist()
-        if len(own.floors.get(effect, ())) == len(sizes) and not library()[effect].periodic
+        effect: np.hypot(sizes, simulator_null.floors[effect]).tolist()
+        if len(simulator_null.floors.get(effect, ())) == len(sizes) and not library()[effect].periodic
         else list(sizes)
         for effect, sizes in null.floors.items()
     }
-    loud = {key[0] for key, value in own.left.items() if value > null.left.get(key, math.inf)}
+    loud_equations = {
+        key[0] for key, variance in simulator_null.left.items() if variance > null.left.get(key, math.inf)
+    }
     lines = {
-        channel: max(height, own.lines.get(channel, 0.0)) if channel[0] in loud else height
+        channel: max(height, simulator_null.lines.get(channel, 0.0)) if channel[0] in loud_equations else height
         for channel, height in null.lines.items()
     }
-    return replace(null, left=left, floors=floors, lines=lines)
+    return replace(null, left=variances, floors=floors, lines=lines)
 
 
 def set_floors(evidence: Evidence, null: Null) -> None:
-    """Take what sound machines show in the runs of a case as its floors.
+    """Set the floors of the evidence from the null.
 
-    Where the runs give a form of a shaped effect a smaller standard error than the sound machines' runs do (their drive
-    followed where the real one stood at a limit), its floor is multiplied by the ratio of the two; the size that they
-    show in common stays.
+    Where the case gives a form of a shaped effect a smaller standard error than the sound machines' runs do (their
+    drive followed the reference where the real one was at a limit), its floor is multiplied by the ratio of the two
+    errors. The size that all machines have in common stays.
     """
     evidence.compare_with(null)
     for effect, items in by_themselves(evidence).items():
         if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
         pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
-        scaled = [size * min(own / theirs, 1.0) if theirs < math.inf else size for size, own, theirs in pairs]
+        scaled = [
+            size * min(case_error / sound_error, 1.0) if sound_error < math.inf else size
+            for size, case_error, sound_error in pairs
+        ]
         evidence.by_form[effect] = evidence.floors_of(effect, scaled)
 
 
 @dataclass
 class NullValues:
-    """What sound machines show, one value for each of them."""
+    """Values fitted to sound machines, collected machine by machine."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     left: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
-    errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
-    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # behind both, but periodic
+    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # by effect: machines, forms
+    errors: dict[str, list[list[float]]] = field(default_factory=dict)  # their standard errors
+    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # behind both; none periodic
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
 
     def add_calibration(self, evidence: Evidence) -> Fit:
-        """Take in how far a fit without effects moves the parameters of one machine."""
+        """Add the relative changes of the parameters of one machine in a fit without effects."""
         fit = evidence.settle([])
         self.priors = evidence.priors
-        for place, value in zip(fit.columns, fit.values, strict=True):
-            name = evidence.stack.names[place]
+        for column, value in zip(fit.columns, fit.values, strict=True):
+            name = evidence.stack.names[column]
             if name[0] == "calibration":
                 self.moved.setdefault(name[1], []).append(float(value))
         return fit
 
     def add_machine(self, evidence: Evidence) -> None:
-        """Take in one machine; nothing of it is kept but these values, for its columns take much memory."""
+        """Add the values of one machine; its evidence is not stored, since the columns take much memory."""
         if not evidence.stack.rows:
             return
         fit = self.add_calibration(evidence)
@@ -194,9 +200,9 @@ class NullValues:
             self.lines.setdefault(channel, []).append(line.height)
 
     def null(self, moved: Mapping[str, tuple[float, float]], kept: Sequence[str]) -> Null:
-        """All machines together.
+        """Return the null of all machines together.
 
-        moved : of each parameter, mean and scatter of its relative change.
+        moved : by parameter, mean and scatter of its relative change.
         kept : parameters that no fit may move.
         """
         return Null(
@@ -213,36 +219,37 @@ class NullValues:
         )
 
     def parameters(self) -> dict[str, tuple[float, float]]:
-        """Mean and scatter of what fits make of the model's own parameters, as relative changes."""
+        """Return the mean and scatter of each parameter's relative change in the fits."""
         return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
     def unidentifiable(self) -> tuple[str, ...]:
-        """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too.
+        """Return the parameters whose relative change in sound machines exceeds `MOST_MOVED` times their prior.
 
-        One that every fit holds is none of them: what its narrow prior lets it move says nothing.
+        A bias common to all machines counts in full for the torque constant, and as `error_of` has it for the others.
+        A parameter that every fit holds is not among them.
         """
         return tuple(
             name
-            for name, by in self.parameters().items()
+            for name, change in self.parameters().items()
             if self.priors.get(name) != PINNED
-            and (math.hypot(*by) if name == TORQUE_CONSTANT else error_of(*by))
+            and (math.hypot(*change) if name == TORQUE_CONSTANT else error_of(*change))
             > MOST_MOVED * self.priors.get(name, math.inf)
         )
 
 
 def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[float]:
-    """Size that sound machines give an effect in common, form by form; empty where there is one machine or none.
+    """Return the size of an effect that all sound machines have in common, by form; empty for fewer than two machines.
 
-    machines : of each machine, the effect fitted by itself in each of its forms; None where its runs do not show one.
+    machines : for each machine, the effect fitted alone in each of its forms; None where its runs do not show the form.
 
-    It is the length of the mean of their signed sizes, less noise. Zero where noise explains it, or where a machine
-    does not show the form. Accelerations that are noise alone, as by a coarse encoder, look in every machine like a
-    part of the inertia that hangs loose.
+    It is the length of the mean of the signed sizes, less noise. It is zero where noise explains it, or where a machine
+    does not show the form. A coarse encoder, whose accelerations are noise alone, makes every machine look as if a part
+    of its inertia were loosely coupled.
     """
 
-    def of_form(shown: Sequence[FurtherEffect | None]) -> float:
-        items = [item for item in shown if item is not None]
-        if len(items) < len(shown):
+    def of_form(fits: Sequence[FurtherEffect | None]) -> float:
+        items = [item for item in fits if item is not None]
+        if len(items) < len(fits):
             return 0.0
         mean = np.mean([item.directed for item in items], axis=0)
         noise = float(np.mean([item.directed_variance for item in items])) / len(items)
@@ -255,10 +262,10 @@ def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[floa
 def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
     """Drop the members of a set that also show in a machine which has only the other members.
 
-    What equations miss of a large effect (its course within a sample, where friction turns back under it) may look like
-    a smaller one. For each member such a machine is fitted and simulated through the same runs, and the member is
-    fitted there. The size found is combined, in quadrature, with the member's floor and standard error. The member with
-    the largest gain is not tested.
+    The equations' error for a large effect (its course within a sample, where friction reverses) may look like a
+    smaller effect. For each member a machine with the other members is fitted and simulated through the same runs, and
+    the member is fitted there. Its size there is combined in quadrature with the member's floor and standard error. The
+    member with the largest gain is not tested.
     """
     random = np.random.default_rng(seed)
     hypothesis = list(result.hypothesis)
@@ -274,32 +281,34 @@ def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0
 def size_beside(
     evidence: Evidence, others: Sequence[Candidate], item: FurtherEffect, random: np.random.Generator
 ) -> float:
-    """Size of an effect, beyond noise, in a machine that has only the others; zero where it cannot be simulated."""
-    # beside the whole set: without the effect its likeness in the model, as a stiffness of a shaft's, takes its place
-    own = calibrated(evidence, evidence.settle([*others, item.candidate]))
+    """Return the size, beyond noise, of an effect fitted to a machine with only the others; zero without any run."""
+    # calibrated with the whole set: without the effect a similar parameter, as the shaft's stiffness, would replace it
+    calibration = calibrated(evidence, evidence.settle([*others, item.candidate]))
     fit = evidence.settle(others)
-    acting = [(c[0], {p.name: p.value for p in effect_parameters(evidence, fit, c)}) for c in others]
-    machine = with_effects(with_calibration(evidence.model, own), acting)
+    acting = [(other[0], {p.name: p.value for p in effect_parameters(evidence, fit, other)}) for other in others]
+    machine = with_effects(with_calibration(evidence.model, calibration), acting)
     (runs,) = sound_runs(evidence.records, [machine], random)
-    again = Evidence(runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
-    if not again.stack.rows:
+    sound_evidence = Evidence(runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
+    if not sound_evidence.stack.rows:
         return 0.0
-    again.settle([*others, item.candidate])
-    shown = finding(again, again.normal(), again.stack.columns_of(others), item.candidate, free=True)
-    return math.sqrt(max(shown.size**2 - shown.std**2, 0.0)) if shown is not None else 0.0
+    sound_evidence.settle([*others, item.candidate])
+    refitted = finding(
+        sound_evidence, sound_evidence.normal(), sound_evidence.stack.columns_of(others), item.candidate, free=True
+    )
+    return math.sqrt(max(refitted.size**2 - refitted.std**2, 0.0)) if refitted is not None else 0.0
 
 
 def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
-    """Machines whose parameter is off the model's, by what is usual as a root mean square.
+    """Return models whose parameter differs from the nominal one by its prior as a root mean square.
 
-    One over the value is spread symmetrically about the model's, with the prior as its root mean square, so that an
-    error common to all machines comes from the fits. Of an odd number one machine is the model; a single one is off.
+    The reciprocals are spread symmetrically around the nominal reciprocal, so that an error common to all machines
+    comes from the fits. For an odd count above one, one model is the nominal one.
     """
     nominal = nominal_value(model, parameter)
     if nominal is None:
         return [model] * count
-    by = PRIORS[parameter] * math.sqrt(count / max(2 * (count // 2), 1))
-    steps = [by, -by] * (count // 2) + ([0.0] if count > 1 else [by]) * (count % 2)
+    offset = PRIORS[parameter] * math.sqrt(count / max(2 * (count // 2), 1))
+    steps = [offset, -offset] * (count // 2) + ([0.0] if count > 1 else [offset]) * (count % 2)
     units = UNITS.get(parameter, "")
     return [
         with_calibration(model, [CalibratedParameter(parameter, nominal, nominal / (1.0 + step), 0.0, units)])
@@ -308,37 +317,39 @@ def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
 
 
 def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.random.Generator) -> list[list[Record]]:
-    """The runs of a case as some sound machines would have made them; a run that cannot be simulated is left out."""
+    """Simulate the runs of a case with each of some sound machines; a run that cannot be simulated is left out."""
     sets: list[list[Job]] = []
     for machine in machines:
         plant = plant_of(machine)
-        plant.give = float(random.choice(TRIED))  # no model file says it
+        plant.give = float(random.choice(TRIED))  # a model file does not contain it
         sets.append([Job(driven(record), plant, tracked=True) for record in records])
-    replay_all([job for own in sets for job in own])
-    for own in sets:
-        logged(own, random)
+    replay_all([job for jobs in sets for job in jobs])
+    for jobs in sets:
+        logged(jobs, random)
     return [
-        [again for job, record in zip(own, records, strict=True) if (again := recorded(job, record, random))]
-        for own in sets
+        [simulated for job, record in zip(jobs, records, strict=True) if (simulated := recorded(job, record, random))]
+        for jobs in sets
     ]
 
 
 def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
-    """Let one log stamp the runs of a machine in its own way, as far as its files do not say how they are stamped."""
+    """Delay the channels of a machine's runs at random where the files do not say what a stamp means."""
     current_late, reference_late, velocity_late = random.uniform(-FARTHEST_STAMP, FARTHEST_STAMP, 3)
-    straight = bool(random.integers(2))  # whether a reference goes on a straight line to its next value
+    ramped_reference = bool(random.integers(2))  # whether a reference ramps to its next value
     for job in jobs:
         unstamped = job.record.fast.unstamped if job.record.fast is not None else set()
         if job.current is not None and job.current_mean is not None and ("q_axis_current", "test") in unstamped:
-            late = float(current_late + reference_late) * job.parts
+            delay = float(current_late + reference_late) * job.parts
             job.current, job.current_mean = (
                 delayed(
-                    uniform_filter1d(values, job.parts, origin=(job.parts - 1) // 2) if straight else values, late, 1.0
+                    uniform_filter1d(values, job.parts, origin=(job.parts - 1) // 2) if ramped_reference else values,
+                    delay,
+                    1.0,
                 )
                 for values in (job.current, job.current_mean)
             )
         if job.current is None and job.angle is not None and ("q_axis_voltage", "test") in unstamped:
-            # of a voltage and the motion that it makes, only how they stand to each other shows
+            # only the delay between a voltage and the motion that it makes can be observed
             job.angle = delayed(job.angle, -float(current_late + reference_late) * job.parts, 1.0)
         if job.velocity is not None and ("velocity", "test") in job.fast and ("velocity", "test") in unstamped:
             job.velocity = delayed(job.velocity, float(velocity_late) * job.parts, 1.0)
@@ -346,7 +357,7 @@ def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
 
 
 def driven(record: Record) -> Record:
-    """A run whose measured inputs are without noise: rotors would creep under noise, which then counts twice."""
+    """Return a run with smoothed inputs: rotors would creep under input noise, and the noise would count twice."""
     fast, slow = record.fast, record.slow
     if fast is not None:
         drives = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
@@ -358,12 +369,12 @@ def driven(record: Record) -> Record:
 
 
 def evened(values: Mapping[Key, Array], ending: str, width: float) -> dict[Key, Array]:
-    """Channels, smoothed where their quantity ends so."""
+    """Smooth the channels whose quantity ends with `ending`."""
     return {key: smooth(column, width) if key[0].endswith(ending) else column for key, column in values.items()}
 
 
 def recorded(job: Job, record: Record, random: np.random.Generator) -> Record | None:
-    """A simulated run with the channels, noise and rounding of the measured one; None where nothing was simulated."""
+    """Return a simulated run with channels, noise and rounding of the measured one; None if nothing was simulated."""
     if not job.fast and not job.slow:
         return None
     fast, slow = record.fast, record.slow
@@ -379,56 +390,56 @@ def recorded(job: Job, record: Record, random: np.random.Generator) -> Record | 
 
 
 def fast_channels(job: Job) -> dict[Key, Array]:
-    """Channels of the fast clock that a simulated run makes anew, without noise."""
+    """Return the simulated channels of the fast clock, without noise."""
     channels, values = dict(job.fast), job.clock.values
     if job.angle is not None:
         channels["angle", "test"] = angle(job)
     if (flowing := current(job)) is not None:
         channels["q_axis_current", "test"] = flowing
     if (load := values.get(("q_axis_current", "load"))) is not None:
-        channels["q_axis_current", "load"] = load  # flows as it was measured
+        channels["q_axis_current", "load"] = load  # the replay takes it as measured
     if job.pull is not None:
-        for key, more in asked_for(job, job.pull).items():
+        for key, change in asked_for(job, job.pull).items():
             if key in values:
-                channels[key] = values[key] + more
+                channels[key] = values[key] + change
     return channels
 
 
 def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
-    """What the references of a run ask for beyond the measured ones, so that its drive makes the torque that tracks."""
+    """Return what is added to the measured references so that the drive makes the tracking torque `pull`."""
     constant = job.plant.model.torque_constant or 1.0
     total = (len(job.clock.time) - 1) * job.parts + 1
-    if (fed := fed_by_voltage(job.record, job.plant.model)) is not None:
-        over = over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
-        return {("q_axis_voltage", "test"): over / fed.gain}
+    if (supply := fed_by_voltage(job.record, job.plant.model)) is not None:
+        pull_at_samples = over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
+        return {("q_axis_voltage", "test"): pull_at_samples / supply.gain}
     if job.current is None:
-        told = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
-        return {(told, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
-    more = unled(followed_to(pull[: total : job.parts] / constant, job), job)
-    return {("q_axis_current_reference", "test"): more}
+        quantity = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
+        return {(quantity, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
+    current = unled(followed_to(pull[: total : job.parts] / constant, job), job)
+    return {("q_axis_current_reference", "test"): current}
 
 
 def followed_to(ends: Array, job: Job) -> Array:
-    """What a current loop must follow over each interval, so that it stands at a given current at its end."""
+    """Return the reference with which a first-order current loop reaches the given currents at the interval ends."""
     bandwidth = job.plant.model.bench.current_loop_bandwidth
     decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval)) if bandwidth else 0.0
     return (ends - decay * np.concatenate([ends[:1], ends[:-1]])) / (1.0 - decay)
 
 
 def unled(followed: Array, job: Job) -> Array:
-    """The reference whose lead makes a loop follow a given one."""
+    """Return the reference that, after the drive's setpoint lead, equals the given one."""
     bench, interval = job.plant.model.bench, job.clock.interval
     if not bench.setpoint_lead or moved_by_a_servo(job.clock):
         return followed
     decay = float(np.exp(-interval / bench.setpoint_lead_time))
     share = bench.setpoint_lead * (bench.setpoint_lead_time / interval) * (1.0 - decay)
-    kept, taken = decay + (1.0 - decay) * share / (1.0 + share), (1.0 - decay) / (1.0 + share)
-    caught = lfilter([0.0, taken], [1.0, -kept], followed - followed[0]) + followed[0]
-    return np.asarray((followed + share * caught) / (1.0 + share), np.float64)
+    memory, input_gain = decay + (1.0 - decay) * share / (1.0 + share), (1.0 - decay) / (1.0 + share)
+    lead_state = lfilter([0.0, input_gain], [1.0, -memory], followed - followed[0]) + followed[0]
+    return np.asarray((followed + share * lead_state) / (1.0 + share), np.float64)
 
 
 def read_again(clock: Clocked, simulated: Mapping[Key, Array], random: np.random.Generator) -> dict[Key, Array]:
-    """Channels of a clock: those that were simulated with the noise of the measured ones, the others as they are."""
+    """Return the channels of a clock: simulated ones with the noise of the measured ones, the others unchanged."""
     references = {key for key in simulated if key[0].endswith("_reference")}
     return {
         key: values
@@ -441,18 +452,18 @@ def read_again(clock: Clocked, simulated: Mapping[Key, Array], random: np.random
 
 
 def as_measured(clock: Clocked, key: Key, simulated: Array, random: np.random.Generator) -> Array:
-    """A simulated channel of a clock with noise and rounding, at the channel's own stamps where it has such."""
+    """Return a simulated channel with noise and rounding, added at the channel's own stamps where it has such."""
     values = clock.values[key]
     if key not in clock.between:
         return with_noise(simulated, values, random)
-    stamps, own = clock.between[key]
-    whole = np.where(np.isfinite(simulated), simulated, values)
-    return np.interp(clock.time, stamps, with_noise(np.interp(stamps, clock.time, whole), own, random))
+    stamps, measured = clock.between[key]
+    filled = np.where(np.isfinite(simulated), simulated, values)
+    return np.interp(clock.time, stamps, with_noise(np.interp(stamps, clock.time, filled), measured, random))
 
 
 def with_noise(simulated: Array, measured: Array, random: np.random.Generator) -> Array:
-    """A simulated channel with noise of the measured one's size and colour, rounded as it is."""
-    whole = np.where(np.isfinite(simulated), simulated, measured)
-    quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # what moves fast takes every level but once
-    noisy = whole + coloured(measured, quantum, random)
+    """Return a simulated channel with noise of the measured one's size and colour, rounded to the same quantum."""
+    filled = np.where(np.isfinite(simulated), simulated, measured)
+    quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # a fast channel may take every level only once
+    noisy = filled + coloured(measured, quantum, random)
     return np.asarray(np.round(noisy / quantum) * quantum if quantum > 0.0 else noisy, np.float64)

@@ -1,4 +1,4 @@
-"""Diagnose every case of a folder and write each answer as soon as it stands; what stands is not done again."""
+"""Diagnose every case of a folder and write each answer at once; existing answers are not computed again."""
 
 import json
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ MODEL = "nominal.yaml"
 
 
 def case_names(cases: Path) -> list[str]:
-    """The folders of a set of cases, each with its nominal model.
+    """Return the names of the cases of a folder, each with its nominal model.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def case_names(cases: Path) -> list[str]:
 
 
 def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress) -> list[str]:
-    """Diagnose the cases that have no answer yet; gives the names of all.
+    """Diagnose the cases that have no answer yet; return the names of all.
 
     The last run of every kind is held out, as `leactl gap diagnose` does where nobody names one.
 
@@ -43,12 +43,12 @@ def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress)
 
 
 def answer(case: Path, out: Path) -> None:
-    """Diagnose one case and write its answer whole."""
+    """Diagnose one case and write its answer."""
     write(out, diagnose(read_case(runs_of(case), [], case / MODEL)).as_json())
 
 
 def runs_of(case: Path) -> list[Path]:
-    """The run files of a case."""
+    """Return the run files of a case."""
     return sorted(case.glob("*.h5"))
 
 
@@ -59,5 +59,5 @@ def write(out: Path, document: dict[str, Any]) -> None:
 
 
 def read(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Every case's document of a folder."""
+    """Return the document of every case of a folder."""
     return {name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in names}

@@ -1,4 +1,4 @@
-"""The check as a whole: answers first, then the key, then the marks."""
+"""Run the check on withheld causes: answers first, then the key, then the marks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ ReadKey = Callable[[Path, Path], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Cases:
-    """One set of cases, and what stands beside its runs."""
+    """One set of cases: folders of its runs, its key and its answers."""
 
     runs: Path
     key: Path  # a folder apart from the runs
-    answers: Path  # what stands there is not done again; what the key makes measurable stands beside, under `told`
+    answers: Path  # existing answers are not computed again; measurements with the key are in its folder `told`
 
     @classmethod
     def side_by_side(cls, runs: Sequence[Path], keys: Sequence[Path], answers: Sequence[Path]) -> list[Self]:
-        """Sets from folders that are given in the same order; answers are put beside the runs by default.
+        """Combine folders that are given in the same order; by default answers go next to the runs.
 
         Raises
         ------
@@ -33,12 +33,14 @@ class Cases:
         """
         if len(keys) != len(runs):
             raise InputError(f"--key: found {len(keys)} for {len(runs)} of --cases; give one for each, in their order")
-        beside = list(answers) or [folder.with_name(f"{folder.name}-answers") for folder in runs]
-        if len(beside) != len(runs):
-            raise InputError(f"--answers: found {len(beside)} for {len(runs)} of --cases; give one for each or none")
-        if len({folder.resolve() for folder in beside}) < len(beside):
+        answer_folders = list(answers) or [folder.with_name(f"{folder.name}-answers") for folder in runs]
+        if len(answer_folders) != len(runs):
+            raise InputError(
+                f"--answers: found {len(answer_folders)} for {len(runs)} of --cases; give one for each or none"
+            )
+        if len({folder.resolve() for folder in answer_folders}) < len(answer_folders):
             raise InputError("--answers: one folder for two sets of cases; give each its own")
-        return [cls(*folders) for folders in zip(runs, keys, beside, strict=True)]
+        return [cls(*folders) for folders in zip(runs, keys, answer_folders, strict=True)]
 
 
 def check(sets: Sequence[Cases], read_key: ReadKey, workers: Workers, progress: Progress) -> list[Mark]:
@@ -67,10 +69,10 @@ def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], workers: Work
     missing = [f"{part.runs / name}: the key has no such case" for name in names if name not in entries]
     if missing:
         raise InputError(missing)
-    told = part.answers / "told"
-    told.mkdir(exist_ok=True)
-    left = [name for name in names if not (told / f"{name}.json").exists()]
-    jobs = [(part.runs / name, entries[name], told / f"{name}.json") for name in left]
+    truth_folder = part.answers / "told"
+    truth_folder.mkdir(exist_ok=True)
+    unmeasured = [name for name in names if not (truth_folder / f"{name}.json").exists()]
+    jobs = [(part.runs / name, entries[name], truth_folder / f"{name}.json") for name in unmeasured]
     each(measure, jobs, workers, "told the truth", progress)
-    given, measured = read(part.answers, names), read(told, names)
-    return [mark(f"{prefix}{name}", Truth.of(entries[name]), given[name], measured[name]) for name in names]
+    answers, measured = read(part.answers, names), read(truth_folder, names)
+    return [mark(f"{prefix}{name}", Truth.of(entries[name]), answers[name], measured[name]) for name in names]

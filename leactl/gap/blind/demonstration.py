@@ -18,7 +18,7 @@ Outcome = Literal["named", "named with others", "missed"]
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What was planted, and what the diagnosis named before anybody told it."""
+    """Planted effect, and the diagnosis made before the key was opened."""
 
     answer: DiagnosisResult
     planted: str

@@ -1,4 +1,4 @@
-"""One answer beside the truth: what was right, what was missed, and by how much."""
+"""Mark one answer against the truth: what was right, what was missed, and by how much."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from leactl.gap.blind.truth import Truth
 from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.withdrawal import GROWN
 
-LEAST_MOVED = 1.0  # floors, below which a gap drowns in noise wherever it is
-AS_GOOD = 0.9  # of the most floors moved: test and load actuator tell the speed of one shaft
-GAP = 1.1  # floors, below which an oracle finds no gap to close
+LEAST_MOVED = 1.0  # floors below which a gap is hidden in noise
+AS_GOOD = 0.9  # share of the most floors moved that counts as equal: two actuators measure the speed of one shaft
+GAP = 1.1  # floors below which an oracle finds no gap to close
 SAME_NUMBER = "back_emf_constant"  # in power-invariant units the torque constant again
 REPLACED = {"shaft_compliance": "bench.shaft_stiffness"}  # an effect whose parameter stands for one of the model's
-NO_TRUTH = "ambient_offset"  # of the plant's ambient, which has none of its own
+NO_TRUTH = "ambient_offset"  # the plant has no true value of it
 Document = Mapping[str, Any]
 
 
@@ -27,7 +27,7 @@ class Departure:
 
 @dataclass(frozen=True)
 class Mark:
-    """One case."""
+    """Marks of one case."""
 
     name: str
     truth: Truth
@@ -44,12 +44,12 @@ class Mark:
 
     @property
     def first(self) -> str | None:
-        """The first cause."""
+        """Effect of the first cause; None without a cause."""
         return self.causes[0][0] if self.causes else None
 
     @property
     def first_probability(self) -> float:
-        """Its probability; none where nothing is named."""
+        """Probability of the first cause; zero without a cause."""
         return self.causes[0][1] if self.causes else 0.0
 
     @property
@@ -97,15 +97,19 @@ class Mark:
 def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
     """Compare one answer with the truth and with what the key made measurable."""
     causes = tuple((cause["effect"], float(cause["probability"])) for cause in answer["causes"])
-    first: Sequence[Document] = answer["causes"][:1]
-    reported = tuple(n for cause in first for n in (cause["effect"], *cause["indistinguishable_from"]))
+    first_cause: Sequence[Document] = answer["causes"][:1]
+    reported = tuple(n for cause in first_cause for n in (cause["effect"], *cause["indistinguishable_from"]))
     closed = oracle_closed = None
-    moved, left = (farthest(measured["moved"], by) for by in ("by_effects", "after_calibration"))
-    if left:
-        closed, oracle_closed = shares_closed(left[0], answer["shrinkage"], measured["oracle"])
-    begins = place(answer["where"][0]) if answer["where"] else None
+    moved_channels, left_channels = (
+        farthest(measured["moved"], quantity) for quantity in ("by_effects", "after_calibration")
+    )
+    if left_channels:
+        closed, oracle_closed = shares_closed(left_channels[0], answer["shrinkage"], measured["oracle"])
+    first_channel = place(answer["where"][0]) if answer["where"] else None
     verdict = answer["verdict"]
-    moved_right, left_right = (begins in places if places else None for places in (moved, left))
+    moved_right, left_right = (
+        first_channel in channels if channels else None for channels in (moved_channels, left_channels)
+    )
     departures = tuple(departures_of(truth, answer["calibration"]))
     lines = answer["shrinkage"]
     some_named = any(probability >= NAMED for _, probability in causes)
@@ -126,54 +130,56 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
 
 
 def narrows(lines: Sequence[Document], before: str, after: str) -> bool | None:
-    """Whether a model is nearer to the held-out runs than another, all channels together in multiples of their floors.
+    """Return whether a model is nearer to the held-out runs than another, over all channels in multiples of floors.
 
     None where no channel is replayed.
     """
     usable = [line for line in lines if line["floor_rms"] and None not in (line[before], line[after])]
     if not usable:
         return None
-    first, second = (sum((line[at] / line["floor_rms"]) ** 2 for line in usable) for at in (before, after))
-    return bool(second <= GROWN * first)
+    squares_before, squares_after = (
+        sum((line[model] / line["floor_rms"]) ** 2 for line in usable) for model in (before, after)
+    )
+    return bool(squares_after <= GROWN * squares_before)
 
 
 def farthest(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:
-    """Channels and set-ups that are moved most, and as good as most; none where all move less than their floor."""
+    """Return the channels with the largest move and those nearly as large; none where all are below their floor."""
     ranked = sorted(lines, key=lambda line: -float(line[by]))
     most = float(ranked[0][by]) if ranked else 0.0
     return [place(line) for line in ranked if line[by] >= max(LEAST_MOVED, AS_GOOD * most)]
 
 
 def place(line: Document) -> tuple[str, str, str]:
-    """The channel and set-up of a line."""
+    """Return the channel and set-up of a line."""
     return line["quantity"], line["role"], line["mechanical"]
 
 
 def shares_closed(
-    at: tuple[str, str, str], answered: Sequence[Document], told: Sequence[Document]
+    channel: tuple[str, str, str], answered: Sequence[Document], oracle_lines: Sequence[Document]
 ) -> tuple[float | None, float | None]:
-    """Share of a channel's gap that an answer and the oracle close, both of the gap and floor that the oracle has."""
-    answered_line = next((line for line in answered if place(line) == at), None)
-    best = next((line for line in told if place(line) == at), None)
-    if answered_line is None or best is None or best["calibrated_rms"] <= GAP * best["floor_rms"]:
+    """Return the shares of a channel's gap that an answer and the oracle close, by the oracle's gap and floor."""
+    answered_line = next((line for line in answered if place(line) == channel), None)
+    oracle_line = next((line for line in oracle_lines if place(line) == channel), None)
+    if answered_line is None or oracle_line is None or oracle_line["calibrated_rms"] <= GAP * oracle_line["floor_rms"]:
         return None, None
-    room = best["calibrated_rms"] - best["floor_rms"]
-    shares = [(best["calibrated_rms"] - line["augmented_rms"]) / room for line in (answered_line, best)]
+    gap = oracle_line["calibrated_rms"] - oracle_line["floor_rms"]
+    shares = [(oracle_line["calibrated_rms"] - line["augmented_rms"]) / gap for line in (answered_line, oracle_line)]
     return shares[0], shares[1]
 
 
 def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departure]:
-    """How far fitted parameters are from the true ones, where the truth is one number."""
+    """Return the departures of fitted parameters from the true ones, where the truth is one number."""
     replaced = {REPLACED[name] for name in truth.effects if name in REPLACED} | {SAME_NUMBER, NO_TRUTH}
     fitted = {line["parameter"]: line["fitted"] for line in calibration}
-    by, truly_by = 1.0, 1.0
+    reference, true_reference = 1.0, 1.0
     if truth.ratios_to is not None:
         if truth.ratios_to not in fitted:
             return []
         replaced |= {truth.ratios_to}
-        by, truly_by = fitted[truth.ratios_to], truth.base[truth.ratios_to]
+        reference, true_reference = fitted[truth.ratios_to], truth.base[truth.ratios_to]
     return [
-        Departure(name, (line["fitted"] / by - truth.base[name] / truly_by) / (line["std"] / by))
+        Departure(name, (line["fitted"] / reference - truth.base[name] / true_reference) / (line["std"] / reference))
         for line in calibration
         if (name := line["parameter"]) not in replaced and name in truth.base and line["std"]
     ]

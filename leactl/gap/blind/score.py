@@ -26,7 +26,7 @@ CHIEF = (PLAIN, FAINT, SOUND, OUTSIDE, NOT_THERE)  # shown by group
 
 @dataclass(frozen=True)
 class Share:
-    """So many of so many, with the 95 % interval of Wilson (1927)."""
+    """Count of a total, with the 95 % interval of Wilson (1927)."""
 
     question: str
     target: str
@@ -35,7 +35,7 @@ class Share:
 
     @property
     def share(self) -> float | None:
-        """The share; None of nothing."""
+        """Count over total; None for a total of zero."""
         return self.count / self.total if self.total else None
 
     @property
@@ -63,7 +63,7 @@ class ProbabilityBin:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How far the probabilities of first causes can be trusted."""
+    """Calibration of the probabilities of first causes."""
 
     bins: tuple[ProbabilityBin, ...]
     count: int
@@ -74,7 +74,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Miss:
-    """A case that went wrong: what acts, and what was said."""
+    """A wrong answer: the case, the truth and the answer as text."""
 
     case: str
     question: str
@@ -84,7 +84,7 @@ class Miss:
 
 @dataclass(frozen=True)
 class Group:
-    """The same questions of some of the cases."""
+    """The chief questions for some of the cases."""
 
     by: str  # simulator, machine, strength, effect
     name: str
@@ -108,7 +108,7 @@ class Score:
 
 
 def score(marks: Sequence[Mark]) -> Score:
-    """All figures of a set of marks."""
+    """Return all figures of a set of marks."""
     questions = asked(marks)
     shares = [share_of(question) for question in questions]
     misses = [
@@ -138,7 +138,7 @@ def score(marks: Sequence[Mark]) -> Score:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of some cases, and how many of them are to pass."""
+    """A question about some cases, and the share of them that has to pass."""
 
     text: str
     target: str
@@ -147,13 +147,13 @@ class Question:
 
 
 def asked(marks: Sequence[Mark]) -> list[Question]:
-    """Every question of a set of cases; what is asked of the bench is more than what is asked of drawn machines."""
+    """Return every question about a set of cases; the targets for the bench are higher than for drawn machines."""
     bench = all(m.truth.machine == BENCH for m in marks)
     single, pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in KINDS)
     faint = [m for m in single if m.truth.strength == "faint"]
     plain = [m for m in single if m.truth.strength != "faint"]
     moved = [m for m in marks if m.moved_right is not None]
-    left = [m for m in marks if m.left_right is not None]
+    with_residual = [m for m in marks if m.left_right is not None]
     named = [m for m in marks if m.effect_closes is not None]
     recalibrated = [m for m in marks if m.calibration_closes is not None]
     return [
@@ -171,65 +171,71 @@ def asked(marks: Sequence[Mark]) -> list[Question]:
             (GREW, "<= 0 %", "<= 0 %", named, lambda m: m.effect_closes is False),
             (WORSE, "<= 0 %", "<= 0 %", recalibrated, lambda m: m.calibration_closes is False),
             ("first entry of `where`: what the effects move most", ">= 97 %", ">= 97 %", moved, moves_right),
-            ("first entry of `where`: what calibration leaves most of", ">= 97 %", ">= 97 %", left, leaves_right),
+            (
+                "first entry of `where`: what calibration leaves most of",
+                ">= 97 %",
+                ">= 97 %",
+                with_residual,
+                leaves_right,
+            ),
         )
     ]
 
 
 def moves_right(m: Mark) -> bool:
-    """Whether `where` begins with what the effects move most."""
+    """Return whether `where` begins with the channel that the effects move most."""
     return m.moved_right is True
 
 
 def leaves_right(m: Mark) -> bool:
-    """Whether `where` begins with what recalibration leaves most of."""
+    """Return whether `where` begins with the channel with the largest gap after recalibration."""
     return m.left_right is True
 
 
 def share_of(question: Question) -> Share:
-    """How many pass."""
+    """Return the share of cases that pass a question."""
     return Share(question.text, question.target, sum(map(question.test, question.among)), len(question.among))
 
 
 def groups(marks: Sequence[Mark]) -> Iterator[Group]:
-    """The chief questions by simulator, machine, strength and effect, where there is more than one of them."""
+    """Yield the chief questions by simulator, machine, strength and effect, if there is more than one of them."""
     sorts: dict[str, Callable[[Mark], str]] = {
         "simulator": lambda m: m.truth.simulator,
         "machine": lambda m: m.truth.machine,
         "strength": lambda m: m.truth.strength or "nothing wrong",
         "effect": lambda m: " + ".join(m.truth.effects or m.truth.unlisted) if m.truth.kind != "pair" else "",
     }
-    for by, name_of in sorts.items():
+    for property_name, name_of in sorts.items():
         named = sorted({name_of(m) for m in marks} - {""})
         for name in named if len(named) > 1 else []:
             members = [m for m in marks if name_of(m) == name]
             shares = tuple(share_of(question) for question in asked(members) if question.text in CHIEF)
-            yield Group(by, name, len(members), shares)
+            yield Group(property_name, name, len(members), shares)
 
 
 def within(question: str, departures: Sequence[Departure]) -> Share:
-    """Calibrated parameters within two standard errors of the truth."""
+    """Return the share of calibrated parameters within two standard errors of the truth."""
     return Share(question, "92 to 98 %", sum(abs(d.stds) <= STDS for d in departures), len(departures))
 
 
 def near_oracle(behind: Sequence[float]) -> tuple[Share, Share]:
-    """Cases in which the share closed is close to that of an oracle."""
-    first, second = ((sum(b <= bound for b in behind), bound) for bound in (MEDIAN_WITHIN, MOST_WITHIN))
+    """Return the shares of cases whose closed share of the gap is close to that of an oracle."""
+    median_case, most_cases = ((sum(b <= bound for b in behind), bound) for bound in (MEDIAN_WITHIN, MOST_WITHIN))
     text = "share closed within {:.2f} of an oracle that is told the effect"
     return (
-        Share(text.format(first[1]), ">= 50 %", first[0], len(behind)),
-        Share(text.format(second[1]), ">= 90 %", second[0], len(behind)),
+        Share(text.format(median_case[1]), ">= 50 %", median_case[0], len(behind)),
+        Share(text.format(most_cases[1]), ">= 90 %", most_cases[0], len(behind)),
     )
 
 
 def calibration(marks: Sequence[Mark]) -> Calibration:
-    """Probability of the first cause, its class counted together, against whether something of the class acts."""
+    """Return the calibration of the first cause's probability: whether an effect of its class acts."""
     stated = np.asarray([m.first_probability for m in marks], float)
     right = np.asarray([m.in_set for m in marks], float)
     bins, error = [], 0.0
-    places = np.minimum((stated * BINS).astype(int), BINS - 1)
+    bin_of_case = np.minimum((stated * BINS).astype(int), BINS - 1)
     for k in range(BINS):
-        inside = places == k
+        inside = bin_of_case == k
         if inside.any():
             mean, share = float(stated[inside].mean()), float(right[inside].mean())
             bins.append(ProbabilityBin(k / BINS, (k + 1) / BINS, int(inside.sum()), mean, share))
@@ -241,12 +247,12 @@ def calibration(marks: Sequence[Mark]) -> Calibration:
 
 
 def what_acts(m: Mark) -> str:
-    """The truth of a case in a few words."""
+    """Return the truth of a case as text."""
     effects = " + ".join(m.truth.effects) or " + ".join(f"({name})" for name in m.truth.unlisted) or "nothing"
     return f"{effects}, {m.truth.strength}" if m.truth.strength else effects
 
 
 def what_was_said(m: Mark) -> str:
-    """The answer to a case in a few words."""
-    said = ", ".join(f"{name} {probability:.2f}" for name, probability in m.causes[:4])
-    return f"{m.verdict}: {said}" if said else m.verdict
+    """Return the answer to a case as text."""
+    named_causes = ", ".join(f"{name} {probability:.2f}" for name, probability in m.causes[:4])
+    return f"{m.verdict}: {named_causes}" if named_causes else m.verdict

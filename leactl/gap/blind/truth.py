@@ -55,12 +55,12 @@ class Truth:
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> "Truth":
-        """From the key file."""
+        """Return the truth of one entry of the key file."""
         effects = tuple(name for name in entry["effects"] if name != UNKNOWN)
         unlisted = tuple(entry["unlisted"])
-        told = {name: entry[name] for name in ("alike", "machine", "simulator", "ratios_to") if name in entry}
+        optional = {name: entry[name] for name in ("alike", "machine", "simulator", "ratios_to") if name in entry}
         strength, parameters, base = entry["strength"], entry["parameters"], entry["true_base"]
-        return cls(entry["kind"], effects, unlisted, strength, parameters, base, **told)
+        return cls(entry["kind"], effects, unlisted, strength, parameters, base, **optional)
 
 
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
@@ -86,45 +86,45 @@ class Moved:
 
 
 def moved(case: Case, truth: Truth, tuned: Model) -> list[Moved]:
-    """Every channel of the held-out runs."""
-    without = true_model(case.model, truth.base)
-    with_them = with_effects(without, [(name, truth.parameters[name]) for name in truth.effects])
+    """Return how far the true effects move every channel of the held-out runs."""
+    true_without = true_model(case.model, truth.base)
+    true_with_effects = with_effects(true_without, [(name, truth.parameters[name]) for name in truth.effects])
     groups: dict[tuple[str, str, str], list[Compared]] = {}
-    for one in shrinkage(case.held_out, without, tuned, with_them).channels:
-        groups.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    for channel in shrinkage(case.held_out, true_without, tuned, true_with_effects).channels:
+        groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
     return [Moved(*key, *(distance(group, model) for model in (0, 1))) for key, group in groups.items()]
 
 
 def distance(group: Sequence[Compared], model: int) -> float:
-    """Root mean square between a model and the last one, over the floor's."""
-    apart = np.concatenate([one.replayed[model] - one.replayed[-1] for one in group])
-    floor = np.concatenate([one.floor_squares() for one in group])
-    return float(np.sqrt(np.mean(apart**2) / np.mean(floor)))
+    """Return the root mean square distance between a model and the last one, in floors."""
+    difference = np.concatenate([channel.replayed[model] - channel.replayed[-1] for channel in group])
+    floor = np.concatenate([channel.floor_squares() for channel in group])
+    return float(np.sqrt(np.mean(difference**2) / np.mean(floor)))
 
 
 def true_model(nominal: Model, base: Mapping[str, float]) -> Model:
-    """The nominal model with the parameters that the bench truly has."""
+    """Return the nominal model with the true parameters of the bench."""
     document = as_mapping(nominal)
     for name, value in base.items():
-        *path, last = name.split(".")
-        at = document
+        *path, entry = name.split(".")
+        section = document
         for part in path:
-            at = at.setdefault(part, {})
-        if path or last in Model.model_fields:
-            at[last] = value
+            section = section.setdefault(part, {})
+        if path or entry in Model.model_fields:
+            section[entry] = value
     return Model.model_validate(document)
 
 
 def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Record]]:
-    """The calibrated and the augmented model of a diagnosis that is told which effects act, all else as usual.
+    """Return the calibrated and the augmented model of a diagnosis that knows which effects act.
 
-    Third are the held-out runs, with their stamps as that diagnosis has them.
+    The third value is the held-out runs, with their stamps fitted by that diagnosis.
     """
     case = case.of_records(marked([*case.fitted, *case.held_out], case.model))
-    here = forms_here(case.fitted, case.model)
-    told = [(name, form) for name in effects for form in here.get(name, []) if not library()[name].periodic]
-    evidence = Evidence(case.fitted, case.model, only=told)
-    null.set_floors(evidence, null.measure(case.fitted, case.model, only=told))
+    forms = forms_here(case.fitted, case.model)
+    candidates = [(name, form) for name in effects for form in forms.get(name, []) if not library()[name].periodic]
+    evidence = Evidence(case.fitted, case.model, only=candidates)
+    null.set_floors(evidence, null.measure(case.fitted, case.model, only=candidates))
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))
@@ -133,25 +133,25 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
-    """The best form of each effect with the others there; one that no run shows, in a size that is met, is left out."""
+    """Return the best form of each effect beside the others, without effects that no run shows in a possible size."""
     hypothesis: list[Candidate] = []
-    # orders are looked for in what the others leave over, then each is tried again beside all others
+    # orders are searched in the residual of the others, then each effect is fitted again beside all others
     for name in (*sorted(effects, key=lambda name: bool(library()[name].periodic)), *effects):
-        others = [one for one in hypothesis if one[0] != name]
-        fit = evidence.settle(others)
+        other_members = [item for item in hypothesis if item[0] != name]
+        fit = evidence.settle(other_members)
         if library()[name].periodic:
             orders = strongest(evidence.stack, fit, evidence.weights, ORDERS_TRIED)
-            evidence.add([one for one in orders if one[0] == name])
-        best = best_of_each(evidence, evidence.normal(), others)
-        hypothesis = [*others, *(one.candidate for one in best if one.effect == name)]
+            evidence.add([item for item in orders if item[0] == name])
+        best = best_of_each(evidence, evidence.normal(), other_members)
+        hypothesis = [*other_members, *(item.candidate for item in best if item.effect == name)]
     hypothesis = refine(evidence, hypothesis)
     evidence.settle(hypothesis)
     normal = evidence.normal()
     members = [member(evidence, normal, hypothesis, index) for index in range(len(hypothesis))]
-    # a form that fades away before the slowest row leaves a column of next to nothing, and any coefficient to it
-    return [one.candidate for one in members if one is not None and one.size <= most(one.effect)]
+    # a form that decays before the slowest row has a column of almost zero, whose coefficient is arbitrary
+    return [item.candidate for item in members if item is not None and item.size <= most(item.effect)]
 
 
 def most(effect: str) -> float:
-    """The largest size in which an effect is met."""
+    """Return the largest size in which an effect is met."""
     return BEYOND * effect_definition(effect).largest

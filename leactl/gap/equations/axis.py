@@ -14,14 +14,14 @@ from leactl.gap.signals.stamps import stamp_columns
 Array = npt.NDArray[np.float64]
 SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples
 MOST_INERTIAL_NOISE = 2e-3  # of the torque that a voltage makes, root mean square
-ZERO_PRIOR = 0.1  # rad, of where a pendulum hangs straight down
-TIMING_SAMPLES = 2.0  # a reference goes over the servo's bus before it counts, its feedback comes back over it
+ZERO_PRIOR = 0.1  # rad, of the angle at which a pendulum hangs straight down
+TIMING_SAMPLES = 2.0  # samples, prior delay: reference and feedback both pass the servo's bus
 
 
 def axis(record: Record, s: Signals) -> Equation | None:
     """Return the torque balance of an axis, drive torque = J dw/dt + b w + f sgn(w) + load torque, where there is one.
 
-    It stands in for the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
+    It replaces the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
     """
     clock, model = record.fast, s.model
     if clock is None or s.mechanical == "locked" or s.velocity is None or s.acceleration is None or s.sliding is None:
@@ -36,7 +36,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
     hanging, inertia = load.level_torque, model.rotor_inertia
     damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
     tilt = s.angle - load.hanging_angle if s.angle is not None else np.zeros_like(torque)
-    own = {
+    resisting = {
         "rotor_inertia": inertia * s.acceleration,
         "viscous_damping": damping * s.velocity,
         "coulomb_friction": friction * s.sliding,
@@ -45,20 +45,20 @@ def axis(record: Record, s: Signals) -> Equation | None:
     if hanging and s.angle is not None:
         nuisance["load_zero_rad"] = (hanging * np.cos(tilt), ZERO_PRIOR)
     if "servo_slope" in s.extra and model.torque_constant and model.phase_resistance:
-        late = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
-        column = late * model.torque_constant / model.phase_resistance
+        timing_change = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
+        column = timing_change * model.torque_constant / model.phase_resistance
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
     swung, shared = load.inertia, dict[str, tuple[Array, float]]()
-    taken = sum(own.values()) + swung * s.acceleration + hanging * np.sin(tilt)
+    torque_taken = sum(resisting.values()) + swung * s.acceleration + hanging * np.sin(tilt)
     if (fed := fed_by_voltage(record, model)) is not None:
         damping += fed.damping
         shared = stamp_columns("axis_torque", clock, _FED, -s.extra["fed"])
         if model.feedforward is None:
-            # columns of what the motion takes, not of the voltage: else all torques would shrink together, rest and all
-            calibration = {"phase_resistance": taken, "torque_constant": -(taken + s.extra["fed_emf"])}
+            # columns of the motion's torque, not of the voltage: else all torques would shrink together
+            calibration = {"phase_resistance": torque_taken, "torque_constant": -(torque_taken + s.extra["fed_emf"])}
         else:
             calibration = {"feedforward.kV": -s.extra["fed_emf"]}
-            own = {IN_VOLTS[name]: column for name, column in own.items() if name in IN_VOLTS}
+            resisting = {IN_VOLTS[name]: column for name, column in resisting.items() if name in IN_VOLTS}
     places["drag"] = lambda c: c
     places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + swung, damping)
     mask = in_motion(s, clock.counts.get(("angle", "test"), 0.0))
@@ -73,11 +73,11 @@ def axis(record: Record, s: Signals) -> Equation | None:
         "velocity" if servo is None else "angle",
         "test",
         "N" if clock.units.get(("angle", "test")) == "m" else model.units_of("N*m"),
-        torque - taken,
+        torque - torque_taken,
         s,
         np.asarray(mask, np.bool_),
         places,
-        calibration | own,
+        calibration | resisting,
         shared=nuisance | shared,
         width=1.0 if "creep" in s.extra else 4.0 if fed is None else even_width(clock, s, inertia + swung),
         step=2 if "creep" in s.extra else 8,
@@ -85,7 +85,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
 
 
 IN_VOLTS = {"rotor_inertia": "feedforward.kA", "coulomb_friction": "feedforward.kS"}
-"""Parameters of a balance in newton metres, and those that stand for them where torques are told in volts."""
+"""Parameters of a balance in newton metres, and their counterparts where torques are in volts."""
 _FED = ("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "test")
 _DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
 
@@ -105,7 +105,7 @@ def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
 
 
 def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
-    """Torque of the drive, its parameters' columns and the places of effects on it.
+    """Return the torque of the drive, its parameters' columns and the places of effects on it; None without a drive.
 
     The gain of a logged force is not fitted: runs tell only its ratio to mass and friction.
     """
@@ -126,7 +126,7 @@ def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None
     if "servo_volts" not in s.extra:
         if model.load.type != "none":
             return torque, {"torque_constant": -torque}, places | {"current_reading": lambda c: constant * c}
-        # without a weight a gain shows no more than a logged force's would, and would take all of a creep as its own
+        # without a weight the gain is not identifiable, and would absorb a whole creep
         return torque, {}, {} if "creep" in s.extra else places
     resistance = model.phase_resistance or np.inf
     emf = torque - constant * s.extra["servo_volts"] / resistance  # negative where the axis moves ahead
@@ -142,7 +142,7 @@ def _angle_error(column: Array, interval: float, inertia: float, damping: float)
 
 
 def confounded(record: Record, s: Signals) -> str | None:
-    """What one mass at one length leaves open on a servo's rig, as a note; None where no servo drives one."""
+    """Return a note on parameters that a rig with one mass at one length cannot separate; None without a servo."""
     if "servo_volts" not in s.extra or s.model.load.type == "none":
         return None
     return (

@@ -1,7 +1,7 @@
-"""An equation of the bench on one run: what the nominal model leaves over, and what may explain it.
+"""An equation of the bench on one run: the residual of the nominal model, and the columns that may explain it.
 
-`left_over = sum(calibration x relative change) + sum(nuisance) + what effects put into its places + noise`, sample by
-sample at the run's rate; `width` and `step` say how it is smoothed and thinned before it becomes rows of a regression.
+`left_over = sum(calibration x relative change) + sum(nuisance) + effects in its places + noise`, sample by sample at
+the run's rate; `width` and `step` give its smoothing and thinning to rows of a regression.
 """
 
 import math
@@ -18,10 +18,10 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
-FEWEST_ROWS = 20  # of an equation, that a run tells something with
-MEMORY = 60  # rows, within which one may depend on another where an equation does not say
-TOUCHED = 1e-3  # of a row's weight, from which it touches samples
-STAMPED = 0.05  # of an interval, to which two channels of one sample are of one moment
+FEWEST_ROWS = 20  # fewest rows of an equation that a run needs
+MEMORY = 60  # rows within which one may depend on another, by default
+TOUCHED = 1e-3  # share of a row's weight from which it touches samples
+STAMPED = 0.05  # intervals by which two channels of one sample may differ in time
 
 
 @dataclass
@@ -34,23 +34,23 @@ class Equation:
     units: str
     left_over: Array
     signals: Signals
-    mask: Mask  # samples that may be used: a row touches no other
+    mask: Mask  # usable samples: a row touches no other
     places: dict[str, Place]
     calibration: dict[str, Array]
     nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
-    shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
-    rounding: float = 0.0  # standard deviation that a channel's rounding gives a row
-    levels: float = math.inf  # that a rounded channel takes: no more independent values than that are in its rows
-    kind: str = ""  # of the runs that its rows are weighed together with; the run's own where left out
+    shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances common to all runs
+    rounding: float = 0.0  # standard deviation of a row due to the rounding of a channel
+    levels: float = math.inf  # levels of a rounded channel, the most independent values of its rows
+    kind: str = ""  # kind of runs whose rows are weighted together; that of the run where empty
     width: float = 4.0
     step: int = 8
-    memory: int = MEMORY  # rows, within which one may depend on another
-    around: Mask | None = None  # samples of which a row touches one, where not all rows count
-    rough: bool = False  # whether it neglects so much that what it leaves over is no sign of anything
+    memory: int = MEMORY  # rows within which one may depend on another
+    around: Mask | None = None  # samples of which a row has to touch one; None where all rows count
+    rough: bool = False  # whether it neglects so much that its residual cannot be judged
 
 
 def usable(equation: Equation) -> Mask:
-    """Which rows of an equation touch no sample but those of `mask`, and at least one of those of `around`."""
+    """Return the rows of an equation that touch only samples of `mask`, and at least one of `around`."""
     rows = thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
     if equation.around is not None:
         rows &= thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED

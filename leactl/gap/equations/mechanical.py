@@ -1,4 +1,4 @@
-"""Torque: the balance of a free rotor, of two on a shaft, and what the torque channel makes of it."""
+"""Torque balances of a free rotor and of two rotors on a shaft, and the equations of the torque channel."""
 
 import math
 from dataclasses import replace
@@ -16,48 +16,51 @@ from leactl.gap.signals.smoothing import BASE, REACH, middle, noise_of_accelerat
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-SLOW_SHARE = 0.005  # of a run's highest speed, below which a shaft cannot be told from one that stands
+SLOW_SHARE = 0.005  # share of a run's highest speed below which a shaft counts as slow: it may be at rest
 SWING_REACH = 8.0  # samples
-SLOW_REACH = 4.0  # samples, Gaussian margin around slow ones on a coupled shaft, whose twist turns back there too
-FREE_SLOW_REACH = 0.5  # the same of a free rotor, which needs next to none
+SLOW_REACH = 4.0  # samples, Gaussian margin around slow ones on a coupled shaft, whose twist reverses there, too
+FREE_SLOW_REACH = 0.5  # the same for a free rotor, which needs almost none
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
-QUIET = 0.01  # of an acceleration, that its noise may have
-LOUD = 0.1  # of it, from which samples are too close: a fit takes the square of that share from an inertia
+QUIET = 0.01  # largest noise of an acceleration, relative to its size, for less smoothing
+LOUD = 0.1  # relative noise from which samples are too close: a fit lowers the inertia by the square of that share
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
 def moving(s: Signals, velocity: Array, reach: float) -> Mask:
-    """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
+    """Return the samples around which the shaft turns in one direction and is not slow."""
     return np.asarray(smooth(slow(s, velocity).astype(float), reach) < 1e-3)
 
 
 def slow(s: Signals, velocity: Array) -> Mask:
-    """Samples in which the shaft cannot be told from one that stands."""
+    """Return the samples in which the shaft may be at rest."""
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
     return np.asarray(np.abs(velocity) <= slowest)
 
 
 def resting(s: Signals, velocity: Array) -> Mask:
-    """Samples whose smoothing touches a slow stretch that is no quick reversal.
+    """Return the samples whose smoothing reaches a slow stretch that is no quick reversal.
 
-    At rest friction is as large as what drives the shaft, and unknown. A stretch is no quick reversal where the shaft
-    goes on the same way afterwards, where it is longer than the smoothing reaches, and at either end of a run.
+    At rest friction equals the driving torque, and is unknown. A stretch is no quick reversal where the shaft continues
+    in the same direction, where it is longer than the smoothing reaches, and at either end of a run.
     """
-    standing, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
-    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
+    slow_samples, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
+    edges = np.flatnonzero(np.diff(slow_samples.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        turns_back = begin > 0 and end < len(standing) and velocity[begin - 1] * velocity[end] < 0.0
+        turns_back = begin > 0 and end < len(slow_samples) and velocity[begin - 1] * velocity[end] < 0.0
         rests[begin:end] = not turns_back or end - begin > reach
     return np.asarray(smooth(rests) > 0.0)
 
 
 def highest_speed(s: Signals, velocity: Array) -> float:
-    """Speed that the shaft reaches [rad/s], of a long run in any of its stretches."""
+    """Return the highest speed of the shaft [rad/s], of a long run in any of its stretches."""
     return max(s.fastest, float(np.quantile(np.abs(velocity), 0.999)))
 
 
 def swings(s: Signals, change: Array) -> Mask:
-    """Samples around which a locked rotor slides: its torque changes by its friction within its own time constant."""
+    """Return the samples around which a locked rotor slides.
+
+    Its torque changes there by its friction within its mechanical time constant.
+    """
     model = s.model
     rate = (model.coulomb_friction or 0.0) * (model.viscous_damping or 0.0) / (model.rotor_inertia or np.inf)
     return np.asarray(smooth(np.abs(change), SWING_REACH) > rate)
@@ -71,7 +74,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     if parts is None or s.velocity is None:
         return None
     drive, calibration, places = parts
-    left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
+    left_over = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
@@ -85,7 +88,7 @@ def free(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "test",
         "N*m",
-        left,
+        left_over,
         s,
         mask,
         places,
@@ -100,10 +103,10 @@ def free(record: Record, s: Signals) -> Equation | None:
 
 
 def reversals(record: Record, balance: Equation) -> Equation:
-    """The same balance in rows that touch a slow reversal, which the balance of a rotor that turns leaves out.
+    """Return the balance in the rows around slow reversals, which the balance of a turning rotor leaves out.
 
-    Friction that builds up over an angle shows there and nowhere else. How it does so differs from bearing to bearing,
-    so that a residual of these rows does not make a machine unexplained.
+    Only there friction that builds up over an angle shows. Its course differs between bearings, so that a residual of
+    these rows does not make a machine unexplained.
     """
     s = balance.signals
     assert record.fast is not None and s.velocity is not None
@@ -114,22 +117,22 @@ def reversals(record: Record, balance: Equation) -> Equation:
 
 
 def noise_of_counts(s: Signals, width: float) -> float:
-    """Standard deviation that the counts of an encoder leave in a row of torque."""
+    """Return the standard deviation of a row of torque due to the counts of the encoder."""
     return (s.model.rotor_inertia or 0.0) * noise_of_acceleration(s.count / math.sqrt(12.0), s.interval, width)
 
 
 def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float]]:
-    """What a current sampled in instants leaves out while an angle's reference moves.
+    """Return the nuisance of a current that is sampled at instants while an angle reference moves.
 
-    A drive answers each step of its reference, and a host samples it in step with them: always at the same point of the
-    answer. What the samples are off by goes by the reference's rate; it is taken for no more than their noise.
+    A drive responds to each step of its reference, and a host samples it in step with them: always at the same point of
+    the response. The error of the samples is proportional to the reference's rate; its prior is their noise.
     """
     reference, current = clock.get("angle_reference"), clock.get("q_axis_current")
     instants = ("q_axis_current", "test") not in clock.means
     if reference is None or current is None or s.velocity is None or not instants:
         return {}
     rate = np.nan_to_num(np.diff(reference, prepend=reference[:1])) / s.interval
-    rate[np.abs(rate) > highest_speed(s, s.velocity)] = 0.0  # a leap, which no shaft follows
+    rate[np.abs(rate) > highest_speed(s, s.velocity)] = 0.0  # a step, which no shaft follows
     usual = float(np.sqrt(np.mean(rate[rate != 0.0] ** 2))) if rate.any() else 0.0
     if usual == 0.0:
         return {}
@@ -137,10 +140,10 @@ def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float
 
 
 def is_loud(record: Record, equation: Equation) -> bool:
-    """Whether an angle's noise is a large part of its acceleration, evened as rows are; so too where none is used.
+    """Return whether the angle's noise is a large part of the smoothed acceleration, or no row is usable.
 
-    That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
-    column's power. A servo's current that is worked out from its setpoints needs the samples as they are.
+    The noise is in the column of the inertia as well and biases its fit towards zero by its share of the column's
+    power. A servo's current that is computed from its setpoints needs the samples at the log's rate.
     """
     s, clock = equation.signals, record.fast
     assert clock is not None and s.acceleration is not None
@@ -155,9 +158,9 @@ def is_loud(record: Record, equation: Equation) -> bool:
 
 
 def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
-    """Least smoothing of rows, and their distance, at which an angle's noise counts hardly in its acceleration.
+    """Return the least smoothing of rows, and their distance, at which the noise of the acceleration is small.
 
-    Less smoothing shows waves over the angle of higher orders.
+    Less smoothing shows waves of higher orders over the angle.
     """
     assert s.acceleration is not None
     angle = clock.get("angle")
@@ -177,21 +180,21 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     parts, reading = rotor(s), torque_reading(record.fast, s, 0.0)
     if parts is None or reading is None:
         return None
-    drive, resisting, against = parts
-    left = reading - drive + sum(c for name, c in resisting.items() if name != "torque_constant")
+    drive, resisting, places_against = parts
+    left_over = reading - drive + sum(c for name, c in resisting.items() if name != "torque_constant")
     calibration = {name: -column for name, column in resisting.items()}
     calibration["torque_constant"] = drive
-    places = {name: _negative(place) for name, place in against.items()}
+    places = {name: _negative(effect_place) for name, effect_place in places_against.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s, s.velocity, SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("coupled_torque", record.fast, keys, drive)
     shared |= stamp_columns("torque_channel", record.fast, keys, reading)
-    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
+    return Equation("coupled_torque", "torque", "test", "N*m", left_over, s, mask, places, calibration, shared=shared)
 
 
 def both(record: Record, s: Signals) -> Equation | None:
-    """Both coupled actuators together: K (i + i_load) = what both rotors resist with, without a torque channel."""
+    """Both coupled actuators together, without a torque channel: K (i + i_load) = resisting torque of both rotors."""
     clock = record.fast
     if s.mechanical != "coupled" or clock is None or s.velocity is None:
         return None
@@ -210,7 +213,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     damping = viscous * measured
     friction = coulomb * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
-    left = drive + load_drive - resisted - inertia - damping - friction
+    left_over = drive + load_drive - resisted - inertia - damping - friction
     calibration = dict(calibration)
     calibration["torque_constant"] = -drive - load_drive
     calibration["rotor_inertia"] = calibration["rotor_inertia"] + inertia
@@ -223,7 +226,7 @@ def both(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "load",
         "N*m",
-        left,
+        left_over,
         s,
         mask,
         places,
@@ -234,7 +237,7 @@ def both(record: Record, s: Signals) -> Equation | None:
 
 
 def held_still(record: Record, s: Signals) -> Equation | None:
-    """Torque channel of a locked rotor while its current rests: friction holds what the last move left."""
+    """Torque channel of a locked rotor while its current is constant: friction holds the state after the last move."""
     return locked(record, s, "locked_torque", swinging=False)
 
 
@@ -252,7 +255,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     reading = torque_reading(record.fast, s, inertia)
     if reading is None or model.torque_constant is None:
         return None
-    more, places = carried(s, s.torque, model.torque_constant)
+    constant_column, places = carried(s, s.torque, model.torque_constant)
     places["torque_reading"] = lambda c: c
     nuisance = {f"sticking_{name}": (sticking(s, s.torque), STICKING_PRIOR)} if model.coulomb_friction else {}
     change = slope(s.torque, s.interval)
@@ -267,36 +270,36 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         s,
         mask & (s.unleapt if swinging else s.settled),
         places,
-        {"torque_constant": more},
+        {"torque_constant": constant_column},
         nuisance,
         stamp_columns(name, record.fast, keys, s.torque),
         width=2.0,
         step=6,
-        # sliding friction is taken to follow at once: the swing of the rotor on its shaft, which a command sets off,
-        # is left over, with lines that hang on the give of its bearing, which no model file tells
+        # sliding friction is taken to follow at once: the rotor's swing on its shaft after a command stays in the
+        # residual, with lines that depend on the give of its bearing, which no model file contains
         rough=swinging,
     )
 
 
 def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
-    """What a larger torque constant adds to a locked rotor's torque, relative to it, and what effects put into that."""
+    """Return the derivative of a locked rotor's torque with the relative torque constant, and the places of effects."""
     assert s.current is not None
-    drive, more = constant * s.current, (held(s, 1.02, 1.0) - torque) / 0.02
-    sliding = np.where(np.abs(drive) > 1e-9, more / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
-    return more, {
-        "torque_factor": lambda c: more * c,
+    drive, relative_change = constant * s.current, (held(s, 1.02, 1.0) - torque) / 0.02
+    sliding = np.where(np.abs(drive) > 1e-9, relative_change / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
+    return relative_change, {
+        "torque_factor": lambda c: relative_change * c,
         "drag": lambda c: -c,
         "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
     }
 
 
 def sticking(s: Signals, torque: Array) -> Array:
-    """What more friction adds to a locked rotor's torque, relative to it."""
+    """Return the derivative of a locked rotor's torque with the relative Coulomb friction."""
     return (held(s, 1.0, 1.05) - torque) / 0.05
 
 
 def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
-    """Drive torque, what the rotor resists with by parameter, and the places of effects, as torque against it."""
+    """Return drive torque, resisting torques by parameter, and the places of effects as resisting torques."""
     model = s.model
     if s.current is None or s.velocity is None or s.acceleration is None or s.sliding is None:
         return None
@@ -324,7 +327,7 @@ def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None
 
 
 def torque_reading(clock: Clocked, s: Signals, inertia_per_stiffness: float) -> Array | None:
-    """What the torque channel says, its own filter undone; with the rotor's swing on the shaft where it is locked."""
+    """Return the torque channel with its own filter inverted, and the inertial torque of a locked rotor added."""
     values = averaged(clock, "torque")
     if values is None:
         return None

@@ -1,4 +1,4 @@
-"""Angle against velocity."""
+"""Equation of the velocity channel against the angle."""
 
 import math
 
@@ -16,7 +16,7 @@ VELOCITY_WIDTH = 4.0
 
 
 def velocity(record: Record, s: Signals) -> Equation | None:
-    """Reported velocity, the model's filter undone = change of the angle."""
+    """Reported velocity with the model's filter inverted = change of the angle."""
     clock = record.fast
     if clock is None or s.angle is None or s.velocity is None or s.calm_velocity is None:
         return None
@@ -43,7 +43,7 @@ def velocity(record: Record, s: Signals) -> Equation | None:
 
 
 def rounded_speed(s: Signals) -> float:
-    """Standard deviation [rad/s] that an encoder's counts leave in a row of speed."""
+    """Return the standard deviation [rad/s] of a row of speed due to the counts of the encoder."""
     spread = math.hypot(BASE, VELOCITY_WIDTH)
     return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
 
@@ -54,11 +54,11 @@ def filter_constant(s: Signals) -> float:
 
 
 def load_lag(s: Signals) -> float:
-    """How late the load's velocity may be [s]: of its own filter the model says nothing, so it is as the test's."""
+    """Return the prior delay [s] of the load's velocity: that of the test's, since the model has no load filter."""
     return max(s.interval, filter_constant(s))
 
 
 def restored(values: Array, time_constant: float, interval: float) -> Array:
-    """A first-order lag undone on what is smoothed."""
+    """Smooth values and invert a first-order lag."""
     even = smooth(values)
     return even + time_constant * slope(even, interval)

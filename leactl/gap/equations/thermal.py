@@ -1,7 +1,7 @@
-"""Temperatures of winding and housing: the two-node network driven by the heat that went in.
+"""Temperatures of winding and housing: the two-node network driven by the measured heat.
 
-The left-over is camera minus network; parameters and effects act as heat on the network's nodes, taken at the measured
-temperatures, so that their columns are the network's answer to that heat.
+The left-over is camera minus network. Parameters and effects act as heat on the network's nodes at the measured
+temperatures; their columns are the network's response to that heat.
 """
 
 import numpy as np
@@ -13,11 +13,11 @@ from leactl.gap.signals.record import Record
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
-START_PRIOR = 5.0  # K: a winding that begins hot falls by kelvins within the smoothing
+START_PRIOR = 5.0  # K: a winding that begins hot cools by kelvins within the smoothing
 
 
 def temperatures(record: Record, s: Signals) -> list[Equation]:
-    """One equation for the winding and one for the housing."""
+    """Return one equation for the winding and one for the housing; none where a channel or the network lacks."""
     thermal, clock = s.model.thermal, record.slow
     if thermal is None or clock is None or s.winding is None or s.housing is None or s.ambient is None:
         return []
@@ -28,28 +28,28 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     winding, housing, ambient = s.winding, s.housing, s.ambient
     wa, wh = thermal.winding_ambient_resistance, thermal.winding_housing_resistance
     ha = thermal.housing_ambient_resistance
-    none = np.zeros_like(heat)
+    zeros = np.zeros_like(heat)
     driven = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
     flows = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
-    to_ambient, to_housing, away = (onwards(flow) for flow in flows)
+    to_ambient, to_housing, to_air = (onwards(flow) for flow in flows)
     in_winding, in_housing = (np.diff(node, append=node[-1]) / s.interval for node in (winding, housing))
     columns = {
-        "thermal.winding_ambient_resistance": network.answer(to_ambient, none),
+        "thermal.winding_ambient_resistance": network.answer(to_ambient, zeros),
         "thermal.winding_housing_resistance": network.answer(to_housing, -to_housing),
-        "thermal.housing_ambient_resistance": network.answer(none, away),
-        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * in_winding, none),
-        "thermal.housing_capacitance": network.answer(none, -thermal.housing_capacitance * in_housing),
-        "ambient_offset": network.answer(none + 1 / wa, none + 1 / ha),
+        "thermal.housing_ambient_resistance": network.answer(zeros, to_air),
+        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * in_winding, zeros),
+        "thermal.housing_capacitance": network.answer(zeros, -thermal.housing_capacitance * in_housing),
+        "ambient_offset": network.answer(zeros + 1 / wa, zeros + 1 / ha),
     }
-    begun = {
-        "winding_start": network.answer(none, none, (1.0, 0.0)),
-        "housing_start": network.answer(none, none, (0.0, 1.0)),
+    start_columns = {
+        "winding_start": network.answer(zeros, zeros, (1.0, 0.0)),
+        "housing_start": network.answer(zeros, zeros, (0.0, 1.0)),
     }
     if record.mechanical != "heated":
-        columns["phase_resistance"] = network.answer(heat, none)
-    # the rises as the columns have them: a camera that reads a fraction of them scales the network, and no more
+        columns["phase_resistance"] = network.answer(heat, zeros)
+    # rises by the same network as the columns: a camera that reads a fraction of them only scales the network
     heated = thermal.winding_capacitance * in_winding + to_ambient + to_housing
-    warmed = thermal.housing_capacitance * in_housing + away - to_housing
+    warmed = thermal.housing_capacitance * in_housing + to_air - to_housing
     rises = network.answer(heated, warmed, (float(winding[0] - ambient[0]), float(housing[0] - ambient[0])))
     balances = []
     for node, name in enumerate(("winding", "housing")):
@@ -65,7 +65,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
                 clock.all_valid(key, ("ambient_temperature", "bench")),
                 _places(network, node, rises[node]),
                 {name: column[node] for name, column in columns.items()},
-                {name: (column[node], START_PRIOR) for name, column in begun.items()},
+                {name: (column[node], START_PRIOR) for name, column in start_columns.items()},
                 width=0.0,
                 step=1,
             )
@@ -74,14 +74,14 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
 
 
 def onwards(values: Array) -> Array:
-    """Means over the interval that begins at each sample, over which the network holds its heat."""
+    """Return means over the interval that begins at each sample, in which the network holds its heat."""
     return np.concatenate([0.5 * (values[1:] + values[:-1]), values[-1:]])
 
 
 def _places(network: ThermalNetwork, node: int, rise: Array) -> dict[str, Place]:
-    none = np.zeros_like(rise)
+    zeros = np.zeros_like(rise)
     return {
-        "winding_heat": lambda c: np.asarray(network.answer(c, none)[node], np.float64),
-        "housing_heat": lambda c: np.asarray(network.answer(none, c)[node], np.float64),
+        "winding_heat": lambda c: np.asarray(network.answer(c, zeros)[node], np.float64),
+        "housing_heat": lambda c: np.asarray(network.answer(zeros, c)[node], np.float64),
         "camera_rise": lambda c: c * rise,
     }

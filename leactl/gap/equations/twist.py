@@ -1,7 +1,8 @@
-"""The twist of a shaft against the torque that it carries, between two actuators or at a locked one.
+"""Equations of a shaft's twist against its torque, between two actuators or at a locked one.
 
-That torque is the drive's less what the rotor resists with, computed from model parameters. An error in one of them
-looks like one of the stiffness, so each has a column here: a torque constant 3 % too low would be a shaft 3 % too soft.
+The torque is the drive's less the resisting torque of the rotor, computed from model parameters. An error of one of
+them looks like an error of the stiffness, so each has a column here: a torque constant 3 % too low would otherwise be a
+shaft 3 % too soft.
 """
 
 import math
@@ -25,10 +26,10 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     clock, stiffness = record.fast, s.model.bench.shaft_stiffness
     if clock is None or s.mechanical != "coupled" or stiffness is None:
         return None
-    load, own, parts = clock.get("velocity", "load"), clock.get("velocity"), rotor(s)
-    if load is None or own is None or parts is None or s.torque is None or s.velocity is None:
+    load, test_velocity, parts = clock.get("velocity", "load"), clock.get("velocity"), rotor(s)
+    if load is None or test_velocity is None or parts is None or s.torque is None or s.velocity is None:
         return None
-    drive, resisting, against = parts
+    drive, resisting, places_against = parts
 
     def twisting(torque: Array) -> Array:
         return slope(torque, s.interval) / stiffness
@@ -38,7 +39,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
 
     calibration = {name: -twisting(column) for name, column in resisting.items()}
     calibration |= {"torque_constant": twisting(drive), "bench.shaft_stiffness": -twisting(s.torque)}
-    places = {name: opposed(place) for name, place in against.items()}
+    places = {name: opposed(place) for name, place in places_against.items()}
     of_inertia = places["angle_reading"]
     places["angle_reading"] = lambda c: slope(smooth(c), s.interval) + of_inertia(c)
     places["twist"] = lambda c: slope(c, s.interval)
@@ -49,7 +50,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "load",
         "rad/s",
-        restored(own, filter_constant(s), s.interval) - smooth(load) - twisting(s.torque),
+        restored(test_velocity, filter_constant(s), s.interval) - smooth(load) - twisting(s.torque),
         s,
         clock.all_valid(*keys) & s.resolved & moving(s, s.velocity, SLOW_REACH),
         places,
@@ -73,7 +74,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
     if angle is None:
         return None
     twist = s.torque / stiffness
-    more, on_torque = carried(s, s.torque, constant)
+    constant_column, on_torque = carried(s, s.torque, constant)
 
     def twisted(place: Place) -> Place:
         return lambda c: place(c) / stiffness
@@ -93,7 +94,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
         s,
         clock.all_valid(*keys) & s.unleapt & (np.abs(s.torque) > (s.model.coulomb_friction or 0.0)),
         places,
-        {"torque_constant": more / stiffness, "bench.shaft_stiffness": -twist},
+        {"torque_constant": constant_column / stiffness, "bench.shaft_stiffness": -twist},
         nuisance,
         rounding=count / math.sqrt(12.0),
         levels=1.0 + float(np.ptp(angle)) / max(count, 1e-12),

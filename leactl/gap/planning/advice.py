@@ -1,4 +1,4 @@
-"""Which effects stay in the dark, and which shipped protocol lights most of them per second of bench time."""
+"""Advise the shipped protocol that makes most of the invisible effects visible per second of bench time."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,38 +17,38 @@ from leactl.protocol.plan import Plan
 
 @dataclass(frozen=True)
 class AdvisedProtocol:
-    """A shipped protocol beside what there is."""
+    """A shipped protocol, and what it shows in addition to the given runs and protocols."""
 
     protocol: str
     duration_s: float
     shows: tuple[str, ...]  # effects that it makes visible at every size worth knowing
-    separates: tuple[tuple[str, str], ...]  # pairs that it tells apart
+    separates: tuple[tuple[str, str], ...]  # pairs of effects that it separates
 
     @property
     def gain(self) -> float:
-        """Questions answered per second."""
+        """Effects shown and pairs separated, per second of bench time."""
         return (len(self.shows) + len(self.separates)) / self.duration_s
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What there is shows, and what would show more, the most per second first."""
+    """Effects visible in the given runs and protocols, and further protocols, the largest gain first."""
 
     sights: tuple[Sight, ...]
     experiments: tuple[AdvisedProtocol, ...]
-    dark: tuple[str, ...]  # effects that neither what there is nor any one of the protocols shows
+    dark: tuple[str, ...]  # effects that no given run or protocol, nor any shipped protocol shows
     notes: tuple[str, ...]
 
 
-def read_noise(given: Sequence[str]) -> dict[str, float]:
-    """Standard deviations from `quantity=std` as it stands on the command line.
+def read_noise(entries: Sequence[str]) -> dict[str, float]:
+    """Parse standard deviations from entries `quantity=std` of the command line.
 
     Raises
     ------
     InputError : no such channel, or no such number; one line each.
     """
     noise, faults = {}, []
-    for item in given:
+    for item in entries:
         name, _, text = item.partition("=")
         try:
             noise[name] = float(text)
@@ -64,7 +64,7 @@ def read_noise(given: Sequence[str]) -> dict[str, float]:
 
 
 def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noise: Mapping[str, float]) -> Advice:
-    """Judge runs and protocols together, then every shipped protocol beside them.
+    """Judge runs and protocols together, then every shipped protocol in addition to them.
 
     Raises
     ------
@@ -72,39 +72,44 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     """
     model, _ = read_model(model_file)
     spread = usual_noise() | dict(noise)
-    given = [record for several in read_records(runs, model.bench).values() for record in several]
+    records = [record for several in read_records(runs, model.bench).values() for record in several]
     plans = [protocolfile.load(name) for name in protocols]
     known = {plan.name for plan in plans}
     further = [plan for name in shipped.names() if (plan := protocolfile.load(name)).name not in known]
-    given += [planned_record(plan, model, spread) for plan in plans]
+    records += [planned_record(plan, model, spread) for plan in plans]
     notes: list[str] = []
-    extra: list[tuple[Plan, Record]] = []
+    planned: list[tuple[Plan, Record]] = []
     for plan in further:
         try:
-            extra.append((plan, planned_record(plan, model, spread)))
+            planned.append((plan, planned_record(plan, model, spread)))
         except InputError as error:
             notes += error.faults
-    if not given and not extra:
+    if not records and not planned:
         raise InputError(["there is nothing to plan with", *notes])
-    evidence = evidence_of([*given, *(record for _, record in extra)], model)
-    base = [record.run for record in given]
-    now = sights(evidence, base)
-    experiments = [experiment(plan, now, sights(evidence, [*base, record.run])) for plan, record in extra]
+    evidence = evidence_of([*records, *(record for _, record in planned)], model)
+    base = [record.run for record in records]
+    present_sights = sights(evidence, base)
+    experiments = [experiment(plan, present_sights, sights(evidence, [*base, record.run])) for plan, record in planned]
     useful = sorted((e for e in experiments if e.gain > 0.0), key=lambda e: -e.gain)
-    shown = {s.effect for s in now if s.seen}.union(*(e.shows for e in useful))
-    return Advice(tuple(now), tuple(useful), tuple(s.effect for s in now if s.effect not in shown), tuple(notes))
+    shown_effects = {s.effect for s in present_sights if s.seen}.union(*(e.shows for e in useful))
+    return Advice(
+        tuple(present_sights),
+        tuple(useful),
+        tuple(s.effect for s in present_sights if s.effect not in shown_effects),
+        tuple(notes),
+    )
 
 
 def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> AdvisedProtocol:
-    """What a protocol adds."""
+    """Return the effects and pairs that a protocol shows in addition."""
     shows = tuple(b.effect for a, b in zip(before, after, strict=True) if b.seen and not a.seen)
-    old, new = pairs(before), pairs(after)
-    # two effects of which one was invisible were not taken for each other, and still are not told apart
+    pairs_before, pairs_after = pairs(before), pairs(after)
+    # two effects of which one is invisible are not separated
     visible = {s.effect for s in after if s.smallest is not None}
-    told = tuple(sorted(pair for pair in old - new if set(pair) <= visible))
-    return AdvisedProtocol(plan.name, plan.duration_s, shows, told)
+    separated = tuple(sorted(pair for pair in pairs_before - pairs_after if set(pair) <= visible))
+    return AdvisedProtocol(plan.name, plan.duration_s, shows, separated)
 
 
 def pairs(sights: Sequence[Sight]) -> set[tuple[str, str]]:
-    """Pairs of effects that are not told apart."""
+    """Return the pairs of effects that are not separated."""
     return {(s.effect, other) for s in sights for other in s.alike if s.effect < other}

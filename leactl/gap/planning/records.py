@@ -1,7 +1,7 @@
-"""A protocol as the record that a nominal bench would give: motion by the model, channels by replay, noise on top.
+"""Simulate the record of a protocol on a nominal bench: motion by the model, channels by replay, with noise.
 
-Servos are taken to follow their reference within hundredths of a second; the current that this takes is what they ask
-for. Machines start cold, and every channel that a set-up can have is recorded, temperatures among them.
+Servos follow their reference within hundredths of a second; their current is computed from the motion. Machines start
+cold, and every channel that a set-up can have is recorded, temperatures among them.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from leactl.model.nominal import Model
 from leactl.protocol.plan import Engage, Plan, Segment
 
 Array = npt.NDArray[np.float64]
-CAMERA_S = 0.1  # between temperatures, at most as often as the rest
+CAMERA_S = 0.1  # s between temperatures, at least one sample of the other channels
 SERVO_S = 0.02  # time constant of a servo, twice in series
 AMBIENT = 25.0  # degC
 NEEDED = ("torque_constant", "rotor_inertia", "viscous_damping", "coulomb_friction")
@@ -32,18 +32,18 @@ SERVOS = (Mode.VELOCITY, Mode.ANGLE)
 
 @cache
 def usual_noise() -> dict[str, float]:
-    """Standard deviation of one sample by quantity."""
+    """Return the usual standard deviation of one sample, by quantity."""
     entry = resources.files("leactl.gap.planning") / "noise.yaml"
     by_quantity: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return by_quantity
 
 
 def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Record:
-    """The record of one protocol.
+    """Return the simulated record of one protocol.
 
     Raises
     ------
-    InputError : a motion that the model cannot predict, or a protocol that changes a role's mode on its way.
+    InputError : a motion that the model cannot predict, or a protocol that changes the mode of a role.
     """
     asked = Asked(plan)
     record = Record(Path(f"{plan.name} (planned)"), plan.name, plan.setup, *clocks(plan, asked, model), {})
@@ -64,13 +64,13 @@ def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Reco
 
 
 class Asked:
-    """What a protocol asks of each role, sample by sample; waits, prompts, taring and pauses take no time."""
+    """Setpoints of a protocol for each role, by sample; waits, prompts, taring and pauses take no time."""
 
     def __init__(self, plan: Plan) -> None:
         self.name = plan.name
         self.interval = 1.0 / plan.record_Hz
-        lasts = sum(action.duration_s for action in plan.actions if isinstance(action, Segment))
-        samples = max(int(lasts * plan.record_Hz), 2)
+        duration = sum(action.duration_s for action in plan.actions if isinstance(action, Segment))
+        samples = max(int(duration * plan.record_Hz), 2)
         self.time: Array = self.interval * np.arange(samples, dtype=np.float64)
         self.values = {role: np.zeros_like(self.time) for role in ("test", "load")}
         self.modes: dict[str, Mode] = {}
@@ -80,10 +80,10 @@ class Asked:
                 self._engage(action, start)
             elif isinstance(action, Segment):
                 for role, profile in action.setpoints.items():
-                    at = int(np.searchsorted(self.time, start - 1e-9))
+                    begin = int(np.searchsorted(self.time, start - 1e-9))
                     end = int(np.searchsorted(self.time, start + action.duration_s - 1e-9))
-                    moments = (self.time[at:end] - start).tolist()
-                    self.values[role][at:end] = [profile.at(moment) for moment in moments]
+                    moments = (self.time[begin:end] - start).tolist()
+                    self.values[role][begin:end] = [profile.at(moment) for moment in moments]
                     self.values[role][end:] = profile.at(action.duration_s)
                 start += action.duration_s
 
@@ -96,12 +96,12 @@ class Asked:
             self.values[role][int(np.searchsorted(self.time, start)) :] = 0.0
 
     def current(self, role: str) -> Array | None:
-        """The current that a role is asked for; None where it follows something else."""
+        """Return the current setpoints of a role; None where it does not follow a current."""
         mode = self.modes.get(role)
         return self.values[role] if mode in (Mode.CURRENT, Mode.TORQUE_PROFILE) else None
 
     def speed(self, role: str) -> Array | None:
-        """The speed at which a role's servo turns; None where none does."""
+        """Return the speed of a role's servo; None where no servo drives the role."""
         mode = self.modes.get(role)
         if mode not in SERVOS:
             return None
@@ -113,18 +113,18 @@ class Asked:
 
 
 def clocks(plan: Plan, asked: Asked, model: Model) -> tuple[Clocked | None, Clocked]:
-    """The channels of a set-up, those that a replay fills still zero."""
-    every = max(round(CAMERA_S / asked.interval), 1)
+    """Return the clocks of a set-up with their channels; those that a replay fills are zero."""
+    camera_step = max(round(CAMERA_S / asked.interval), 1)
     slow: dict[Key, Array] = {
-        (name, role): np.full_like(asked.time[::every], AMBIENT)
+        (name, role): np.full_like(asked.time[::camera_step], AMBIENT)
         for name, role in (("winding_temperature", "test"), ("housing_temperature", "test"))
     }
-    slow["ambient_temperature", "bench"] = np.full_like(asked.time[::every], AMBIENT)
+    slow["ambient_temperature", "bench"] = np.full_like(asked.time[::camera_step], AMBIENT)
     if plan.setup == "heated":
         heating = asked.current("test")
-        slow["line_current", "test"] = (np.zeros_like(asked.time) if heating is None else heating)[::every]
-        slow["line_voltage", "test"] = np.zeros_like(asked.time[::every])
-        return None, clocked(asked.time[::every], slow)
+        slow["line_current", "test"] = (np.zeros_like(asked.time) if heating is None else heating)[::camera_step]
+        slow["line_voltage", "test"] = np.zeros_like(asked.time[::camera_step])
+        return None, clocked(asked.time[::camera_step], slow)
     current, load_current, speed = motion(plan, asked, model)
     fast: dict[Key, Array] = {
         ("q_axis_current_reference", "test"): current,
@@ -140,11 +140,11 @@ def clocks(plan: Plan, asked: Asked, model: Model) -> tuple[Clocked | None, Cloc
         fast["torque", "test"] = np.zeros_like(current)
     if plan.setup == "coupled":
         fast["q_axis_current", "load"], fast["velocity", "load"] = load_current, speed
-    return clocked(asked.time, fast), clocked(asked.time[::every], slow)
+    return clocked(asked.time, fast), clocked(asked.time[::camera_step], slow)
 
 
 def clocked(time: Array, values: dict[Key, Array]) -> Clocked:
-    """Channels on one even clock, all of them valid; current and voltage are means, as drives average them."""
+    """Return channels on one even clock, all valid; current and voltage are means, as drives average them."""
     valid = {key: np.ones(len(time), bool) for key in values}
     means = {("q_axis_current", "test"), ("q_axis_voltage", "test")} & set(values)
     values = {key: np.array(column) for key, column in values.items()}
@@ -152,62 +152,62 @@ def clocked(time: Array, values: dict[Key, Array]) -> Clocked:
 
 
 def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]:
-    """Current of test and load actuator and the shaft's speed."""
-    none = np.zeros_like(asked.time)
+    """Return the currents of test and load actuator, and the shaft's speed."""
+    zeros = np.zeros_like(asked.time)
     test = asked.current("test")
     if plan.setup == "locked":
-        return (none if test is None else test), none, none
+        return (zeros if test is None else test), zeros, zeros
     missing = [name for name in NEEDED if getattr(model, name) is None]
     if (
         missing
         or model.drive is not None
         or load_of(Record(Path(plan.name), "", "", None, None, {}), model).type != "none"
     ):
-        what = ", ".join(missing) or "a bench without a pendulum, an arm or a position servo"
-        raise InputError(f"protocol '{plan.name}' cannot be planned with model '{model.name}': it needs {what}")
+        needs = ", ".join(missing) or "a bench without a pendulum, an arm or a position servo"
+        raise InputError(f"protocol '{plan.name}' cannot be planned with model '{model.name}': it needs {needs}")
     turning = next((speed for role in ("test", "load") if (speed := asked.speed(role)) is not None), None)
     rotors = 2 if plan.setup == "coupled" else 1
-    load = asked.current("load") if rotors == 2 else none
+    load = asked.current("load") if rotors == 2 else zeros
     if turning is None:
-        both = (none if test is None else test) + (none if load is None else load)
-        turning = spun(both, rotors, asked.interval, model)
-    # the servo's current is whatever the motion takes beyond the other's
-    taken = rotors * resisted(turning, asked.interval, model) / (model.torque_constant or 1.0)
+        total_current = (zeros if test is None else test) + (zeros if load is None else load)
+        turning = spun(total_current, rotors, asked.interval, model)
+    # the servo's current is that of the motion less the other actuator's
+    motion_current = rotors * resisted(turning, asked.interval, model) / (model.torque_constant or 1.0)
     if test is None:
-        test = taken - (none if load is None else load)
+        test = motion_current - (zeros if load is None else load)
     elif load is None or asked.current("load") is None:
-        load = taken - test
-    return test, none if load is None else load, turning
+        load = motion_current - test
+    return test, zeros if load is None else load, turning
 
 
 def resisted(speed: Array, interval: float, model: Model) -> Array:
-    """Torque that one rotor takes."""
+    """Return the torque for the motion of one rotor."""
     friction = (model.viscous_damping or 0.0) * speed + (model.coulomb_friction or 0.0) * np.sign(speed)
     return np.asarray((model.rotor_inertia or 0.0) * np.gradient(speed, interval) + friction, np.float64)
 
 
 def spun(current: Array, rotors: int, interval: float, model: Model) -> Array:
-    """Speed of a shaft that nothing but currents turns; friction holds it until they exceed it."""
+    """Return the speed of a shaft that currents alone drive, with sticking friction."""
     inertia, damping = rotors * (model.rotor_inertia or 1.0), rotors * (model.viscous_damping or 0.0)
     friction, decay = rotors * (model.coulomb_friction or 0.0), float(np.exp(-damping * interval / inertia))
-    reach = (1.0 - decay) / damping if damping else interval / inertia
+    gain = (1.0 - decay) / damping if damping else interval / inertia
     speed, speeds = 0.0, []
     for torque in ((model.torque_constant or 0.0) * current).tolist():
-        free = decay * speed + reach * torque
-        held = reach * friction
-        speed = 0.0 if abs(free) <= held else free - (held if free > 0.0 else -held)
+        free = decay * speed + gain * torque
+        friction_change = gain * friction
+        speed = 0.0 if abs(free) <= friction_change else free - (friction_change if free > 0.0 else -friction_change)
         speeds.append(speed)
     return np.asarray(speeds)
 
 
 def twisted(clock: Clocked, stiffness: float) -> dict[Key, Array]:
-    """The angle of a locked rotor: the shaft's twist."""
+    """Return the angle of a locked rotor, the shaft's twist; empty without a torque channel."""
     torque = clock.values.get(("torque", "test"))
     return {} if torque is None else {("angle", "test"): torque / stiffness}
 
 
 def spoil(clock: Clocked, key: Key, noise: Mapping[str, float], random: np.random.Generator) -> None:
-    """Put a sensor's noise on a channel; an angle is counted."""
+    """Add a sensor's noise to a channel; an angle is quantised instead."""
     spread = noise.get(key[0], 0.0)
     if key[0] == "angle" and spread > 0.0:
         count = spread * np.sqrt(12.0)

@@ -1,7 +1,8 @@
-"""What an effect must reach to be seen in some runs, and which effects look alike there.
+"""Smallest visible size of each effect in some runs, and effects that look alike there.
 
-Columns of effects are projected off everything that recalibration can imitate (Frisch-Waugh). What is left of a column
-over its noise gives the standard error of the effect's size; cosines between two tell whether the runs separate them.
+Columns of effects are projected off everything that recalibration can imitate (Frisch-Waugh). The size of a projected
+column over the noise gives the standard error of the effect; the cosine of two columns shows whether the runs separate
+the effects.
 """
 
 from collections.abc import Sequence
@@ -22,30 +23,30 @@ from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-ALIKE = 0.95  # cosine of projected columns, above which two effects are one class
-ORDERS = 3  # of a periodic effect that stand for all
-NO_BENCH = 100.0  # times the smallest size worth knowing, beyond which no bench has it
-IMITATED = 1e-6  # of a column's square, below which recalibration imitates all of it
+ALIKE = 0.95  # cosine of projected columns above which two effects are one class
+ORDERS = 3  # orders that represent a periodic effect
+NO_BENCH = 100.0  # multiple of the smallest size worth knowing beyond which no bench has the effect
+IMITATED = 1e-6  # share of a column's square below which recalibration imitates all of it
 
 
 @dataclass(frozen=True)
 class Sight:
-    """One effect in some runs."""
+    """Visibility of one effect in some runs."""
 
     effect: str
-    smallest: float | None  # size from which on it is found; None where no run shows it
-    faint: float | None  # smallest size worth knowing; None where the model does not tell its unit
+    smallest: float | None  # size from which the effect is found; None where no run shows it
+    faint: float | None  # smallest size worth knowing; None where the model does not determine its unit
     units: str
     alike: tuple[str, ...]  # effects that these runs cannot tell it from
 
     @property
     def seen(self) -> bool:
-        """Whether it is found at every size worth knowing."""
+        """Whether the effect is found at every size worth knowing."""
         return self.smallest is not None and self.faint is not None and self.smallest <= self.faint
 
 
 def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidate]:
-    """Every form of every effect at the scales of some runs; periodic ones at a few orders over their range."""
+    """Return every form of every effect at the scales of some runs; periodic effects have a few orders."""
     candidates = every_form(forms_here(records, model))
     for effect in library().values():
         if effect.periodic and effect.applies(model):
@@ -56,10 +57,10 @@ def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidat
 
 
 def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
-    """Evidence of planned or measured runs for every effect, with what a sound machine leaves over in each of them.
+    """Return the evidence of planned or measured runs for every effect, with a sound machine's residuals.
 
-    What it shows of effects is not counted: that hangs on which of the runs are taken together. Whether setpoints hold
-    over their interval is read from the runs, as a diagnosis reads it.
+    The sound machine's sizes of effects are not used: they depend on which runs are combined. Whether setpoints hold
+    over their interval is read from the runs, as in a diagnosis.
     """
     records = marked(records, model)
     evidence = Evidence(records, model, only=planned_candidates(records, model))
@@ -68,7 +69,7 @@ def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
 
 
 def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
-    """Every effect that the model can lack, as these of the evidence's runs show it."""
+    """Return the visibility of every effect that the model can lack, in some of the evidence's runs."""
     projected = Projected(evidence, runs)
     limits: dict[str, list[float]] = {}
     for candidate in evidence.candidates:
@@ -76,27 +77,27 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
         if needed is not None:
             limits.setdefault(candidate[0], []).append(needed)
     twins = projected.alike({name for name in limits})
-    shown = []
+    judged = []
     for name in sorted({effect for effect, _ in evidence.candidates}):
         worth = evidence.worth_knowing.get(name)
         smallest = None
         if name in limits:
-            # a form that is itself the size is found where it is smallest; of others half are found from the median on
+            # where forms are sizes the smallest counts; of other forms half are found from the median on
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
             smallest = needed if worth is None or needed < NO_BENCH * worth else None
-        alike = tuple(sorted(other for pair in twins if name in pair for other in pair if other != name))
-        shown.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
-    return shown
+        alike = tuple(sorted(twin for pair in twins if name in pair for twin in pair if twin != name))
+        judged.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
+    return judged
 
 
 def sized_by_form(name: str) -> bool:
-    """Whether an effect's forms are its sizes, as of a lag, rather than shapes of any size."""
+    """Return whether an effect's forms are its sizes, as of a lag, rather than shapes of any size."""
     effect = library()[name]
     return effect.shaped and effect.continuous and name != "command_slew_limit"
 
 
 class Projected:
-    """Columns of effects beyond calibration, for some of the runs of an evidence."""
+    """Columns of effects projected off calibration, for some of the runs of an evidence."""
 
     def __init__(self, evidence: Evidence, runs: Sequence[str]) -> None:
         self.evidence = evidence
@@ -105,37 +106,37 @@ class Projected:
             w if rows.run in runs else 0.0 for w, rows in zip(evidence.weights, evidence.stack.rows, strict=True)
         ]
         gram = Normal(evidence.stack, weights).gram
-        there = np.diag(gram) > 0.0
+        non_zero = np.diag(gram) > 0.0
         effect = np.asarray([name[0] == "effect" for name in evidence.stack.names])
-        base, self.columns = np.flatnonzero(there & ~effect), np.flatnonzero(there & effect)
-        a, b = gram[np.ix_(base, base)], gram[np.ix_(base, self.columns)]
-        whole = gram[np.ix_(self.columns, self.columns)]
-        scale = np.sqrt(np.diag(a))
-        scaled = a / np.outer(scale, scale) + 1e-10 * np.eye(len(base))
-        self.left = whole - (b / scale[:, None]).T @ np.linalg.solve(scaled, b / scale[:, None])
-        self.kept = np.diag(self.left) > IMITATED * np.diag(whole)
+        base, self.columns = np.flatnonzero(non_zero & ~effect), np.flatnonzero(non_zero & effect)
+        base_gram, cross_gram = gram[np.ix_(base, base)], gram[np.ix_(base, self.columns)]
+        effect_gram = gram[np.ix_(self.columns, self.columns)]
+        scale = np.sqrt(np.diag(base_gram))
+        scaled = base_gram / np.outer(scale, scale) + 1e-10 * np.eye(len(base))
+        self.left = effect_gram - (cross_gram / scale[:, None]).T @ np.linalg.solve(scaled, cross_gram / scale[:, None])
+        self.kept = np.diag(self.left) > IMITATED * np.diag(effect_gram)
         self.place = {int(column): k for k, column in enumerate(self.columns)}
 
     def block(self, candidate: Candidate) -> list[int]:
-        """Where a candidate's columns stand; empty where nothing is left of one of them, or of one beside another."""
+        """Return the positions of a candidate's columns; empty where calibration or another one imitates one."""
         columns = []
         for column in self.evidence.columns(candidate):
-            place = self.place.get(int(column))
-            if place is not None and self.kept[place]:
-                columns.append(place)
-            elif place is not None or not self.own(int(column)):
+            position = self.place.get(int(column))
+            if position is not None and self.kept[position]:
+                columns.append(position)
+            elif position is not None or not self.own(int(column)):
                 return []
-        left = self.left[np.ix_(columns, columns)]
-        scale = np.sqrt(np.diag(left))
-        apart = np.linalg.eigvalsh(left / np.outer(scale, scale)) if columns else np.zeros(1)
-        return columns if float(apart[0]) > IMITATED else []
+        projected_gram = self.left[np.ix_(columns, columns)]
+        scale = np.sqrt(np.diag(projected_gram))
+        eigenvalues = np.linalg.eigvalsh(projected_gram / np.outer(scale, scale)) if columns else np.zeros(1)
+        return columns if float(eigenvalues[0]) > IMITATED else []
 
     def own(self, column: int) -> bool:
-        """Whether a column belongs to a single run, which need not be among these."""
+        """Return whether a column belongs to a single run, which need not be among the chosen ones."""
         return self.evidence.coefficient(column).startswith("start of")
 
     def needed(self, candidate: Candidate) -> float | None:
-        """Size from which on one form of an effect stands above its floor and uncertainty; None where it cannot."""
+        """Return the size from which one form of an effect exceeds its floor and uncertainty; None where it cannot."""
         block = self.block(candidate)
         if not block:
             return None
@@ -150,12 +151,12 @@ class Projected:
         needed = ENTRY * float(np.hypot(slope * std, self.evidence.floor(candidate)))
         if not effect.shaped:
             return needed
-        # a shape is known to be its own only while most of it is there
+        # a shaped effect is only found within the range of its strength
         low, high = (slope * share for share in SHAPE)
         return max(needed, low) if needed <= high else None
 
     def alike(self, effects: set[str]) -> set[tuple[str, str]]:
-        """Pairs of effects of which most forms of either are some form of the other but for a twentieth."""
+        """Return the pairs of effects with cosines above `ALIKE` for most forms of either effect."""
         spans: dict[str, list[slice]] = {}
         rows: list[Array] = []
         for candidate in self.evidence.candidates:
@@ -167,21 +168,25 @@ class Projected:
             return set()
         cosines = np.concatenate(rows) @ self.left @ np.concatenate(rows).T
         pairs = set()
-        for one, other in combinations(sorted(spans), 2):
-            # of the smallest angle between the columns of two forms
-            table = np.asarray([[np.linalg.norm(cosines[p, q], 2) for q in spans[other]] for p in spans[one]])
+        for first_effect, second_effect in combinations(sorted(spans), 2):
+            # cosine of the smallest angle between the columns of two forms
+            table = np.asarray(
+                [[np.linalg.norm(cosines[p, q], 2) for q in spans[second_effect]] for p in spans[first_effect]]
+            )
             # a small lag is a small delay whatever the experiment: what counts is most of the sizes
             if min(np.mean(table.max(axis=1) > ALIKE), np.mean(table.max(axis=0) > ALIKE)) > 0.5:
-                pairs.add((one, other))
+                pairs.add((first_effect, second_effect))
         return pairs
 
     def _directions(self, block: list[int]) -> Array:
-        """Combinations of all columns, a unit each, that span a candidate beyond what belongs to single runs."""
-        own = [k for k in block if self.own(int(self.columns[k]))]
-        kept = [k for k in block if k not in own]
-        spanned = np.zeros((len(kept), len(self.columns)))
-        spanned[np.arange(len(kept)), kept] = 1.0
-        if own:
-            spanned[:, own] = -np.linalg.solve(self.left[np.ix_(own, own)], self.left[np.ix_(own, kept)]).T
+        """Return orthonormal combinations of all columns that span a candidate, projected off single runs' columns."""
+        own_columns = [k for k in block if self.own(int(self.columns[k]))]
+        shared_columns = [k for k in block if k not in own_columns]
+        spanned = np.zeros((len(shared_columns), len(self.columns)))
+        spanned[np.arange(len(shared_columns)), shared_columns] = 1.0
+        if own_columns:
+            spanned[:, own_columns] = -np.linalg.solve(
+                self.left[np.ix_(own_columns, own_columns)], self.left[np.ix_(own_columns, shared_columns)]
+            ).T
         root = np.linalg.cholesky(spanned @ self.left @ spanned.T)
         return np.asarray(np.linalg.solve(root, spanned), np.float64)

@@ -6,10 +6,10 @@ from leactl.protocol import protocolfile, shipped
 
 
 def separating_experiment(effect: str, peers: Sequence[str]) -> str | None:
-    """The shipped protocol that separates most of a class, the shortest of several.
+    """Return the shipped protocol that separates most of a class, the shortest of equals.
 
-    None where the data already tells, or where no protocol separates two of the class: gains that only a reference
-    instrument tells apart.
+    None where the class has one effect, or where no protocol separates two of the class, as with gains that only a
+    reference instrument separates.
     """
     if not peers:
         return None

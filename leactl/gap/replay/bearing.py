@@ -1,6 +1,6 @@
-"""How far bearings give before they slide: no model file says it, and a locked rotor's torque shows it.
+"""Give of bearings before they slide: no model file contains it, and a locked rotor's torque shows it.
 
-It lies below what counts as the effect `presliding`, and belongs to the bench, so that all models share one value.
+It is below the effect `presliding` and belongs to the bench, so that all models share one value.
 """
 
 from collections.abc import Sequence
@@ -18,21 +18,23 @@ TRIED = (5e-6, 1.5e-5, GIVE)  # rad
 
 
 def give_of(records: Sequence[Record], model: Model) -> float:
-    """The give that fits the torque of locked runs best [rad]; the usual one where there is none."""
+    """Return the give [rad] that fits the torque of locked runs best; the usual one without a locked run."""
     locked = [record for record in records if record.mechanical == "locked" and record.fast is not None]
     plants = [plant_of(model) for _ in TRIED]
     for plant, give in zip(plants, TRIED, strict=True):
         plant.give = give
     jobs = [[Job(record, plant) for record in locked] for plant in plants]
-    replay_all([job for own in jobs for job in own])
-    left = [[_left(job) for job in own if ("torque", "test") in job.fast] for own in jobs]
-    return TRIED[int(np.argmin([sum(own) for own in left]))] if all(left) else GIVE
+    replay_all([job for jobs_of_plant in jobs for job in jobs_of_plant])
+    squares = [
+        [_torque_squares(job) for job in jobs_of_plant if ("torque", "test") in job.fast] for jobs_of_plant in jobs
+    ]
+    return TRIED[int(np.argmin([sum(jobs_of_plant) for jobs_of_plant in squares]))] if all(squares) else GIVE
 
 
-def _left(job: Job) -> float:
-    """Squares left of the torque when gain, zero and drift of its sensor are fitted: they say nothing of sticking."""
+def _torque_squares(job: Job) -> float:
+    """Return the squared residual of the torque after a fit of gain, zero and drift of its sensor."""
     measured, replayed = job.clock.values["torque", "test"], job.fast["torque", "test"]
-    good = np.isfinite(measured) & np.isfinite(replayed)
-    columns = np.stack([replayed[good], np.ones(int(good.sum())), job.clock.time[good]], axis=1)
-    fitted = columns @ np.linalg.lstsq(columns, measured[good], rcond=None)[0]
-    return float(np.sum((measured[good] - fitted) ** 2))
+    valid = np.isfinite(measured) & np.isfinite(replayed)
+    columns = np.stack([replayed[valid], np.ones(int(valid.sum())), job.clock.time[valid]], axis=1)
+    fitted = columns @ np.linalg.lstsq(columns, measured[valid], rcond=None)[0]
+    return float(np.sum((measured[valid] - fitted) ** 2))

@@ -1,4 +1,4 @@
-"""Measured channels beside what models make of them, sample by sample, with the noise that no model removes."""
+"""Measured channels with their replays by models, sample by sample, and the channel's noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from leactl.gap.signals.smoothing import smooth, speeds
 
 Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0
-FEWEST_BLOCKS = 20  # a slow clock has longer blocks, for its errors last
-LAG = 4  # samples between the values whose differences tell the noise
-STRETCH = 500  # samples that tell it once
+FEWEST_BLOCKS = 20  # of a slow clock, whose blocks are longer since its errors last
+LAG = 4  # samples between the values whose differences give the noise
+STRETCH = 500  # samples of one noise estimate
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One channel of one run; only samples that were measured and that every replay reaches."""
+    """One channel of one run with its replays, at samples that were measured and that every replay determines."""
 
     run: str
     kind: str
@@ -33,21 +33,21 @@ class Compared:
     block: npt.NDArray[np.intp]
     measured: Array
     replayed: tuple[Array, ...]  # one for each model
-    disturbed: Array  # the last model again, its start and inputs carrying their noise once more
+    disturbed: Array  # replay of the last model with noise added to start and inputs
     noise: float  # standard deviation of the channel's noise and quantisation
     restarts: bool  # whether the replay starts again every second
 
     def squares(self, model: int) -> Array:
-        """Squared distance of one model, sample by sample."""
+        """Return the squared residual of one model at each sample."""
         return np.asarray((self.measured - self.replayed[model]) ** 2, np.float64)
 
     def floor_squares(self) -> Array:
-        """Squared distance that the last model has from its own output, noise added."""
+        """Return the squared distance of the last model to its own noisy output at each sample."""
         return np.asarray((self.disturbed - self.replayed[-1]) ** 2 + self.noise**2, np.float64)
 
 
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
-    """Every channel that all replays of a run reach."""
+    """Compare every channel that all replays of a run determine."""
     compared = []
     swung = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
@@ -62,14 +62,14 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
                 restarts = moved and any(job.restarts for job in jobs)
                 keep = np.all(np.isfinite(rows), axis=0)
                 if swung is not None and key[0] in ("velocity", "torque"):
-                    keep &= swung.unleapt  # where a rotor sticks that a leap has set swinging, no replay can tell
-                one = _compared(record, clock, key, values, rows, keep, restarts)
-                compared += [one] if one is not None else []
+                    keep &= swung.unleapt  # after a leap the rotor's sliding is unknown to any replay
+                channel = _compared(record, clock, key, values, rows, keep, restarts)
+                compared += [channel] if channel is not None else []
     return compared
 
 
 def measured(clock: Clocked, key: Key) -> Array | None:
-    """A channel, or the speed that the angle tells where the run has none."""
+    """Return a channel, or the speed from the angle where the run has no velocity."""
     if key == ("velocity", "test") and clock.get("velocity") is None:
         angle = clock.get("angle")
         return smooth(speeds(angle, clock.interval)) if angle is not None else None
@@ -83,11 +83,11 @@ def _compared(
     index = np.flatnonzero(keep)
     if len(index) < 2:
         return None
-    left = [values[index] - row[index] for row in rows[:-1]]
+    residuals = [values[index] - row[index] for row in rows[:-1]]
     time = clock.since_begin
     length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
     block = (time[index] / length).astype(np.intp)
-    noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))
+    noise = max(min(white(residual) for residual in residuals), quantum_of(values) / np.sqrt(12.0))
     return Compared(
         run=record.name,
         kind=record.kind,
@@ -106,9 +106,9 @@ def _compared(
 
 
 def white(values: Array) -> float:
-    """Standard deviation of what changes within a few samples, as half of the stretches have it or less.
+    """Return the standard deviation of changes within a few samples, the median over stretches.
 
-    Filters of a channel reach no further than these samples; what a model gets wrong in some stretches is no noise.
+    Filters of a channel reach no further than these samples; a model's error in some stretches is no noise.
     """
     steps = np.abs(values[LAG:] - values[:-LAG])
     if len(steps) == 0:

@@ -1,4 +1,4 @@
-"""Runs cut into stretches, with what drives each of them and the constants of its bench."""
+"""Runs cut into stretches, with the inputs of each stretch and the constants of its bench."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from leactl.gap.signals.rig import fed_by_voltage, load_of
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
-BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that tells how the current's stamps stand
+BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that determines the current's stamps
 RESTART_S = 1.0
-TRACKED = 20.0  # samples, time constant by which a tracked rotor is kept near its motion
-FORGOTTEN = 12.0  # of these time constants in a stretch at least: what it began with is gone at its end
+TRACKED = 20.0  # samples, time constant with which a tracked rotor is kept near its motion
+FORGOTTEN = 12.0  # fewest of these time constants in a stretch: the influence of its start is gone at its end
 LOCKED_STRETCH_S = 0.25
-TOOTH = 0.3  # rad, by which teeth that press on each other would swing in a step: rigid, as far as steps can tell
-TOOTH_DAMPING = 0.5 / TOOTH  # of critical: one step takes all of the speed with which they meet, and gives none back
+TOOTH = 0.3  # rad, phase of the resonance of meshing teeth in a step: as rigid as steps can resolve
+TOOTH_DAMPING = 0.5 / TOOTH  # of critical: one step removes all of the speed with which teeth meet
 Index = npt.NDArray[np.intp]
 
 
@@ -37,7 +37,7 @@ class CutJob:
     drive: Array  # N*m at the instants, or rad where a position servo drives
     load_drive: Array | None
     share: Array | None
-    target: Array | None = None  # rad, at the instants, that a tracked rotor is kept near
+    target: Array | None = None  # rad, at the instants, motion that a tracked rotor is kept near
     target_speed: Array | None = None  # rad/s
 
     @property
@@ -46,30 +46,30 @@ class CutJob:
         return self.length * self.job.parts
 
     def take_length(self, length: int) -> None:
-        """Cut the job into stretches of so many samples, as many as reach its end."""
+        """Cut the job into stretches of `length` samples, up to its end."""
         self.length, self.count = length, stretches(self.job, self.first, length)
 
     def cut(self, values: Array, lanes: Index) -> Array:
-        """Instants of some stretches, (steps, lanes); the last value goes on beyond the run's end."""
+        """Return values at the instants of some stretches, (steps, lanes), held constant beyond the run's end."""
         begin = self.first * self.job.parts
-        short = begin + self.count * self.steps - len(values)
-        whole = np.concatenate([values[begin:], np.full(max(short, 0), values[-1])])[: self.count * self.steps]
-        return np.ascontiguousarray(whole.reshape(self.count, self.steps)[lanes].T)
+        missing = begin + self.count * self.steps - len(values)
+        padded = np.concatenate([values[begin:], np.full(max(missing, 0), values[-1])])[: self.count * self.steps]
+        return np.ascontiguousarray(padded.reshape(self.count, self.steps)[lanes].T)
 
     def put(self, name: str, values: Array, lanes: Index) -> None:
-        """Put some stretches, one after the other, into a job; what precedes the first holds its value."""
+        """Write the values of some stretches into an attribute of the job, held constant before the first stretch."""
         begin, total = self.first * self.job.parts, (len(self.job.clock.time) - 1) * self.job.parts + 1
-        whole = getattr(self.job, name) if len(lanes) < self.count else None
-        if whole is None or len(whole) < total:
-            whole = np.zeros(begin + self.count * self.steps)
-        table = whole[begin:].reshape(self.count, self.steps)
+        column = getattr(self.job, name) if len(lanes) < self.count else None
+        if column is None or len(column) < total:
+            column = np.zeros(begin + self.count * self.steps)
+        table = column[begin:].reshape(self.count, self.steps)
         table[lanes] = values.T
-        whole[:begin] = table[0, 0]
-        setattr(self.job, name, whole)
+        column[:begin] = table[0, 0]
+        setattr(self.job, name, column)
 
 
 def cut_of(job: Job, kind: str) -> CutJob:
-    """Cut a job into stretches and work out what drives it."""
+    """Cut a job into stretches and compute its inputs."""
     clock, plant, parts = job.clock, job.plant, job.parts
     samples = len(clock.time)
     course = job.course()
@@ -80,66 +80,67 @@ def cut_of(job: Job, kind: str) -> CutJob:
     share = None
     if plant.friction_share:
         share = np.ones(samples)
-        for rubs in plant.friction_share:
-            share = share * rubs(course)
+        for share_of_friction in plant.friction_share:
+            share = share * share_of_friction(course)
         share = spread(share, parts)
     load_drive = None
     if job.record.mechanical == "coupled":
         load_current = measured(job, "load")
         assert load_current is not None
         load_drive = (plant.model.torque_constant or 0.0) * load_current[0]
-    first = 0 if kind == "locked" else reach(job)
-    tracked = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
-    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
+    begin = 0 if kind == "locked" else reach(job)
+    tracked_s = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
+    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked_s}.get(kind)
     length = samples if seconds is None else max(1, round(seconds / clock.interval))
-    job.first = first
-    cut = CutJob(job, first, length, stretches(job, first, length), drive, load_drive, share)
+    job.first = begin
+    cut = CutJob(job, begin, length, stretches(job, begin, length), drive, load_drive, share)
     if kind == "tracked":
         cut.target, cut.target_speed = target_of(job)
     return cut
 
 
-def stretches(job: Job, first: int, length: int) -> int:
-    """How many stretches of so many samples a job has, the last of them to its end or beyond."""
-    instants = (len(job.clock.time) - 1 - first) * job.parts + 1
+def stretches(job: Job, begin: int, length: int) -> int:
+    """Return the number of stretches of `length` samples in a job; the last may reach beyond its end."""
+    instants = (len(job.clock.time) - 1 - begin) * job.parts + 1
     return -(-instants // (length * job.parts))
 
 
 def target_of(job: Job) -> tuple[Array, Array]:
-    """The measured motion without its noise, at the instants: angle [rad] and speed [rad/s]."""
+    """Return the smoothed measured motion at the instants: angle [rad] and speed [rad/s]."""
     clock = job.clock
     angle, speed = clock.get("angle"), clock.get("velocity")
     if angle is None:
         assert speed is not None
         angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * clock.interval])
-    even = CubicSpline(np.arange(len(angle)), smooth(angle))
-    at = np.arange((len(angle) - 1) * job.parts + 1) / job.parts
-    return np.asarray(even(at), np.float64), np.asarray(even(at, 1) / clock.interval, np.float64)
+    spline = CubicSpline(np.arange(len(angle)), smooth(angle))
+    positions = np.arange((len(angle) - 1) * job.parts + 1) / job.parts
+    return np.asarray(spline(positions), np.float64), np.asarray(spline(positions, 1) / clock.interval, np.float64)
 
 
 def asked_angle(job: Job) -> Array:
-    """The angle that a servo is asked for, held until the next sample; NaN while the drive is disabled."""
+    """Return a servo's angle set-point, held until the next sample; NaN while the drive is disabled."""
     reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
-    held = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
-    for becomes in (*job.plant.loop_answer, *job.plant.set_point):
-        held = becomes(held, job.step)
+    set_point = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
+    for transform in (*job.plant.loop_answer, *job.plant.set_point):
+        set_point = transform(set_point, job.step)
     # a step of the stepper goes from half before an instant to half behind it, a reference changes at one
-    held = np.append(held[:1], 0.5 * (held[:-1] + held[1:]))
+    set_point = np.append(set_point[:1], 0.5 * (set_point[:-1] + set_point[1:]))
     if enabled is not None:
-        on = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
-        held = np.where(on > 0.5, held, np.nan)
-    return np.asarray(held, np.float64)
+        enabled_steps = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
+        set_point = np.where(enabled_steps > 0.5, set_point, np.nan)
+    return np.asarray(set_point, np.float64)
 
 
 def drive_torque(job: Job, magnets: Array) -> Array:
-    """Torque of the test drive at the instants: of its current, else as it was logged."""
+    """Return the torque of the test drive at the instants, from voltage or current, else as logged."""
     constant = job.plant.model.torque_constant
     if (fed := voltage_torque(job)) is not None:
         return np.append(fed[:1], np.repeat(fed[1:], job.parts))
     if job.current is None or constant is None:
         logged = logged_torque(job)
         assert logged is not None
-        logged = logged - (constant or 1.0) * job.plant.current_offset  # a drive's force that is told shares its zero
+        # a logged force has the offset of the drive's current
+        logged = logged - (constant or 1.0) * job.plant.current_offset
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
     flowing = restamped(job.current, job.clock.stamping.get(BALANCE.get(job.record.mechanical, "")), job.parts)
     torque = constant * spread(magnets, job.parts) * flowing
@@ -149,7 +150,7 @@ def drive_torque(job: Job, magnets: Array) -> Array:
 
 
 def voltage_torque(job: Job) -> Array | None:
-    """Torque that the logged voltage makes in a motor at rest; None where no voltage drives the run."""
+    """Return the torque of the logged voltage in a motor at rest; None where no voltage drives the run."""
     fed = fed_by_voltage(job.record, job.plant.model)
     if fed is None:
         return None
@@ -157,25 +158,25 @@ def voltage_torque(job: Job) -> Array | None:
 
 
 def logged_torque(job: Job) -> Array | None:
-    """Torque that a free drive was told to make, where it logs that instead of a current."""
+    """Return the torque reference, else the torque, that a free drive logs instead of a current; None without one."""
     if job.record.mechanical != "free":
         return None
-    told = job.clock.get("torque_reference")
-    return told if told is not None else job.clock.get("torque")
+    reference = job.clock.get("torque_reference")
+    return reference if reference is not None else job.clock.get("torque")
 
 
 def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
-    """Some stretches of every cut as lanes."""
+    """Return some stretches of every cut as lanes."""
     plants: list[tuple[Plant, slice]] = []
-    at = 0
+    lane = 0
     for cut, lanes in zip(cuts, picked, strict=True):
         if plants and plants[-1][0] is cut.job.plant:
-            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, at + len(lanes)))
+            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, lane + len(lanes)))
         else:
-            plants.append((cut.job.plant, slice(at, at + len(lanes))))
-        at += len(lanes)
+            plants.append((cut.job.plant, slice(lane, lane + len(lanes))))
+        lane += len(lanes)
 
-    def each(values: Iterable[float]) -> Array:
+    def per_lane(values: Iterable[float]) -> Array:
         return np.concatenate([np.full(len(lanes), v) for v, lanes in zip(values, picked, strict=True)])
 
     def inputs(name: str, default: float) -> Array:
@@ -190,7 +191,7 @@ def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
     drive = inputs("drive", 0.0)
 
     def constant(name: str) -> Array:
-        return each([c[name] for c in constants])
+        return per_lane([c[name] for c in constants])
 
     servo = None
     if "servo_gain" in constants[0]:
@@ -235,26 +236,26 @@ def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
 
 
 def two_ended(job: Job) -> bool:
-    """Whether something turns at the other end of a shaft: a load actuator, or a part of a free rotor's inertia."""
+    """Return whether a load actuator or a part of a free rotor's inertia turns at the other end of a shaft."""
     return job.record.mechanical == "coupled" or hangs_apart(job)
 
 
 def hangs_apart(job: Job) -> bool:
-    """Whether part of a free rotor's inertia follows by a spring or by teeth with play."""
+    """Return whether part of a free rotor's inertia is coupled by a spring or by teeth with play."""
     plant = job.plant
     return job.record.mechanical == "free" and (plant.elastic_load is not None or plant.geared_load is not None)
 
 
 def constants_of(job: Job) -> dict[str, float]:
-    """The numbers of a bench as the stepper takes them, a run's own set-up over the model's."""
+    """Return the constants of a bench for the stepper; a run's own set-up replaces the model's."""
     model, record = job.plant.model, job.record
-    load, fed = load_of(record, model), fed_by_voltage(record, model)
+    load, supply = load_of(record, model), fed_by_voltage(record, model)
     inertia = (model.rotor_inertia or 0.0) + load.inertia
     load_damping, load_friction = load.frictions(model.viscous_damping, model.coulomb_friction)
     constants = {
         "inertia": inertia,
         "damping": model.viscous_damping or 0.0,
-        "emf_damping": fed.damping if fed is not None else 0.0,
+        "emf_damping": supply.damping if supply is not None else 0.0,
         "friction": model.coulomb_friction or 0.0,
         "load_inertia": np.inf if record.mechanical == "locked" else model.rotor_inertia or 0.0,
         "load_damping": load_damping,
@@ -267,10 +268,10 @@ def constants_of(job: Job) -> dict[str, float]:
     if hangs_apart(job):
         constants |= parted(constants, job)
     rate = 1.0 / (TRACKED * job.clock.interval)
-    moved = constants["inertia"] + (constants["load_inertia"] if two_ended(job) else 0.0)
-    # what a back-EMF brakes follows a spring only if that is strong against it
-    constants["tracking"] = moved * rate**2 + constants["emf_damping"] * rate if job.tracked else 0.0
-    constants["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
+    moved_inertia = constants["inertia"] + (constants["load_inertia"] if two_ended(job) else 0.0)
+    # the tracking spring must be strong against the back-EMF's braking
+    constants["tracking"] = moved_inertia * rate**2 + constants["emf_damping"] * rate if job.tracked else 0.0
+    constants["tracking_damping"] = 2.0 * moved_inertia * rate if job.tracked else 0.0
     if job.by_servo:
         assert model.drive is not None
         constant = model.torque_constant or 0.0
@@ -285,25 +286,28 @@ def constants_of(job: Job) -> dict[str, float]:
     return constants
 
 
-def parted(whole: Mapping[str, float], job: Job) -> dict[str, float]:
-    """Constants of a rotor of whose inertia a part hangs apart, from those of the whole.
+def parted(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
+    """Return the constants of a rotor with a coupled part of its inertia, from those of the rigid rotor.
 
-    A model with both has one load: on a spring, behind teeth.
+    A model with spring and teeth has one load: on a spring, behind teeth.
     """
     spring, gear = job.plant.elastic_load, job.plant.geared_load
-    share, rubs = max(spring.share if spring else 0.0, gear.share if gear else 0.0), gear.friction if gear else 0.0
-    load = share * whole["inertia"]
+    share, friction_share = (
+        max(spring.share if spring else 0.0, gear.share if gear else 0.0),
+        gear.friction if gear else 0.0,
+    )
+    load = share * rotor["inertia"]
     constants = {
-        "inertia": whole["inertia"] - load,
-        "damping": (1.0 - rubs) * whole["damping"],
-        "friction": (1.0 - rubs) * whole["friction"],
+        "inertia": rotor["inertia"] - load,
+        "damping": (1.0 - friction_share) * rotor["damping"],
+        "friction": (1.0 - friction_share) * rotor["friction"],
         "load_inertia": load,
-        "load_damping": rubs * whole["damping"],
-        "load_friction": rubs * whole["friction"],
+        "load_damping": friction_share * rotor["damping"],
+        "load_friction": friction_share * rotor["friction"],
     }
     if spring is not None:
         constants["stiffness"] = load * (2.0 * np.pi * spring.frequency) ** 2
-        # of the swing of both ends against each other, with the same damper
+        # ratio for the swing of both ends against each other, with the same damper
         constants["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
     else:
         constants["stiffness"] = constants["inertia"] * share * (TOOTH / job.step) ** 2

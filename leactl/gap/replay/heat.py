@@ -1,7 +1,7 @@
 """Temperatures of many runs stepped side by side: the paper's network, exact for heat that is held over a step.
 
-Heat of the winding goes by its simulated temperature, half a step ahead. Speed is the measured one: the motion starts
-again from it every second in any case.
+Heat of the winding depends on its simulated temperature, extrapolated by half a step. Speed is the measured one: the
+motion restarts from it every second in any case.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 
-STARTS, MOST_AT_START = 0.3, 20  # of a winding's time constant from the start on, and samples
-FED_WIDTH = 8.0  # samples, smoothing of a share that a camera tells
+STARTS, MOST_AT_START = 0.3, 20  # window of the start: share of a winding's time constant, and most samples
+FED_WIDTH = 8.0  # samples, smoothing of a share measured by a camera
 ALL_NODES = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
-AWAY = 1e9  # K/W of a body that is not there
+AWAY = 1e9  # K/W, resistance to a body that does not exist
 
 
 def warm(jobs: Sequence[Job]) -> None:
-    """Replay the temperatures of every run whose bench has a thermal network; take the measured ones elsewhere."""
+    """Replay the temperatures of every run whose bench has a thermal network; use the measured ones elsewhere."""
     networked = [Network(job) for job in jobs if has_network(job)]
     if networked:
         answer = together(networked)
@@ -35,7 +35,7 @@ def warm(jobs: Sequence[Job]) -> None:
 
 
 def has_network(job: Job) -> bool:
-    """Whether a run's temperatures can be replayed."""
+    """Return whether a run's temperatures can be replayed."""
     clock, model = job.record.slow, job.plant.model
     if clock is None or clock.aside or model.thermal is None or model.phase_resistance is None:
         return False
@@ -45,7 +45,7 @@ def has_network(job: Job) -> bool:
 
 
 class Network:
-    """One run's network with what drives it, sample by sample of the slow clock."""
+    """One run's network with its inputs at the samples of the slow clock."""
 
     def __init__(self, job: Job) -> None:
         assert job.record.slow is not None and job.plant.model.thermal is not None
@@ -75,7 +75,7 @@ class Network:
         self.start = self._start()
 
     def _cold_heat(self) -> Array:
-        """Joule heat at the reference temperature [W], over the interval that begins at each sample."""
+        """Return the Joule heat at the reference temperature [W], over the interval that begins at each sample."""
         resistance, line = self.job.plant.model.phase_resistance or 0.0, self.clock.get("line_current")
         if line is not None:
             return 2.0 * resistance * line**2 * self._fed_share()
@@ -86,16 +86,16 @@ class Network:
         return resistance * binned(self.job.clock.time, squared, self.clock.time)
 
     def _fed_share(self) -> Array | float:
-        """Resistance of the phases that two leads feed over that of the whole winding, as their temperatures tell."""
+        """Return the ratio of the fed phases' mean resistance to that of the whole winding, from their temperatures."""
         clock, plant = self.clock, self.job.plant
         if clock.fed is None:
             return 1.0
         cold = 1.0 - plant.resistance_coefficient * plant.model.reference_temperature
-        fed, whole = (cold + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING]))
-        return np.asarray(smooth(fed, FED_WIDTH) / smooth(whole, FED_WIDTH), np.float64)
+        fed, winding = (cold + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING]))
+        return np.asarray(smooth(fed, FED_WIDTH) / smooth(winding, FED_WIDTH), np.float64)
 
     def _speed(self) -> Array:
-        """Measured speed [rad/s], as root mean square over the interval that begins at each sample."""
+        """Return the measured speed [rad/s], root mean square over the interval that begins at each sample."""
         fast = self.job.record.fast
         if "speed_squared" in self.clock.driven:
             return np.sqrt(self.clock.driven["speed_squared"])
@@ -137,7 +137,7 @@ class Network:
         return np.asarray(air + (reading - air) / self.job.plant.camera_fraction, np.float64)
 
     def keep(self, nodes: Array) -> None:
-        """Put temperatures, and what camera and supply read of them, into the job."""
+        """Write the temperatures, and the readings of camera and supply, into the job."""
         job, clock = self.job, self.clock
         winding, housing = nodes[:, 0], nodes[:, 1]
         for name, values in (("winding_temperature", winding), ("housing_temperature", housing)):
@@ -156,13 +156,13 @@ class Network:
 
 
 def together(networks: Sequence[Network]) -> Array:
-    """Step all networks from their starts; temperatures of (step, network, node)."""
+    """Step all networks from their starts; return temperatures (step, network, node)."""
     starts = np.stack([network.start for network in networks])
     return stepped(networks, starts, max(network.count for network in networks))
 
 
 def stepped(networks: Sequence[Network], starts: Array, longest: int) -> Array:
-    """Step networks from some temperatures of (network, node), so many steps; temperatures of (step, network, node)."""
+    """Step networks from starts (network, node) by `longest` steps; return temperatures (step, network, node)."""
 
     def inputs(name: str) -> Array:
         rows = [getattr(network, name)[:longest] for network in networks]
@@ -171,29 +171,29 @@ def stepped(networks: Sequence[Network], starts: Array, longest: int) -> Array:
     cold, ambient, housing_heat, speed = (inputs(name) for name in ("cold", "ambient", "housing_heat", "speed"))
     decay, gain = np.stack([n.decay for n in networks]), np.stack([n.gain for n in networks])
     by_ambient = np.stack([n.by_ambient for n in networks])
-    given = gain[:, :, 1] * housing_heat[:, :, None] + by_ambient * ambient[:, :, None]
+    external_rise = gain[:, :, 1] * housing_heat[:, :, None] + by_ambient * ambient[:, :, None]
     by_winding = cold[:, :, None] * gain[:, :, 0]
     slope = np.array([n.job.plant.resistance_coefficient for n in networks])
     level = 1.0 - slope * np.array([n.job.plant.model.reference_temperature for n in networks])
-    blown = [(index, n) for index, n in enumerate(networks) if n.job.plant.convection]
+    convective = [(index, n) for index, n in enumerate(networks) if n.job.plant.convection]
     state = starts
-    ahead = state[:, 0].copy()
-    out = np.empty((longest, len(networks), 3))
+    previous_winding = state[:, 0].copy()
+    temperatures = np.empty((longest, len(networks), 3))
     for step in range(longest):
-        out[step] = state
-        share = level + slope * (1.5 * state[:, 0] - 0.5 * ahead)
-        ahead = state[:, 0].copy()
-        fresh = (decay @ state[:, :, None])[:, :, 0] + by_winding[step] * share[:, None] + given[step]
-        for index, network in blown:
+        temperatures[step] = state
+        share = level + slope * (1.5 * state[:, 0] - 0.5 * previous_winding)
+        previous_winding = state[:, 0].copy()
+        next_state = (decay @ state[:, :, None])[:, :, 0] + by_winding[step] * share[:, None] + external_rise[step]
+        for index, network in convective:
             rise = state[index, 1] - ambient[step, index]
-            more = sum(float(c(rise, speed[step, index])) for c in network.job.plant.convection)
-            fresh[index] -= network.gain[:, 1] * (network.to_air * rise * more)
-        state = fresh
-    return out
+            convection = sum(float(c(rise, speed[step, index])) for c in network.job.plant.convection)
+            next_state[index] -= network.gain[:, 1] * (network.to_air * rise * convection)
+        state = next_state
+    return temperatures
 
 
 def measured(job: Job) -> None:
-    """Measured temperatures, where no network says better."""
+    """Write the measured temperatures into the job, where no network replays them."""
     clock: Clocked | None = job.record.slow
     if clock is None or job.record.fast is None:
         return
@@ -204,7 +204,7 @@ def measured(job: Job) -> None:
 
 
 def resistance_share(job: Job, winding: Array | None) -> Array | float:
-    """Resistance over that at the reference temperature."""
+    """Return the ratio of the resistance to that at the reference temperature."""
     if winding is None:
         return 1.0
     return 1.0 + job.plant.resistance_coefficient * (winding - job.plant.model.reference_temperature)

@@ -1,4 +1,4 @@
-"""One run to be replayed through one bench, and what becomes of it."""
+"""One run to replay through one bench, and the results of the replay."""
 
 from dataclasses import dataclass, field
 
@@ -12,19 +12,19 @@ from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
 
 Array = npt.NDArray[np.float64]
-SERVO_STEP = 0.02  # of the shortest time in which a servo answers: back-EMF then acts right to a percent
+SERVO_STEP = 0.02  # share of a servo's shortest response time: back-EMF is then right to a percent
 
 
 @dataclass
 class Job:
-    """A run, a bench, and the replay as it grows: current, temperatures, motion, readings."""
+    """A run, a bench, and the parts of the replay in turn: current, temperatures, motion, readings."""
 
     record: Record
     plant: Plant
-    disturbance: np.random.Generator | None = None  # draws once more the noise that start and inputs carry
-    tracked: bool = False  # whether a turning rotor is kept near its measured motion instead of starting again
+    disturbance: np.random.Generator | None = None  # draws noise for start and inputs; None for no noise
+    tracked: bool = False  # whether a turning rotor is kept near its measured motion instead of restarting
 
-    current: Array | None = None  # A, that flows, at the instants of the sub-steps
+    current: Array | None = None  # A, at the instants of the sub-steps
     current_mean: Array | None = None  # A, over each sub-step
     winding: Array | None = None  # degC, at the samples of the fast clock
     housing: Array | None = None  # degC
@@ -32,18 +32,18 @@ class Job:
     velocity: Array | None = None  # rad/s, over each sub-step
     torque: Array | None = None  # N*m, onto the shaft, at the instants
     load_velocity: Array | None = None  # rad/s, over each sub-step
-    pull: Array | None = None  # N*m, that keeps a tracked rotor near its motion, at the instants
-    starts: npt.NDArray[np.intp] | None = None  # samples at which the motion starts again
+    pull: Array | None = None  # N*m, torque that keeps a tracked rotor near its motion, at the instants
+    starts: npt.NDArray[np.intp] | None = None  # samples at which the motion restarts
     first: int = 0  # sample at which the motion starts
-    fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
+    fast: dict[Key, Array] = field(default_factory=dict)  # readings of the fast clock's channels
     slow: dict[Key, Array] = field(default_factory=dict)
-    at_ceiling: int = 0  # samples at the ceiling of its voltage, where the measured current drives it
-    restarts: bool = False  # whether the motion starts again every second
+    at_ceiling: int = 0  # samples at the voltage ceiling, where the measured current is used
+    restarts: bool = False  # whether the motion restarts every second
     notes: list[str] = field(default_factory=list)
 
     @property
     def clock(self) -> Clocked:
-        """The fast clock; asked for only where the run has one."""
+        """Fast clock of the run, which must have one."""
         assert self.record.fast is not None
         return self.record.fast
 
@@ -55,7 +55,7 @@ class Job:
         return max(1, int(np.ceil(self.clock.interval / self._longest_step() - 1e-6)))
 
     def _longest_step(self) -> float:
-        """The longest sub-step [s] that follows a servo's motion, by its own times."""
+        """Return the longest sub-step [s] for a servo's response times."""
         model, gain = self.plant.model, self.record.setup.get("drive_gain")
         assert model.drive is not None
         load = load_of(self.record, model).inertia
@@ -73,8 +73,8 @@ class Job:
         return self.clock.interval / self.parts
 
     def course(self) -> Course:
-        """The run at its samples, as effects ask for it before its motion is known."""
+        """Return the run at its samples, for effects that act before its motion is known."""
         time = self.clock.since_begin
-        none = np.zeros_like(time)
-        housing = self.housing if self.housing is not None else none + self.plant.model.reference_temperature
-        return Course(time, self.clock.interval, none, housing)
+        zeros = np.zeros_like(time)
+        housing = self.housing if self.housing is not None else zeros + self.plant.model.reference_temperature
+        return Course(time, self.clock.interval, zeros, housing)

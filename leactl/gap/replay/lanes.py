@@ -3,7 +3,7 @@
 The shaft is a spring between two rotors (leap-frog: velocities between the instants, angles and torques at them). A
 free rotor has no spring, a locked one an end that does not move. At standstill friction opposes up to its Coulomb
 level: the test rotor's as bristles that bend a little before they slide (Dahl, 1968), as those of any bearing do, the
-load's by taking what moves it, down to standstill and no further.
+load's by cancelling its velocity, down to standstill and no further.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ import numpy.typing as npt
 from leactl.effects.plant import Moment, Plant
 
 Array = npt.NDArray[np.float64]
-BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a rotor that sticks would ring for ever
+BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a sticking rotor would ring for ever
 SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
-STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a step; a stiffer one is as good as rigid
+STIFFEST = 1.0  # rad, largest half phase of a shaft's resonance in a step; a stiffer shaft is practically rigid
 
 
 @dataclass
 class LaneState:
-    """Where each lane stands."""
+    """State of each lane."""
 
     angle: Array  # rad, of the test rotor
     velocity: Array  # rad/s, half a step earlier
@@ -31,7 +31,7 @@ class LaneState:
     bristle: Array  # -1 .. 1, friction that has built up
 
     def picked(self, lanes: npt.NDArray[np.intp]) -> "LaneState":
-        """Some of the lanes."""
+        """Return the state of some lanes."""
         return LaneState(*(values[lanes] for values in vars(self).values()))
 
 
@@ -46,7 +46,7 @@ class Servo:
     resistance: Array  # ohm
     torque_constant: Array  # N*m/A
     emf: Array  # V*s/rad
-    held: int  # steps, for which a reference stays as it is
+    held: int  # steps for which a reference is constant
 
 
 @dataclass
@@ -85,19 +85,19 @@ class Lanes:
 
 @dataclass
 class LaneMotion:
-    """What the lanes did, (steps, lanes)."""
+    """Motion of the lanes, (steps, lanes)."""
 
     angle: Array
     velocity: Array  # over each step
     torque: Array
     load_velocity: Array
     current: Array | None
-    pull: Array | None  # N*m, that tracking adds to the drive
+    pull: Array | None  # N*m, torque that tracking adds to the drive
     end: LaneState
 
 
 def resonant_stiffness(lanes: Lanes) -> Array:
-    """Stiffness with which steps of this length ring at the shaft's own frequency."""
+    """Return the stiffness with which the discrete steps ring at the shaft's own frequency."""
     mobility = 1.0 / lanes.inertia + 1.0 / lanes.load_inertia
     half = 0.5 * lanes.step * np.sqrt(lanes.stiffness * mobility)
     return np.asarray(np.sin(np.minimum(half, STIFFEST)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
@@ -108,18 +108,19 @@ def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
     steps, count = lanes.drive.shape
     h = lanes.step
     servo = lanes.servo
-    # at a step's start, half a step late, back-EMF would make an axis lighter and throw a light one to and fro
+    # at a step's start, half a step late, back-EMF would reduce the inertia and make a light axis oscillate
     braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
     decay, gain = _answer(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
-    free = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)  # where a servo is off, no current brakes
+    # where a servo is off, no current brakes
+    free_response = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
-    yielding = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
+    shaft_damping = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
     bristles = _Bristles(lanes, gain)
     shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
-    loaded, fed = shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
-    held, load_held = gain * lanes.friction, load_gain * lanes.load_friction
-    groups = [_Group(plant, place, gain) for plant, place in lanes.plants]
+    loaded, voltage_fed = shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
+    friction_step, load_friction_step = gain * lanes.friction, load_gain * lanes.load_friction
+    groups = [_Group(plant, lanes_of_plant, gain) for plant, lanes_of_plant in lanes.plants]
     groups = [group for group in groups if group.acts]
     angle, velocity = start.angle.copy(), start.velocity.copy()
     load_velocity, twist, bristle = start.load_velocity.copy(), start.twist.copy(), start.bristle.copy()
@@ -127,89 +128,89 @@ def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
     shape = (steps, count)
     current = np.empty(shape) if servo is not None else None
     pull = np.empty(shape) if lanes.tracking is not None else None
-    out = LaneMotion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
+    motion = LaneMotion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
     for group in groups:
         group.attach(angle, velocity, ahead, torque, twist, push)
     for index in range(steps):
         drive = lanes.drive[index]
-        if out.pull is not None:
-            out.pull[index] = _pull(lanes.tracking, index, angle, velocity)
-            drive = drive + out.pull[index]
-        if servo is not None and out.current is not None:
-            flowing = out.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
+        if motion.pull is not None:
+            motion.pull[index] = _pull(lanes.tracking, index, angle, velocity)
+            drive = drive + motion.pull[index]
+        if servo is not None and motion.current is not None:
+            flowing = motion.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
             drive = servo.torque_constant * flowing
             for group in groups:
                 group.saturate(drive, flowing)
         if shaft:
             np.multiply(stiffness, twist, out=torque)
-            torque += yielding * (velocity - load_velocity)
+            torque += shaft_damping * (velocity - load_velocity)
             for group in groups:
                 group.slip(stiffness)
         elif hanging:
             np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
         np.subtract(drive, torque, out=push)
-        at_once, at_length, hold = decay, gain, held
+        decay_now, gain_now, friction_step_now = decay, gain, friction_step
         if servo is not None:
             idle = np.isnan(servo.reference[index])
-            push += np.where(idle, 0.0, braking * velocity)  # a current has its back-EMF in it, and so has the decay
+            push += np.where(idle, 0.0, braking * velocity)  # current and decay both contain the back-EMF
             if idle.any():
-                at_once, at_length = np.where(idle, free[0], decay), np.where(idle, free[1], gain)
-                hold = at_length * lanes.friction
-        out.torque[index] = torque
-        out.angle[index] = angle
-        level = hold
+                decay_now, gain_now = np.where(idle, free_response[0], decay), np.where(idle, free_response[1], gain)
+                friction_step_now = gain_now * lanes.friction
+        motion.torque[index] = torque
+        motion.angle[index] = angle
+        level = friction_step_now
         if groups:
             if lanes.friction_share is not None:
-                more = lanes.friction_share[index]
-                level = hold * more
-                push -= (more - 1.0) * lanes.damping * velocity
+                share = lanes.friction_share[index]
+                level = friction_step_now * share
+                push -= (share - 1.0) * lanes.damping * velocity
             elif any(group.rubs for group in groups):
-                level = hold.copy()
-            made = drive - lanes.emf_damping * velocity if fed else drive
+                level = friction_step_now.copy()
+            drive_torque = drive - lanes.emf_damping * velocity if voltage_fed else drive
             for group in groups:
-                group.drive(made, made if hanging else torque)
-        np.multiply(velocity, at_once, out=ahead)
-        push *= at_length
+                group.drive(drive_torque, drive_torque if hanging else torque)
+        np.multiply(velocity, decay_now, out=ahead)
+        push *= gain_now
         ahead += push
         for group in groups:
             group.rub(level)
         bristles.take(level, ahead, bristle, velocity)
-        out.velocity[index] = velocity
+        motion.velocity[index] = velocity
         angle += h * velocity
         if shaft:
             twist += h * velocity
             if loaded:
                 assert lanes.load_drive is not None
                 ahead_load = load_decay * load_velocity + load_gain * (lanes.load_drive[index] + torque)
-                load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_held), load_held)
+                load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_friction_step), load_friction_step)
                 twist -= h * load_velocity
-                out.load_velocity[index] = load_velocity
-    out.end = LaneState(angle, velocity, load_velocity, twist, bristle)
+                motion.load_velocity[index] = load_velocity
+    motion.end = LaneState(angle, velocity, load_velocity, twist, bristle)
     if shaft:
-        take_up(out, lanes, stiffness)
-    return out
+        take_up(motion, lanes, stiffness)
+    return motion
 
 
 def take_up(motion: LaneMotion, lanes: Lanes, stiffness: Array) -> None:
-    """Correct the motion for the softer spring of the steps: a twist is the torque over the stiffness of the shaft.
+    """Correct the motion for the softer spring of the discrete steps, which twists too much.
 
-    The softer spring twists too much. The excess is removed where no balance of torques reads it: the load's speed is
+    The excess twist is removed where no balance of torques reads it: the load's speed is
     raised, a locked rotor's angle and speed are lowered.
     """
     softer, shaft = np.zeros_like(stiffness), lanes.stiffness > 0.0
     softer[shaft] = 1.0 / stiffness[shaft] - 1.0 / lanes.stiffness[shaft]
     too_far = softer * motion.torque
     faster = np.diff(too_far, axis=0, append=too_far[-1:]) / lanes.step
-    held = np.isinf(lanes.load_inertia)
-    motion.angle -= np.where(held, too_far, 0.0)
-    motion.velocity -= np.where(held, faster, 0.0)
-    motion.load_velocity += np.where(held, 0.0, faster)
+    locked = np.isinf(lanes.load_inertia)
+    motion.angle -= np.where(locked, too_far, 0.0)
+    motion.velocity -= np.where(locked, faster, 0.0)
+    motion.load_velocity += np.where(locked, 0.0, faster)
 
 
 def _servo_current(
     servo: Servo, step: float, index: int, angle: Array, velocity: Array, groups: "list[_Group]"
 ) -> Array:
-    """What the servo's voltage drives through the winding, none while it is disabled."""
+    """Return the current of the servo's voltage in the winding, zero while it is disabled."""
     wanted = servo.reference[index]
     error = wanted - angle
     for group in groups:
@@ -226,49 +227,52 @@ def _servo_current(
 
 
 def _hasty(servo: Servo, step: float, index: int) -> Array:
-    """Speed [rad/s] of what the servo follows, over as many steps as it stays the same for; none where it begins."""
-    behind = servo.reference[max(index - servo.held, 0)]
-    moved = (servo.reference[index] - behind) / (servo.held * step)
-    return np.asarray(np.nan_to_num(moved), np.float64)
+    """Return the rate [rad/s] of the servo's reference over one holding interval; zero at the beginning."""
+    earlier = servo.reference[max(index - servo.held, 0)]
+    speed = (servo.reference[index] - earlier) / (servo.held * step)
+    return np.asarray(np.nan_to_num(speed), np.float64)
 
 
 def _pull(tracking: Tracking | None, index: int, angle: Array, velocity: Array) -> Array:
-    """Torque of the spring and the damper to the motion that is tracked."""
+    """Return the torque of the spring and damper to the tracked motion."""
     assert tracking is not None
     pull = tracking.stiffness * (tracking.angle[index] - angle)
     return np.asarray(pull + tracking.damping * (tracking.velocity[index] - velocity), np.float64)
 
 
 def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
-    """Decay of a velocity over a step, and what a torque adds to it: exact for a damped inertia."""
+    """Return the decay of a velocity over a step and its gain per torque, exact for a damped inertia."""
     rate = damping / inertia * step
     gain = np.where(rate > 1e-9, -np.expm1(-rate) / np.where(rate > 1e-9, rate, 1.0), 1.0) * step / inertia
     return np.where(np.isinf(inertia), 0.0, np.exp(-rate)), np.asarray(gain, np.float64)
 
 
 class _Bristles:
-    """Friction of the test rotors, as what bends and then slides."""
+    """Friction of the test rotors as bristles that bend and then slide (Dahl)."""
 
     def __init__(self, lanes: Lanes, gain: Array) -> None:
         reach = np.empty(len(gain))
-        for plant, place in lanes.plants:
-            reach[place] = plant.bristle or plant.give
+        for plant, lanes_of_plant in lanes.plants:
+            reach[lanes_of_plant] = plant.bristle or plant.give
         # bristles stiffer than a step resolves would drive the rotor back and forth
         reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
         self.per_turn = lanes.step / reach
         self.damping = 2.0 * BRISTLE_DAMPING * gain * np.sqrt(lanes.friction / reach * lanes.inertia)
 
     def take(self, level: Array, ahead: Array, bristle: Array, velocity: Array) -> None:
-        """Take from the velocity ahead what friction of this level holds back, and bend on."""
+        """Compute the velocity under friction of this level from the frictionless one, and bend the bristles.
+
+        ahead is changed; bristle and velocity are the results.
+        """
         np.abs(bristle, out=velocity)
         np.subtract(1.0, velocity, out=velocity)
         velocity *= self.damping
         velocity += 1.0
         ahead -= level * bristle
         np.divide(ahead, velocity, out=velocity)
-        turned = self.per_turn * velocity
-        bristle += turned
-        bristle /= 1.0 + np.abs(turned)
+        bend = self.per_turn * velocity
+        bristle += bend
+        bristle /= 1.0 + np.abs(bend)
 
 
 class _Group:
@@ -282,36 +286,39 @@ class _Group:
         self.acts = self.pushes or self.rubs or bool(plant.play or electric or plant.friction_share)
 
     def attach(self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, push: Array) -> None:
-        """Look at this bench's part of what all lanes share; the stepper keeps it up to date."""
-        own = self.place
-        self.torque, self.twist, self.push = torque[own], twist[own], push[own]
-        self.before = Moment(angle[own], velocity[own], torque[own], torque[own])
-        self.after = Moment(angle[own], ahead[own], torque[own], torque[own])
+        """Keep views of this bench's lanes in the shared arrays, which the stepper updates in place."""
+        lanes = self.place
+        self.torque, self.twist, self.push = torque[lanes], twist[lanes], push[lanes]
+        self.before = Moment(angle[lanes], velocity[lanes], torque[lanes], torque[lanes])
+        self.after = Moment(angle[lanes], ahead[lanes], torque[lanes], torque[lanes])
 
     def answer(self, error: Array) -> None:
-        """Leave of the servo's errors what its controller answers."""
+        """Replace the servo's errors by those its controller responds to."""
         for answered in self.plant.servo_error:
             error[self.place] = answered(error[self.place])
 
     def lose(self, volts: Array, current: Array) -> None:
-        """Take from the voltage what the winding does not see."""
+        """Subtract the voltage that is lost before the winding."""
         for lost in self.plant.lost_voltage:
             volts[self.place] -= lost(current[self.place])
 
     def saturate(self, drive: Array, flowing: Array) -> None:
-        """Scale the torque of a servo's current; that of a replayed current comes scaled."""
+        """Scale the torque of a servo's current; a replayed current's torque is scaled already."""
         for share in self.plant.torque_share:
             drive[self.place] *= share(flowing[self.place])
 
     def slip(self, stiffness: Array) -> None:
-        """Leave the shaft unstrained within its play, whose flanks press and do not pull."""
+        """Remove the shaft's torque within its play, whose flanks push and do not pull."""
         if self.plant.play:
             half = 0.5 * self.plant.play
             self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
             self.torque *= (np.abs(self.twist) > half) & (self.torque * self.twist > 0.0)
 
     def drive(self, drive: Array, transmitted: Array) -> None:
-        """Add torques on the rotor; a gear below a pendulum transmits what its motor puts in."""
+        """Add the effects' torques on the rotor.
+
+        transmitted : torque through the gear; below a pendulum that of the motor.
+        """
         self.before.drive = self.after.drive = drive[self.place]
         self.before.transmitted = self.after.transmitted = transmitted[self.place]
         if not self.pushes:
@@ -327,8 +334,8 @@ class _Group:
         """Scale the friction of this step."""
         if not self.rubs:
             return
-        own = level[self.place]
+        friction = level[self.place]
         for added in self.plant.coulomb_added:
-            own += self.gain * added(self.after)
+            friction += self.gain * added(self.after)
         for share in self.plant.coulomb_share:
-            own *= share(self.after)
+            friction *= share(self.after)

@@ -1,9 +1,9 @@
 """Motion of whole runs, cut into stretches that are stepped side by side.
 
-A turning rotor starts again every second from its measured state: its angle is an integral, and what goes by the
-angle would drift apart. A locked one never does, for friction keeps what the last move left: its stretches are stepped
-at once, and again wherever one did not begin where the one before it ended. A rotor that is kept near its motion is
-stepped likewise, for it forgets where it began. A position servo runs through.
+A turning rotor restarts every second from its measured state: its angle is an integral and would drift. A locked rotor
+does not restart, since friction preserves the state after the last move: all of its stretches are stepped at once, and
+those are repeated that did not begin at the end of the previous stretch. A tracked rotor is stepped likewise, since its
+start loses influence. A position servo runs through without a restart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,14 +29,14 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import LaneMotion, LaneState, stepped
 from leactl.gap.replay.starting import starting_motion
 
-SLOWEST = 0.5  # of the time in which drag stops a rotor, between samples: in more a start is lost before it is measured
-SETTLED_AFTER = 128  # passes, beyond which a locked rotor that never slides may begin a stretch where it was guessed
-FORGOTTEN_AFTER = 3  # passes, after which a tracked rotor knows nothing of where it began
-CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
+SLOWEST = 0.5  # longest interval between samples, over the time constant of drag: beyond it a start is not measured
+SETTLED_AFTER = 128  # most passes; then a locked rotor that never slides begins a stretch at the first guess
+FORGOTTEN_AFTER = 3  # passes after which a tracked rotor's start has no influence
+CLOSE = 3e-4  # largest mismatch of a stretch's start to the previous end, as a share of the largest torque
 
 
 def move(jobs: Sequence[Job]) -> None:
-    """Replay the motion of every job that has what it takes; the others say what is missing."""
+    """Replay the motion of every job that has the inputs; the others get a note on what is missing."""
     sets: dict[tuple[str, float, int], list[CutJob]] = {}
     for job in jobs:
         kind = kind_of(job)
@@ -47,12 +47,12 @@ def move(jobs: Sequence[Job]) -> None:
         cuts.sort(key=lambda cut: id(cut.job.plant))
         longest = max(cut.length for cut in cuts)
         for cut in cuts:
-            cut.take_length(longest)  # a servo that ends earlier goes on at its last reference
+            cut.take_length(longest)  # a servo that ends earlier continues at its last reference
         if kind in ("locked", "tracked"):
             settle(cuts, kind)
         else:
-            every = [np.arange(cut.count) for cut in cuts]
-            keep(cuts, every, run(cuts, every, [start_of(cut, kind) for cut in cuts]))
+            all_lanes = [np.arange(cut.count) for cut in cuts]
+            keep(cuts, all_lanes, run(cuts, all_lanes, [start_of(cut, kind) for cut in cuts]))
         for cut in cuts:
             if kind == "tracked":
                 carry(cut.job)
@@ -61,7 +61,7 @@ def move(jobs: Sequence[Job]) -> None:
 
 
 def kind_of(job: Job) -> str | None:
-    """How a job is stepped: locked, turning or servo; None, with a note, where it cannot be."""
+    """Return how a job is stepped: locked, turning, tracked or servo; None, with a note, where it cannot be."""
     model, name = job.plant.model, job.record.path.name
     if model.transmission is not None:
         job.notes.append(f"{name}: the model's `transmission:` is not simulated; motor and joint turn as one")
@@ -99,61 +99,61 @@ def kind_of(job: Job) -> str | None:
     elif job.record.mechanical != "free":
         return None
     if job.tracked and job.clock.get("angle") is None and job.clock.get("velocity") is None:
-        return None  # there is no motion that it could be kept near
+        return None  # there is no motion to track
     return "tracked" if job.tracked else "turning"
 
 
 def carry(job: Job) -> None:
-    """Let the current of a tracked rotor make the torque that keeps it near its motion."""
+    """Add the current for the tracking torque to the current of a tracked rotor."""
     constant = job.plant.model.torque_constant
     if job.current is None or job.current_mean is None or job.pull is None or constant is None:
         return
-    more = job.pull[: len(job.current)] / constant
-    job.current = job.current + more
-    job.current_mean = job.current_mean + 0.5 * (more[1:] + more[:-1])
+    extra_current = job.pull[: len(job.current)] / constant
+    job.current = job.current + extra_current
+    job.current_mean = job.current_mean + 0.5 * (extra_current[1:] + extra_current[:-1])
 
 
 def start_of(cut: CutJob, kind: str) -> LaneState:
-    """Where each stretch of a turning rotor or a servo begins."""
+    """Return the state at the beginning of each stretch of a turning or tracked rotor, or a servo."""
     job = cut.job
-    at = cut.first + cut.length * np.arange(cut.count)
+    samples = cut.first + cut.length * np.arange(cut.count)
     if cut.target is None or cut.target_speed is None:
-        angle, velocity = starting_motion(job, at)
+        angle, velocity = starting_motion(job, samples)
     else:
-        angle, velocity = cut.target[at * job.parts], cut.target_speed[at * job.parts]
+        angle, velocity = cut.target[samples * job.parts], cut.target_speed[samples * job.parts]
     c = constants_of(job)
-    drive = np.zeros(len(at)) if kind == "servo" else cut.drive[at * job.parts]
-    load_drive = cut.load_drive[at * job.parts] if cut.load_drive is not None else np.zeros(len(at))
+    drive = np.zeros(len(samples)) if kind == "servo" else cut.drive[samples * job.parts]
+    load_drive = cut.load_drive[samples * job.parts] if cut.load_drive is not None else np.zeros(len(samples))
     rubbing = np.tanh(velocity / 0.1)
     net = drive - (c["damping"] + c["emf_damping"]) * velocity - c["friction"] * rubbing
     load_net = load_drive - c["load_damping"] * velocity - c["load_friction"] * rubbing
-    twist = np.zeros(len(at))
+    twist = np.zeros(len(samples))
     mass = c["inertia"]
     if c["stiffness"]:
-        # no ringing at the start: both rotors gain speed alike
+        # no ringing at the start: both rotors accelerate alike
         mass = c["inertia"] + c["load_inertia"]
         twist = strained((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
         net = net + load_net
-    earlier = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
-    load = earlier.copy()
+    half_step_velocity = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
+    load = half_step_velocity.copy()
     measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
     if measured and kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
-        load, twist = behind_teeth(job, c, at)
-    return LaneState(angle, earlier, load, twist, np.sign(velocity) * np.abs(rubbing))
+        load, twist = behind_teeth(job, c, samples)
+    return LaneState(angle, half_step_velocity, load, twist, np.sign(velocity) * np.abs(rubbing))
 
 
-def behind_teeth(job: Job, c: Mapping[str, float], at: Index) -> tuple[Array, Array]:
-    """Speed [rad/s] and twist [rad] at some samples of a load that the measured motion moves by teeth with play."""
+def behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
+    """Return speed [rad/s] and twist [rad], at some samples, of a load driven by the measured motion through play."""
     _, speed = target_of(job)
-    one = np.array(
+    load_constants = np.array(
         [0.5 * job.plant.play, c["load_damping"] / c["load_inertia"], c["load_friction"] / c["load_inertia"]]
     )
-    speeds, twists = followed(speed[:: job.parts], job.clock.interval, *one[:, None])
-    return speeds[0, at], twists[0, at]
+    speeds, twists = followed(speed[:: job.parts], job.clock.interval, *load_constants[:, None])
+    return speeds[0, samples], twists[0, samples]
 
 
 def strained(torque: Array, job: Job) -> Array:
-    """Twist [rad] of a shaft that carries a torque, its play taken up."""
+    """Return the twist [rad] of a shaft that carries a torque, with its play."""
     return np.asarray(torque / constants_of(job)["stiffness"] + 0.5 * job.plant.play * np.sign(torque), np.float64)
 
 
@@ -164,7 +164,7 @@ def run(cuts: Sequence[CutJob], picked: Sequence[Index], starts: Sequence[LaneSt
 
 
 def settle(cuts: Sequence[CutJob], kind: str) -> None:
-    """Step the stretches of locked or tracked rotors until each begins where the one before it ended."""
+    """Step the stretches of locked or tracked rotors until each begins at the end of the previous one."""
     picked: list[Index] = [np.arange(cut.count) for cut in cuts]
     starts = [resting(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
     passes = min(max(cut.count for cut in cuts) + 1, SETTLED_AFTER) if kind == "locked" else FORGOTTEN_AFTER
@@ -172,56 +172,56 @@ def settle(cuts: Sequence[CutJob], kind: str) -> None:
         motion = run(cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)])
         keep(cuts, picked, motion)
         wrong: list[Index] = []
-        at = 0
+        lane = 0
         for cut, start, lanes in zip(cuts, starts, picked, strict=True):
-            after = lanes[lanes + 1 < cut.count] + 1
-            ends = motion.end.picked(at + np.arange(len(after)))
-            at += len(lanes)
-            wrong.append(after[continued(cut, start, after, ends)])
+            following = lanes[lanes + 1 < cut.count] + 1
+            ends = motion.end.picked(lane + np.arange(len(following)))
+            lane += len(lanes)
+            wrong.append(following[continued(cut, start, following, ends)])
         picked = wrong
         if not any(len(lanes) for lanes in picked):
             return
 
 
-def continued(cut: CutJob, start: LaneState, after: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
-    """Let stretches begin where those before them ended; tells which had begun elsewhere."""
+def continued(cut: CutJob, start: LaneState, following: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
+    """Set the starts of stretches to the ends of the previous ones; return the mask of those that differed."""
     c = constants_of(cut.job)
     spring = c["stiffness"] or c["tracking"]
     impedance = np.sqrt(spring * c["inertia"])
-    off = np.abs(ends.twist - start.twist[after]) * c["stiffness"]
-    off = off + np.abs(ends.angle - start.angle[after]) * c["tracking"]
-    off = off + np.abs(ends.velocity - start.velocity[after]) * impedance
-    off = off + np.abs(ends.bristle - start.bristle[after]) * c["friction"]
-    wrong = np.asarray(off > CLOSE * float(np.max(np.abs(cut.drive), initial=1e-9)))
+    mismatch = np.abs(ends.twist - start.twist[following]) * c["stiffness"]
+    mismatch = mismatch + np.abs(ends.angle - start.angle[following]) * c["tracking"]
+    mismatch = mismatch + np.abs(ends.velocity - start.velocity[following]) * impedance
+    mismatch = mismatch + np.abs(ends.bristle - start.bristle[following]) * c["friction"]
+    wrong = np.asarray(mismatch > CLOSE * float(np.max(np.abs(cut.drive), initial=1e-9)))
     for name, values in vars(start).items():
-        values[after[wrong]] = getattr(ends, name)[wrong]
+        values[following[wrong]] = getattr(ends, name)[wrong]
     return wrong
 
 
 def resting(cut: CutJob) -> LaneState:
-    """A first guess of where each stretch of a locked rotor begins: friction as play, nothing rings."""
+    """Return a first guess of the start of each stretch of a locked rotor: friction as play, without ringing."""
     c = constants_of(cut.job)
-    parts, at = cut.job.parts, cut.length * np.arange(cut.count)
+    parts, samples = cut.job.parts, cut.length * np.arange(cut.count)
     drive = cut.drive[::parts]
     torque = play(drive, c["friction"])
     angle = cut.job.clock.get("angle")
     twist = strained(torque, cut.job)
-    still = (twist - float(np.mean(twist)))[at] + (float(np.mean(angle)) if angle is not None else 0.0)
-    torque = torque[at]
-    none = np.zeros(cut.count)
-    bristle = np.clip((drive[at] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
-    return LaneState(still, none, none.copy(), twist[at], bristle)
+    resting_angle = (twist - float(np.mean(twist)))[samples] + (float(np.mean(angle)) if angle is not None else 0.0)
+    torque = torque[samples]
+    zeros = np.zeros(cut.count)
+    bristle = np.clip((drive[samples] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
+    return LaneState(resting_angle, zeros, zeros.copy(), twist[samples], bristle)
 
 
 def keep(cuts: Sequence[CutJob], picked: Sequence[Index], motion: LaneMotion) -> None:
-    """Put what the lanes did into the jobs."""
-    at = 0
+    """Write the motion of the lanes into the jobs."""
+    lane = 0
     for cut, lanes in zip(cuts, picked, strict=True):
-        own = slice(at, at + len(lanes))
-        at += len(lanes)
+        own_lanes = slice(lane, lane + len(lanes))
+        lane += len(lanes)
         if len(lanes) == 0:
             continue
         for name in ("angle", "velocity", "torque", "load_velocity", "current", "pull"):
             values = getattr(motion, name)
             if values is not None:
-                cut.put(name, values[:, own], lanes)
+                cut.put(name, values[:, own_lanes], lanes)

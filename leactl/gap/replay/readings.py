@@ -1,4 +1,4 @@
-"""What the channels read of a replayed run: averages, filters, and the faults that effects put into sensors."""
+"""Channel readings of a replayed run: averages, filters, and the sensor errors of effects."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -18,17 +18,17 @@ STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltag
 
 
 def read(job: Job) -> None:
-    """Fill the channels of the fast clock that the run has and the replay reaches."""
+    """Write the readings of the fast clock's channels that the run has and the replay determines."""
     clock = job.clock
     steps = (len(clock.time) - 1) * job.parts
     if job.current is not None and job.current_mean is not None:
         job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]  # a servo's ends later
     readings: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
-        # without the loop's bandwidth a model says nothing of how a current follows its reference
+        # without the loop's bandwidth the model cannot predict how a current follows its reference
         followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
         flowing = current(job) if followed else None
-        if flowing is not None:  # where nothing was asked for, the measured current is an input
+        if flowing is not None:  # without a reference the measured current is an input
             flowing = np.where(clock.unasked("q_axis_current_reference"), np.nan, flowing)
         readings["q_axis_current"] = flowing
     if job.velocity is not None:
@@ -42,7 +42,7 @@ def read(job: Job) -> None:
             job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMPED_BY.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
-    turned = job.record.mechanical == "coupled"  # by the load, which in any other set-up is none of the model's
+    turned = job.record.mechanical == "coupled"  # by the load; in other set-ups the model does not include it
     if turned and job.load_velocity is not None and clock.get("velocity", "load") is not None:
         job.fast["velocity", "load"] = filtered(job, job.load_velocity)
     for values in job.fast.values():
@@ -50,7 +50,7 @@ def read(job: Job) -> None:
 
 
 def current(job: Job) -> Array | None:
-    """Measured current, as instants or means."""
+    """Return the measured current, as instants or means; None where there is none."""
     if job.current is None or job.current_mean is None:
         return None
     if ("q_axis_current", "test") in job.clock.means:
@@ -61,7 +61,7 @@ def current(job: Job) -> Array | None:
 
 
 def velocity(job: Job) -> Array:
-    """Encoder differences through the drive's filter."""
+    """Return the velocity reading: encoder differences through the drive's filter."""
     assert job.velocity is not None and job.angle is not None
     speed = job.velocity
     for error in job.plant.angle_error:
@@ -70,13 +70,13 @@ def velocity(job: Job) -> Array:
 
 
 def derived_speed(job: Job) -> Array:
-    """Change of the angle, for runs that record no velocity."""
+    """Return the smoothed rate of the angle, for runs that record no velocity."""
     assert job.velocity is not None
     return smooth(over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
 
 
 def filtered(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Array:
-    """A speed over sub-steps as the sensor's faults and the model's velocity filter give it at the samples."""
+    """Return a speed over sub-steps after the sensor's errors and the model's velocity filter, at the samples."""
     total = (len(job.clock.time) - 1) * job.parts
     bandwidth = job.plant.model.bench.velocity_filter_bandwidth
 
@@ -94,21 +94,21 @@ def filtered(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Arr
 
 
 def _from_starts(job: Job, steps: Array, through: Callable[[Array], Array]) -> Array:
-    """Filter stretch by stretch: what a filter remembers at a start is the measured motion before it."""
+    """Filter stretch by stretch; at each start the filter's state comes from the measured motion before it."""
     assert job.starts is not None
     past = np.repeat(measured_speed(job)[1:], job.parts)
     reach = samples(REMEMBERED, job.plant.model.bench, job.clock.interval) * job.parts
-    out = np.zeros_like(steps)
+    filtered_steps = np.zeros_like(steps)
     edges = [*(int(start) * job.parts for start in job.starts), len(steps)]
     for begin, end in pairwise(edges):
         if begin < end:
-            before = past[max(0, begin - reach) : begin]
-            out[begin:end] = through(np.concatenate([before, steps[begin:end]]))[len(before) :]
-    return out
+            history = past[max(0, begin - reach) : begin]
+            filtered_steps[begin:end] = through(np.concatenate([history, steps[begin:end]]))[len(history) :]
+    return filtered_steps
 
 
 def measured_speed(job: Job) -> Array:
-    """What the encoder, else the velocity channel, says of the speed."""
+    """Return the speed from the encoder, else from the velocity channel."""
     measured, clock = job.clock.get("angle"), job.clock
     if measured is None:
         return clock.values["velocity", "test"]
@@ -116,7 +116,7 @@ def measured_speed(job: Job) -> Array:
 
 
 def angle(job: Job) -> Array:
-    """The encoder's angle at the samples."""
+    """Return the encoder's angle at the samples."""
     assert job.angle is not None
     reading = job.angle[:: job.parts][: len(job.clock.time)]
     for error in job.plant.angle_error:
@@ -143,7 +143,7 @@ def torque(job: Job) -> Array:
 
 
 def voltage(job: Job) -> Array | None:
-    """Voltage of the drive: resistance, inductance, back-EMF, and what the inverter loses."""
+    """Return the drive's voltage: resistance, inductance, back-EMF and inverter loss; None where not determined."""
     model = job.plant.model
     if job.current is None or job.current_mean is None or model.phase_resistance is None:
         return None
@@ -168,12 +168,12 @@ def voltage(job: Job) -> Array | None:
     flowing = job.current[::parts]
     change = np.gradient(job.current, job.step)[::parts]
     turning = np.concatenate([speed[:1], 0.5 * (speed + np.append(speed[1:], speed[-1]))[parts - 1 :: parts]])
-    at = np.concatenate([lost[:1], lost[parts - 1 :: parts]])
-    return np.asarray(resistance * flowing + inductance * change + emf * turning + at, np.float64)
+    lost_at_samples = np.concatenate([lost[:1], lost[parts - 1 :: parts]])
+    return np.asarray(resistance * flowing + inductance * change + emf * turning + lost_at_samples, np.float64)
 
 
 def bus(job: Job, volts: Array) -> Array:
-    """Bus voltage under the power that the test drive takes: U = U0 - r P / U."""
+    """Return the bus voltage under the power of the test drive: U = U0 - r P / U."""
     source, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
     if not resistance or job.current_mean is None:
         return np.full(len(volts), source)

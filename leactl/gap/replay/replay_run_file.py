@@ -1,4 +1,4 @@
-"""A replay as a run file: the same channels on the same clocks, inputs as they were, the rest as the model has it."""
+"""Write a replay as a run file: the same channels and clocks, inputs as measured, other channels simulated."""
 
 import secrets
 from dataclasses import dataclass
@@ -30,23 +30,23 @@ INPUTS = ("line_current", "ambient_temperature", "drive_enabled")
 
 @dataclass(frozen=True)
 class Simulated:
-    """What was written."""
+    """Summary of a written replay."""
 
     path: Path
     simulated: tuple[str, ...]  # channels that the model made, as "quantity of role"
-    left_out: tuple[str, ...]  # channels of the run that it says nothing of
+    left_out: tuple[str, ...]  # channels of the run that the model does not determine
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The same for other programs."""
+        """Return the summary as a document for other programs."""
         answer = {"run": str(self.path), "simulated": self.simulated, "left_out": self.left_out, "notes": self.notes}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in answer.items()}
 
 
 def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simulated:
-    """Replay a run through a model and write what comes out beside its inputs; by default next to the run.
+    """Replay a run through a model and write the result with its inputs; by default next to the run.
 
-    Where an input is missing for longer than the usual reach, what comes out is NaN, and a note gives the interval.
+    Where an input is missing for longer than the usual reach, the result is NaN, and a note gives the interval.
 
     Raises
     ------
@@ -69,26 +69,26 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
         unknown, missing = unknown_samples(job)
         notes += tuple(missing)
     with Run.open(run_file) as run:
-        every = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
+        channels_of_run = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
         columns: dict[str, list[tuple[ChannelSpec, Array]]] = {}
-        for name, spec in every:
+        for name, spec in channels_of_run:
             values = _column(run, name, spec, made, job, unknown)
             if values is not None:
                 columns.setdefault(name, []).append((spec, values))
         path = _write(run, columns, document.text, out if out is not None else None, run_file.parent)
-    kept = {_named(spec) for column in columns.values() for spec, _ in column}
-    names = list(dict.fromkeys(_named(spec) for _, spec in every))
+    written = {_named(spec) for column in columns.values() for spec, _ in column}
+    names = list(dict.fromkeys(_named(spec) for _, spec in channels_of_run))
     by_model = {f"{quantity} of {role}" for quantity, role in made}
     return Simulated(
         path,
-        tuple(name for name in names if name in kept & by_model),
-        tuple(name for name in names if name not in kept),
+        tuple(name for name in names if name in written & by_model),
+        tuple(name for name in names if name not in written),
         notes,
     )
 
 
 def answers(job: Job) -> dict[Key, tuple[Clocked, Array]]:
-    """Every channel that a replay reaches, with its clock; the angle too, which starts again with the motion."""
+    """Return every channel that a replay determines, with its clock, and the angle, which restarts with the motion."""
     replayed: dict[Key, tuple[Clocked, Array]] = {}
     for clock, channels in ((job.record.fast, job.fast), (job.record.slow, job.slow)):
         if clock is not None:
@@ -114,20 +114,20 @@ def _column(
         if unknown is not None and clock is job.record.fast:
             answer[np.interp(time, clock.time, unknown.astype(np.float64)) > 0.0] = np.nan
         return answer
-    given = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
-    fed = key == ("q_axis_voltage", "test") and fed_by_voltage(job.record, job.plant.model) is not None
-    if given or fed or (key == ("q_axis_current", "test") and job.current is not None):
+    is_input = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
+    fed_by_supply = key == ("q_axis_voltage", "test") and fed_by_voltage(job.record, job.plant.model) is not None
+    if is_input or fed_by_supply or (key == ("q_axis_current", "test") and job.current is not None):
         location = spec.location or None
         return run.channel(*key, location=location).values
     return None
 
 
 def _write(
-    run: Run, columns: dict[str, list[tuple[ChannelSpec, Array]]], model: str, out: Path | None, beside: Path
+    run: Run, columns: dict[str, list[tuple[ChannelSpec, Array]]], model: str, out: Path | None, default_folder: Path
 ) -> Path:
     now = datetime.now(UTC)
     about = {name: str(run.attributes.get(name, "")) for name in ("protocol", "bench", "actuator", "condition")}
-    kept = {name: text for name in ("protocol", "bench") if (text := run.source(name)) is not None}
+    sources = {name: text for name in ("protocol", "bench") if (text := run.source(name)) is not None}
     info = RunInfo(
         run_id=new_run_id(f"{about['protocol']}-simulated", now),
         protocol=about["protocol"],
@@ -139,11 +139,11 @@ def _write(
         mechanical=run.mechanical,
         software=f"leactl {__version__}",
         created=now.isoformat(timespec="seconds").replace("+00:00", "Z"),
-        sources=kept | {"model": model},
+        sources=sources | {"model": model},
         setup={name: value for name, value in run.setup.items() if name != "mechanical"},
         parameters=run.parameters,
     )
-    folder = beside if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
+    folder = default_folder if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
     with RunWriter(folder, info, {name: [spec for spec, _ in column] for name, column in columns.items()}) as writer:
         for name, column in columns.items():
             writer.append(name, run.time(name), np.stack([values for _, values in column], axis=1))

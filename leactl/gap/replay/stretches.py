@@ -1,8 +1,8 @@
-"""Runs longer than a diagnosis needs: read in stretches at their full rate, so that memory does not grow with them.
+"""Read long runs in stretches at their full rate, so that memory does not grow with the length of a run.
 
-All runs of a case share `ROWS`. One that is longer than its share is looked at in `STRETCHES` stretches, the first and
-the last among them, one in each sixteenth of it, where its level and swing are farthest from those of the others.
-Temperatures go by what happens all the time: these are read from end to end as means over many samples, with the mean
+All runs of a case share `ROWS` rows. A run longer than its share is read in `STRETCHES` stretches, one in each
+sixteenth of it: the first, the last, and between them those whose level and swing differ most from the others'.
+Temperatures depend on the whole history: they are read from end to end as means over many samples, with the mean
 squares of current and speed over every sample in between.
 """
 
@@ -28,20 +28,20 @@ from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-ROWS = 3 << 17  # of all runs of a case together
-SLOW_ROWS = 1 << 14  # of the temperatures of a run: what is slower than its drive needs no more
-STRETCHES = 16
-SHORTEST = 1 << 9  # rows of a stretch, of which there are fewer where a share is small
-CANDIDATES = 1 << 10  # stretches of a run that those are chosen among
-PARTS = 8  # steps of a replay in a sample, beyond which one counts for more than a row
-BROKEN = 2.0  # of the usual time that a stretch takes, beyond which there is a pause in it
-AROUND = 64  # samples of temperature to either side of a stretch, for what smooths them
+ROWS = 3 << 17  # most rows of all runs of a case together
+SLOW_ROWS = 1 << 14  # most rows of the temperatures of a run, which change slowly
+STRETCHES = 16  # most stretches of a run
+SHORTEST = 1 << 9  # fewest rows of a stretch; a small share gives fewer stretches
+CANDIDATES = 1 << 10  # most candidate stretches of a run to choose among
+PARTS = 8  # steps of a replay in a sample above which the sample counts for more than a row
+BROKEN = 2.0  # duration of a stretch, over the median one, above which it holds a pause
+AROUND = 64  # samples of temperature on either side of a stretch, for smoothing
 CURRENTS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque", "q_axis_voltage")
 SPEEDS = ("velocity", "angle", "velocity_reference", "angle_reference")
 
 
 def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Record]]:
-    """Read runs of a case, each as one record, or as several where it is longer than its share by its model's replay.
+    """Read the runs of a case, each as one record, or as several stretches where it costs more than its share.
 
     Raises
     ------
@@ -69,83 +69,86 @@ def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Re
     return by_path
 
 
-def fair_share(costs: Sequence[float], most: float) -> float:
-    """What each may have at most, so that all have no more than there is; what some do not need is for the others."""
-    rest = most
-    for taken, cost in enumerate(sorted(costs)):
-        share = rest / (len(costs) - taken)
+def fair_share(costs: Sequence[float], total: float) -> float:
+    """Return the largest cost per run so that all runs together stay within `total`; infinite if none need be cut.
+
+    Runs that cost less leave more for the others.
+    """
+    unassigned = total
+    for assigned, cost in enumerate(sorted(costs)):
+        share = unassigned / (len(costs) - assigned)
         if cost > share:
             return share
-        rest -= cost
+        unassigned -= cost
     return math.inf
 
 
 def cost_of(run: Run, bench: BenchModel) -> float:
-    """Rows that a run makes on the clock of its drive, those with many steps of a replay counted as several."""
+    """Return the rows of a run on the clock of its drive; a row with many steps of a replay counts as several."""
     name = leading(run)
     if name is None or run.rows[name] < 2:
         return 0.0
     rows = run.rows[name]
     stamps = run.values(name, "time", 0, min(rows, ROWS + 1))
     interval = bridging_interval(stamps)
-    made = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
-    return math.inf if made > PAUSED * rows else max(made, rows) * weight(interval, bench)
+    clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
+    return math.inf if clock_rows > PAUSED * rows else max(clock_rows, rows) * weight(interval, bench)
 
 
 def weight(interval: float, bench: BenchModel) -> float:
-    """Rows that one sample counts for: more than one where a replay takes many steps from one to the next."""
+    """Return the number of rows that one sample counts for: above one if a replay takes many steps in a sample."""
     return max(1.0, steps_in_sample(bench, interval) / PARTS)
 
 
 def leading(run: Run) -> str | None:
-    """The stream with most channels of drive and sensors; None where a run has only temperatures."""
+    """Return the stream with most channels of drive and sensors; None where a run has only temperatures."""
     fast = {name: sum(is_fast(spec) for spec in specs) for name, specs in run.streams.items()}
     best = max(fast, key=lambda name: (fast[name], run.rows[name]), default=None)
     return best if best is not None and fast[best] else None
 
 
 def is_fast(spec: ChannelSpec) -> bool:
-    """Whether a channel belongs on the clock of drive and sensors."""
+    """Return whether a channel belongs on the clock of drive and sensors."""
     return bool(spec.quantity) and not is_slow(spec.quantity)
 
 
 def records_of(run: Run, share: float, bench: BenchModel) -> list[Record]:
-    """A long run as the records of its stretches and one of its temperatures, the notes with the first.
+    """Read a long run as records: one of its temperatures, if any, and one for each stretch; the first has all notes.
 
-    share : rows that may be looked at.
+    share : most rows to read.
 
     Raises
     ------
     InputError : channels that cannot be used, or that were condemned; one line each.
     """
     try:
-        slow, told = slow_record(run), list[str]()
-    except InputError as error:  # a clock that jumps: there is no whole run to follow temperatures over
-        slow, told = None, [f"{fault}; temperatures are left out" for fault in error.faults]
+        slow, notes = slow_record(run), list[str]()
+    except InputError as error:  # a clock that jumps: temperatures cannot be followed over the whole run
+        slow, notes = None, [f"{fault}; temperatures are left out" for fault in error.faults]
     walk = Walk.of(run, share, bench)
     stretches = stretches_of(walk, slow)
-    told.insert(0, walk.told(stretches))
-    told += [note for note in stretches[0].notes if all(note in other.notes for other in stretches)]
+    notes.insert(0, walk.told(stretches))
+    notes += [note for note in stretches[0].notes if all(note in further.notes for further in stretches)]
     for stretch in stretches:
         stretch.notes = []
     if slow is None or slow.slow is None:
-        return [replace(stretches[0], notes=told), *stretches[1:]]
+        return [replace(stretches[0], notes=notes), *stretches[1:]]
     clock = replace(slow.slow, driven=walk.driven(slow.slow.time))
-    return [replace(slow, slow=clock, notes=[*told, *slow.notes]), *stretches]
+    return [replace(slow, slow=clock, notes=[*notes, *slow.notes]), *stretches]
 
 
 def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
-    """The stretches of a long run, each with its run's highest speed and counts: one that stands still has neither.
+    """Read the stretches of a long run; each gets the run's highest speed and counts, which a stretch at rest lacks.
 
     Raises
     ------
-    InputError : none of them can be used.
+    InputError : no stretch can be used.
     """
     stretches: list[tuple[Record, Clocked]] = []
     faults: list[str] = []
-    for first, stop in walk.windows():
+    for start, stop in walk.windows():
         try:
-            stretches.append(stretch_of(walk, first, stop, slow))
+            stretches.append(stretch_of(walk, start, stop, slow))
         except InputError as error:
             faults += error.faults
     if not stretches:
@@ -154,42 +157,44 @@ def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
     fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in absolute_speeds(clock)), default=0.0)
     counts = {key: max(clock.counts.get(key, 0.0) for clock in clocks) for clock in clocks for key in clock.counts}
     return [
-        replace(one, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))
-        for one, clock in stretches
+        replace(record, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))
+        for record, clock in stretches
     ]
 
 
-def stretch_of(walk: "Walk", first: int, stop: int, slow: Record | None) -> tuple[Record, Clocked]:
-    """Some rows of the leading stream, what other streams have meanwhile, and how warm it was; with its fast clock."""
+def stretch_of(walk: "Walk", start: int, stop: int, slow: Record | None) -> tuple[Record, Clocked]:
+    """Read rows of the leading stream with the other channels of that time; return the record and its fast clock."""
     run = walk.run
-    stamps = walk.values("time", first, stop)
-    since, until = float(stamps[0]), float(stamps[-1])
-    rows = {stream: (row_at(run, stream, since), row_at(run, stream, until) + 1) for stream in run.streams}
-    rows[walk.stream] = first, stop
+    stamps = walk.values("time", start, stop)
+    begin_time, end_time = float(stamps[0]), float(stamps[-1])
+    rows = {stream: (row_at(run, stream, begin_time), row_at(run, stream, end_time) + 1) for stream in run.streams}
+    rows[walk.stream] = start, stop
     channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
     record = record_of(run, channels, walk.interval)
     clock = record.fast
-    assert clock is not None  # else nothing were usable
-    warm = None if slow is None or slow.slow is None else cut_out(slow.slow, since, until)
-    record = replace(record, slow=warm, stretch=f" from {since - walk.begin:.6g} s")
+    assert clock is not None  # `record_of` raises where no channel is usable
+    temperatures = None if slow is None or slow.slow is None else cut_out(slow.slow, begin_time, end_time)
+    record = replace(record, slow=temperatures, stretch=f" from {begin_time - walk.begin:.6g} s")
     return record, replace(clock, begin=walk.begin)
 
 
 def whole(run: Run) -> list[Channel]:
-    """Every channel of a run, temperatures as means where they are many."""
+    """Read every channel of a run, temperatures as means where they have many samples."""
     return [run.section(stream, spec, 0, run.rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)] + [
         meant(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)
     ]
 
 
 def channels_of(run: Run) -> list[tuple[str, ChannelSpec]]:
-    """What a run measures, with the stream of each; of two of one place in a stream the last."""
-    every = [(stream, spec) for stream, specs in run.streams.items() for spec in specs if spec.quantity]
-    return list({(stream, spec.quantity, spec.role, spec.location): (stream, spec) for stream, spec in every}.values())
+    """Return the channels of a run with their streams; the last of two for one quantity and location in a stream."""
+    measured = [(stream, spec) for stream, specs in run.streams.items() for spec in specs if spec.quantity]
+    return list(
+        {(stream, spec.quantity, spec.role, spec.location): (stream, spec) for stream, spec in measured}.values()
+    )
 
 
 def slow_record(run: Run) -> Record | None:
-    """The temperatures of a run from end to end; None where it has none."""
+    """Read the temperatures of a whole run; None where it has none."""
     channels = [meant(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)]
     if not any(np.isfinite(channel.values).sum() >= FEWEST for channel in channels):
         return None
@@ -197,47 +202,47 @@ def slow_record(run: Run) -> Record | None:
 
 
 def meant(run: Run, stream: str, spec: ChannelSpec) -> Channel:
-    """A channel as means over so many samples that no more than `SLOW_ROWS` are left, in the middle of each."""
+    """Read a channel as means over equal numbers of samples, at most `SLOW_ROWS` of them, stamped in their middle."""
     rows = run.rows[stream]
     width = -(-rows // SLOW_ROWS)
     if width <= 1:
         return run.section(stream, spec, 0, rows)
     times, values = [], []
-    for first, stop in blocks(rows - rows % width, width):
-        part = run.section(stream, spec, first, stop)
-        table = part.values.reshape(-1, width)
-        there = np.isfinite(table)
-        count = there.sum(axis=1)
-        sums = np.where(there, table, 0.0).sum(axis=1)
-        times.append(part.time.reshape(-1, width).mean(axis=1))
+    for start, stop in blocks(rows - rows % width, width):
+        section = run.section(stream, spec, start, stop)
+        table = section.values.reshape(-1, width)
+        finite = np.isfinite(table)
+        count = finite.sum(axis=1)
+        sums = np.where(finite, table, 0.0).sum(axis=1)
+        times.append(section.time.reshape(-1, width).mean(axis=1))
         values.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
     return replace(run.section(stream, spec, 0, 1), time=np.concatenate(times), values=np.concatenate(values))
 
 
 def blocks(rows: int, width: int) -> Iterator[tuple[int, int]]:
-    """Begin and end of blocks of rows, each a multiple of a width long."""
+    """Yield begin and end of blocks of rows whose lengths are multiples of a width."""
     length = max(BLOCK_ROWS // width, 1) * width
-    for first in range(0, rows, length):
-        yield first, min(first + length, rows)
+    for start in range(0, rows, length):
+        yield start, min(start + length, rows)
 
 
-def cut_out(clock: Clocked, since: float, until: float) -> Clocked:
-    """Temperatures around a stretch."""
-    first, last = np.searchsorted(clock.time, [since, until])
-    kept = slice(max(int(first) - AROUND, 0), int(last) + AROUND)
+def cut_out(clock: Clocked, begin_time: float, end_time: float) -> Clocked:
+    """Return the temperatures around a stretch."""
+    start, stop = np.searchsorted(clock.time, [begin_time, end_time])
+    window = slice(max(int(start) - AROUND, 0), int(stop) + AROUND)
     return replace(
         clock,
-        time=clock.time[kept],
-        values={key: values[kept] for key, values in clock.values.items()},
-        valid={key: valid[kept] for key, valid in clock.valid.items()},
+        time=clock.time[window],
+        values={key: values[window] for key, values in clock.values.items()},
+        valid={key: valid[window] for key, valid in clock.valid.items()},
         between={},
-        fed=None if clock.fed is None else clock.fed[kept],
+        fed=None if clock.fed is None else clock.fed[window],
         aside=True,
     )
 
 
 def row_at(run: Run, stream: str, time: float) -> int:
-    """The first row of a stream that is not before a time, found by halving."""
+    """Return the first row of a stream that is not before a time, by bisection."""
     low, high = 0, run.rows[stream]
     while low < high:
         middle = (low + high) // 2
@@ -250,17 +255,17 @@ def row_at(run: Run, stream: str, time: float) -> int:
 
 @dataclass
 class Walk:
-    """A long run, gone through once block by block."""
+    """A long run that is read block by block."""
 
     run: Run
     stream: str
-    interval: float  # s, usual one of its samples
+    interval: float  # s, usual interval of its samples
     length: int  # rows of a stretch
     count: int  # of stretches, at most
 
     @classmethod
     def of(cls, run: Run, share: float, bench: BenchModel) -> Self:
-        """A run of which so many rows may be looked at."""
+        """Return the walk through a run of which at most `share` rows are read."""
         name = leading(run)
         assert name is not None  # a run without a drive is not too long for anything
         interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
@@ -270,113 +275,115 @@ class Walk:
 
     @property
     def rows(self) -> int:
-        """Of the leading stream."""
+        """Number of rows of the leading stream."""
         return self.run.rows[self.stream]
 
     @property
     def begin(self) -> float:
-        """The first stamp."""
+        """First stamp [s]."""
         return float(self.values("time", 0, 1)[0])
 
     def values(self, name: str, start: int, stop: int) -> Array:
-        """Some rows of a channel of the leading stream."""
+        """Read some rows of a channel of the leading stream."""
         return self.run.values(self.stream, name, start, stop)
 
     def windows(self) -> list[tuple[int, int]]:
-        """Begin and end of the stretches, in rows of the leading stream.
+        """Return begin and end of the stretches to read, in rows of the leading stream.
 
-        One in each part of the run: the first, the last, and in between those that are farthest from all the others
-        by mean and root mean square of current and speed, each counted in its range.
+        There is one in each part of the run: the first, the last, and between them those that are farthest from all
+        chosen ones by mean and root mean square of current and speed, each in units of its range.
         """
         rows = self.rows
         starts = np.linspace(0, rows - self.length, min(rows // self.length, CANDIDATES)).astype(np.intp)
-        seen = np.stack([self._seen(int(start)) for start in starts])
-        spans, shapes = seen[:, 0], seen[:, 1:]
-        whole = spans <= BROKEN * np.median(spans)
-        ranges = np.ptp(shapes, axis=0)
-        shapes = (shapes - shapes.min(axis=0)) / np.where(ranges > 0.0, ranges, 1.0)
-        parts = [part[whole[part]] for part in np.array_split(np.arange(len(starts)), self.count)]
+        summaries = np.stack([self._summary(int(start)) for start in starts])
+        spans, features = summaries[:, 0], summaries[:, 1:]
+        unbroken = spans <= BROKEN * np.median(spans)
+        ranges = np.ptp(features, axis=0)
+        features = (features - features.min(axis=0)) / np.where(ranges > 0.0, ranges, 1.0)
+        parts = [part[unbroken[part]] for part in np.array_split(np.arange(len(starts)), self.count)]
         parts = [part for part in parts if len(part)]
         chosen = sorted({int(parts[0][0]), int(parts[-1][-1])})
         for part in parts[1:-1]:
-            apart = np.min(np.linalg.norm(shapes[part][:, None] - shapes[chosen][None], axis=2), axis=1)
-            chosen.append(int(part[np.argmax(apart)]))
+            distances = np.min(np.linalg.norm(features[part][:, None] - features[chosen][None], axis=2), axis=1)
+            chosen.append(int(part[np.argmax(distances)]))
         return [(int(start), int(start) + self.length) for start in starts[sorted(chosen)]]
 
-    def _seen(self, start: int) -> Array:
-        """How long a stretch takes, and mean and root mean square of current and speed in it."""
+    def _summary(self, start: int) -> Array:
+        """Return the duration of a stretch, and mean and root mean square of current and speed in it."""
         stop = start + self.length
         stamps = self.values("time", start, stop)
         summary = [stamps[-1] - stamps[0]]
         for values in self._moving(start, stop, stamps):
-            good = values[np.isfinite(values)]
-            summary += [float(np.mean(good)), float(np.sqrt(np.mean(good**2)))] if len(good) else [0.0, 0.0]
+            finite = values[np.isfinite(values)]
+            summary += [float(np.mean(finite)), float(np.sqrt(np.mean(finite**2)))] if len(finite) else [0.0, 0.0]
         return np.asarray(summary, np.float64)
 
     def _moving(self, start: int, stop: int, stamps: Array) -> Iterator[Array]:
-        """Current and speed, or what stands for them; an angle as its change."""
+        """Yield current and speed of some rows, or the channels that replace them; an angle as its rate."""
         for wanted in (CURRENTS, SPEEDS):
-            spec = self._first(wanted)
+            spec = self._first_of(wanted)
             if spec is not None:
                 values = self.values(spec.name, start, stop)
                 yield turned(values, stamps) if spec.quantity.startswith("angle") else values
 
-    def _first(self, wanted: Sequence[str]) -> ChannelSpec | None:
+    def _first_of(self, quantities: Sequence[str]) -> ChannelSpec | None:
         specs = {spec.quantity: spec for spec in reversed(self.run.streams[self.stream]) if spec.role == "test"}
-        return next((specs[quantity] for quantity in wanted if quantity in specs), None)
+        return next((specs[quantity] for quantity in quantities if quantity in specs), None)
 
     def driven(self, edges: Array) -> dict[str, Array]:
-        """Mean and mean square of the current, and mean square of the speed, over the interval from each edge on."""
+        """Return mean and mean square of the current and mean square of the speed in the interval after each edge."""
         sums: dict[str, Array] = {}
         counts: dict[str, Array] = {}
         rows = self.rows
-        current, speed = self._first(CURRENTS[:1]), self._first(SPEEDS[:2])
-        for first, stop in blocks(rows, 1):
-            stamps = self.values("time", first, stop)
-            place = np.searchsorted(edges, stamps, side="right") - 1
+        current, speed = self._first_of(CURRENTS[:1]), self._first_of(SPEEDS[:2])
+        for start, stop in blocks(rows, 1):
+            stamps = self.values("time", start, stop)
+            interval_of_row = np.searchsorted(edges, stamps, side="right") - 1
             powers: dict[str, Array] = {}
             if current is not None:
-                flowing = self.values(current.name, first, stop)
-                powers = {"current_mean": flowing, "current_squared": flowing**2}
+                currents = self.values(current.name, start, stop)
+                powers = {"current_mean": currents, "current_squared": currents**2}
             if speed is not None:
-                turning = self.values(speed.name, first, stop)
+                speeds = self.values(speed.name, start, stop)
                 if speed.quantity == "angle":
-                    turning = turned(turning, stamps)
-                powers["speed_squared"] = turning**2
+                    speeds = turned(speeds, stamps)
+                powers["speed_squared"] = speeds**2
             for name, values in powers.items():
-                good = np.isfinite(values) & (place >= 0)
-                at = place[good]
+                counted = np.isfinite(values) & (interval_of_row >= 0)
+                intervals = interval_of_row[counted]
                 sums[name] = sums.get(name, np.zeros(len(edges))) + np.bincount(
-                    at, weights=values[good], minlength=len(edges)
+                    intervals, weights=values[counted], minlength=len(edges)
                 )
-                counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(at, minlength=len(edges))
+                counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(intervals, minlength=len(edges))
         return {name: bridged(total, counts[name]) for name, total in sums.items()}
 
     def told(self, stretches: Sequence[Record]) -> str:
-        """How much of the run is looked at, for a person."""
-        lasts = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
-        each, share = self.interval * self.length, 100.0 * len(stretches) * self.length / self.rows
-        unrecorded = lasts - self.interval * (self.rows - 1)
+        """Return the note that says how much of the run is read."""
+        duration = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
+        stretch_duration, share = self.interval * self.length, 100.0 * len(stretches) * self.length / self.rows
+        unrecorded = duration - self.interval * (self.rows - 1)
         # stamps rounded to a few digits put the usual interval off by a share: that is no pause
         paused = (
-            f"; its clock jumps or it pauses: {unrecorded:.4g} s of it have no rows" if unrecorded > lasts / 2 else ""
+            f"; its clock jumps or it pauses: {unrecorded:.4g} s of it have no rows"
+            if unrecorded > duration / 2
+            else ""
         )
         return (
-            f"{self.run.path.name}: {len(stretches)} stretches of {each:.3g} s of a run of {lasts:.6g} s are looked at"
-            f" ({share:.2g} % of its rows), temperatures and what heats from end to end{paused}"
+            f"{self.run.path.name}: {len(stretches)} stretches of {stretch_duration:.3g} s of a run of {duration:.6g} s"
+            f" are looked at ({share:.2g} % of its rows), temperatures and what heats from end to end{paused}"
         )
 
 
 def turned(angle: Array, stamps: Array) -> Array:
-    """Speed of an angle, at the mean pace of its stamps."""
+    """Return the smoothed speed of an angle, at the mean interval of its stamps."""
     if len(angle) < 2:
         return np.zeros(len(angle))
     return np.asarray(smooth(np.gradient(angle)) * (len(angle) - 1) / (stamps[-1] - stamps[0]), np.float64)
 
 
 def bridged(sums: Array, counts: Array) -> Array:
-    """Means, those of nothing taken in between."""
-    there = np.flatnonzero(counts > 0)
-    if len(there) == 0:
+    """Divide sums by counts, and interpolate where a count is zero."""
+    known = np.flatnonzero(counts > 0)
+    if len(known) == 0:
         return np.zeros(len(sums))
-    return np.interp(np.arange(len(sums)), there, sums[there] / counts[there])
+    return np.interp(np.arange(len(sums)), known, sums[known] / counts[known])

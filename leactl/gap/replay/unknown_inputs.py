@@ -1,4 +1,4 @@
-"""Where a replay says nothing: what drives it was not measured there, and a straight line stands for it."""
+"""Find the samples where a replay is unknown: its input was not measured there but interpolated."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ MOST_TOLD = 5  # stretches of a channel that a note gives
 
 
 def unmeasured(job: Job, key: Key) -> Mask:
-    """Samples at which a channel is taken in between over more than the usual reach."""
+    """Return the samples at which a channel is interpolated over more than the usual reach."""
     if key not in job.clock.between:
         return np.zeros(len(job.clock.time), bool)
     stamps = job.clock.between[key][0]
@@ -21,7 +21,7 @@ def unmeasured(job: Job, key: Key) -> Mask:
 
 
 def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
-    """Each channel that drives a replay, with the samples at which it is unmeasured."""
+    """Yield each channel that drives a replay, with the samples at which it is unmeasured."""
     clock = job.clock
     if job.by_servo:
         keys = [("angle_reference", "test")]
@@ -30,8 +30,8 @@ def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
     elif job.current is not None:
         keys = [("q_axis_current_reference", "test"), ("q_axis_current", "test")]
     else:
-        told = "torque_reference" if clock.get("torque_reference") is not None else "torque"
-        keys = [(told, "test")] if logged_torque(job) is not None else []
+        quantity = "torque_reference" if clock.get("torque_reference") is not None else "torque"
+        keys = [(quantity, "test")] if logged_torque(job) is not None else []
     present = [key for key in keys if key in clock.values]
     if len(present) > 1:  # where the drive follows no reference, the measured current drives the replay
         reference, current = present
@@ -43,9 +43,9 @@ def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
 
 
 def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
-    """Samples at which a replay says nothing, and a note for each channel that is missing there.
+    """Return the samples at which a replay is unknown, and a note for each channel that is missing there.
 
-    A motion that starts again is unknown until its next start, and so is one that starts where it was not measured.
+    A motion that restarts is unknown from there until its next start, and from a start that was not measured.
     """
     clock = job.clock
     unknown = np.zeros(len(clock.time), bool)
@@ -69,8 +69,8 @@ def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
 
 
 def intervals(job: Job, missing: Mask) -> str:
-    """The stretches of some samples, for a person."""
+    """Return the time stretches of some samples as text."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.intp), [0]]))).reshape(-1, 2)
     time = job.clock.time
-    told = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_TOLD]]
-    return ", ".join(told) + (f" and in {len(edges) - MOST_TOLD} more stretches" if len(edges) > MOST_TOLD else "")
+    texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_TOLD]]
+    return ", ".join(texts) + (f" and in {len(edges) - MOST_TOLD} more stretches" if len(edges) > MOST_TOLD else "")

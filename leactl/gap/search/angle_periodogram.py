@@ -1,7 +1,7 @@
-"""Which orders of the angle stand out: a periodogram of what torque equations leave over, over whole turns.
+"""Search orders of the angle: a periodogram over whole turns of the residuals of torque equations.
 
-Every order is tried against the same residual, so that the strongest must beat what the strongest of as many orders of
-noise would reach; the caller accounts for that by the number tried.
+Every order is tried against the same residual, so that the strongest has to exceed the maximum of as many orders of
+noise; the caller accounts for that by the number tried.
 """
 
 import math
@@ -17,14 +17,14 @@ from leactl.gap.signals.smoothing import BASE
 
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
-CREEP_WIDTH = 1.0  # samples, smoothing of an axis that creeps
-FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
-PERIODS = 2.0  # that a run must travel through before a wave is more than a bend
+CREEP_WIDTH = 1.0  # samples, smoothing of a creeping axis
+FINEST = 0.35  # cycles a sample beyond which smoothing removes a column
+PERIODS = 2.0  # fewest periods in a run that distinguish a wave from a bend
 APART = 1  # orders this close to a stronger one are its leakage
 
 
 def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
-    """The strongest orders of every periodic effect against the residual of a fit."""
+    """Return the `count` strongest orders of every periodic effect in the residual of a fit."""
     candidates: list[Candidate] = []
     for effect in library().values():
         if not effect.periodic:
@@ -34,41 +34,43 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
         open_orders = np.arange(high + 1) >= low
         for index, rows in enumerate(stacked.rows):
             if rows.equation in TORQUE and turns(rows, effect.periodic):
-                left = residuals(stacked, fit, index)
-                power += weights[index] * periodogram(rows, left, effect.periodic, high)
+                residual = residuals(stacked, fit, index)
+                power += weights[index] * periodogram(rows, residual, effect.periodic, high)
                 if "creep" in rows.signals.extra:
-                    creeps.append((rows, left, weights[index]))
+                    creeps.append((rows, residual, weights[index]))
         for _ in range(count):
             order = int(np.argmax(power * open_orders))
             if not open_orders[order] or power[order] <= 0.0:
                 break
             candidates.append((effect.name, (float(order),)))
-            for place, (rows, left, weight) in enumerate(creeps):
-                # an axis dwells where it holds best: unevenly over the angle, so that strong orders show in others
-                rest = without(rows, left, order)
-                change = periodogram(rows, rest, effect.periodic, high) - periodogram(rows, left, effect.periodic, high)
+            for creep, (rows, residual, weight) in enumerate(creeps):
+                # a creeping axis dwells unevenly over the angle, so that a strong order leaks into others
+                remaining = without(rows, residual, order)
+                change = periodogram(rows, remaining, effect.periodic, high) - periodogram(
+                    rows, residual, effect.periodic, high
+                )
                 power += weight * change
-                creeps[place] = (rows, rest, weight)
+                creeps[creep] = (rows, remaining, weight)
             open_orders[max(order - APART, 0) : order + APART + 1] = False
     return candidates
 
 
 def turns(rows: Rows, place: str) -> bool:
-    """Whether rows have an angle to be periodic in, and the current that a ripple goes with."""
+    """Return whether rows have an angle, and the current if the effect is a ripple of the torque."""
     signals = rows.signals
     return signals.angle is not None and (place != "torque_factor" or signals.current is not None)
 
 
-def without(rows: Rows, left: Array, order: int) -> Array:
-    """A residual without what one order of the angle explains of it."""
+def without(rows: Rows, residual: Array, order: int) -> Array:
+    """Return a residual without its part at one order of the angle."""
     assert rows.signals.angle is not None
-    turned = order * rows.signals.angle[rows.index]
-    waves = np.stack([np.cos(turned), np.sin(turned)], axis=1)
-    return np.asarray(left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0], np.float64)
+    phase = order * rows.signals.angle[rows.index]
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    return np.asarray(residual - waves @ np.linalg.lstsq(waves, residual, rcond=None)[0], np.float64)
 
 
-def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
-    """Squares that sine and cosine of each order take from a residual, orders 0 to the highest."""
+def periodogram(rows: Rows, residual: Array, place: str, highest: int) -> Array:
+    """Return the squares of a residual that a wave of each order explains, orders 0 to the highest."""
     signals = rows.signals
     assert signals.angle is not None and signals.velocity is not None
     angle, speed = signals.angle[rows.index], np.abs(signals.velocity[rows.index])
@@ -79,23 +81,23 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
     width = math.hypot(BASE, rows.width)
     if "creep" in signals.extra:
-        # it steps and rests: the pace of the whole run says more than that of a moment
+        # a creeping axis steps and rests: the mean speed of the run counts
         cycles, width = np.full_like(cycles, np.mean(cycles)), CREEP_WIDTH
     turn = np.exp(1j * angle)
     wave = np.ones_like(turn)
-    out = np.zeros(highest + 1)
+    powers = np.zeros(highest + 1)
     lowest = PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
     for order in range(1, highest + 1):
         wave = wave * turn
         if order < lowest:
             continue
         rate = order * cycles
-        seen = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
-        power = seen**2
+        visibility = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
+        power = visibility**2
         if float(power.sum()) ** 2 < FEWEST_ROWS * float(power @ power):
             continue  # too few rows are slow enough to show it
-        gain = size * seen
+        gain = size * visibility
         energy = float(np.sum(gain**2)) / 2.0
         if energy > 1e-12:
-            out[order] = abs(np.sum(left * gain * wave)) ** 2 / (2.0 * energy)
-    return out
+            powers[order] = abs(np.sum(residual * gain * wave)) ** 2 / (2.0 * energy)
+    return powers

@@ -1,7 +1,7 @@
-"""Runs and a nominal model made into one regression with the columns of every effect in it.
+"""One regression over runs and a nominal model, with the columns of every effect, and its weights.
 
-Noise is taken from what a hypothesis leaves over, pooled over runs of one kind; rows that depend on their neighbours
-count for less, so that no number of samples makes up for a model that is only roughly right.
+Noise is estimated from the residuals of a hypothesis, pooled over runs of one kind. Correlated rows count for less, so
+that no number of samples makes up for a model that is only roughly right.
 """
 
 import math
@@ -48,7 +48,7 @@ PRIORS = {
     "bench.shaft_stiffness": 0.08,
     "load.viscous_damping": 0.4,
     "load.coulomb_friction": 0.4,
-    # a feedforward is a fit: what it leaves out moves its parameters by as much as they are
+    # a feedforward is a fit: its parameters absorb what it leaves out, and may be off by as much as their value
     "feedforward.kS": 1.0,
     "feedforward.kV": 1.0,
     "feedforward.kA": 1.0,
@@ -60,54 +60,55 @@ PRIORS = {
     "thermal.housing_capacitance": 0.2,
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
+# effects that cannot be fitted where no back-EMF determines the torque constant
 GAINS = (
     "torque_sensor_gain",
     "current_sensor_gain",
-)  # not to be asked where no back-EMF tells the torque constant
-READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
-MOST_MOVED = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
-MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
-CORRECTED = 0.3  # of a parameter, the largest such error that is taken away: beyond it, the runs hardly show it
-PINNED = 1e-4  # prior of a torque constant that nothing tells
-ROUNDED = 0.5  # of a sound machine's noise, in squares, that rounding has to make for all of it to be known
-NEGLIGIBLE = 0.05  # of the smallest size worth knowing, below which an effect is none
+)
+READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # torque sensors; without them the constant is held
+MOST_MOVED = 1.0  # largest change of an identifiable parameter in fits to sound machines, over its prior
+MISSED = 0.2  # share of a common bias of fits to sound machines that remains uncertain once it is corrected
+CORRECTED = 0.3  # largest relative bias of a parameter that is corrected: beyond it, the runs hardly show the parameter
+PINNED = 1e-4  # prior of a torque constant that no channel determines
+ROUNDED = 0.5  # smallest share of a sound machine's noise power due to rounding for the noise to be known
+NEGLIGIBLE = 0.05  # share of the smallest size worth knowing below which an effect is none
 NO_CORRELATION = 0.02
 FEW_LAGS = 6
-ORDERS_TRIED = 3  # of each periodic effect
+ORDERS_TRIED = 3  # orders added for each periodic effect
 
 
 @dataclass(frozen=True)
 class Null:
-    """What sound machines show in the place of effects and model errors."""
+    """Values fitted to sound machines, which have no effect: floors of effects, equations and parameters."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
-    left: Mapping[tuple[str, str], float]  # variance of the rows, times how many of them count for one
+    left: Mapping[tuple[str, str], float]  # by equation and kind: variance of the rows, times rows per independent row
     white: Mapping[tuple[str, str], float]  # by equation and run: variance of the rows' noise from one to the next
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
-    alike: Mapping[str, Sequence[float]]  # those that all machines show in common, where there are several
-    errors: Mapping[str, Sequence[float]]  # and their standard errors there
-    lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
-    moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
-    unidentifiable: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
-    kept: tuple[str, ...]  # and those of them that no fit may move
+    alike: Mapping[str, Sequence[float]]  # sizes that all machines have in common; empty for one machine
+    errors: Mapping[str, Sequence[float]]  # standard errors of the sizes
+    lines: Mapping[tuple[str, str, str], float]  # height of the highest line in the residuals of each channel
+    moved: Mapping[str, tuple[float, float]]  # by parameter: mean and scatter of its relative change
+    unidentifiable: tuple[str, ...]  # parameters that these runs do not determine
+    kept: tuple[str, ...]  # those of them that no fit may move
 
     def bias(self, parameter: str) -> float:
-        """Relative change of a parameter that fits to sound machines show alike, as far as it can be taken away."""
+        """Return the mean relative change of a parameter in fits to sound machines; zero if it is above `CORRECTED`."""
         bias = self.moved.get(parameter, (0.0, 0.0))[0]
         return bias if abs(bias) <= CORRECTED else 0.0
 
     def doubt(self, parameter: str) -> float:
-        """Standard deviation of a parameter's relative change once its bias is taken away."""
+        """Return the standard deviation of a parameter's relative change once its bias is corrected."""
         return error_of(*self.moved.get(parameter, (0.0, 0.0)))
 
 
 def error_of(bias: float, scatter: float) -> float:
-    """What is left in doubt of a relative change by a known bias, taken away where it can be, and a scatter."""
+    """Return the uncertainty of a relative change from a bias, corrected where it is small enough, and a scatter."""
     return math.hypot(MISSED * bias if abs(bias) <= CORRECTED else bias, scatter)
 
 
 class Evidence:
-    """All equations of all runs, and the weights that a hypothesis gives them."""
+    """All equations of all runs as one regression, with the weights that a hypothesis gives them."""
 
     def __init__(
         self,
@@ -119,20 +120,26 @@ class Evidence:
     ) -> None:
         self.model, self.records = model, list(records)
         self.null: Null | None = None
-        self.worth_knowing = worth_knowing(records, model)  # smallest size of each effect that is
-        self.by_form: dict[str, Sequence[float]] = {}  # size of each effect that sound machines show in its forms
+        self.worth_knowing = worth_knowing(records, model)  # smallest relevant size by effect
+        self.by_form: dict[str, Sequence[float]] = {}  # floor of each effect by form, from sound machines
         self.lines: Mapping[tuple[str, str, str], float] = {}
-        self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
+        self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters held at the model's value
         self.forms, self.travel = forms_here(records, model), widest(records)
         self.visited = visited(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
-        self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
+        self._made: list[tuple[list[Equation], list[Rows]]] = []  # by run: equations, and the rows of each
         for record in records:
             built = equations(record, model)
             rows = make_rows(record.run, record.kind, built, self.candidates)
-            pairs = [(bare(equation), own) for equation, own in zip(built, rows, strict=True) if own is not None]
-            self._made.append(([equation for equation, _ in pairs], [own for _, own in pairs]))
+            pairs = [
+                (bare(equation), rows_of_equation)
+                for equation, rows_of_equation in zip(built, rows, strict=True)
+                if rows_of_equation is not None
+            ]
+            self._made.append(
+                ([equation for equation, _ in pairs], [rows_of_equation for _, rows_of_equation in pairs])
+            )
         made = self._rows()
         self.priors = dict(PRIORS)
         names = {rows.equation for rows in made}
@@ -145,7 +152,7 @@ class Evidence:
         self.weigh_as_usual()
         if on_time is None:
             on_time = overdue(self.stack, self.settle([])) if made else ()
-        self.on_time = tuple(on_time)  # equations one side of which is later than stamps can be
+        self.on_time = tuple(on_time)  # equations with a delay beyond what stamps can explain
         if self.on_time:
             put_on_time(self.stack.rows, self.on_time)
             self.stack = stack(self.stack.rows, self.priors)
@@ -156,16 +163,16 @@ class Evidence:
         return [rows for _, made in self._made for rows in made]
 
     def weigh_as_usual(self, sound: bool = False) -> None:
-        """Take the noise that shows from row to row, with what a sound model usually leaves beside it.
+        """Set the usual weights: noise from row to row, and the dependence of a sound model's residuals.
 
-        sound : whether that noise is a sound machine's where it has less.
+        sound : whether the noise is a sound machine's where that is lower.
         """
         for rows in self.stack.rows:
             rows.noise = self.sound_white(rows) if sound else rows.white
             rows.dependence = self.expected(rows, rows.noise)
 
     def compare_with(self, null: Null) -> None:
-        """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
+        """Set floors, lines and held parameters from the null of these runs."""
         self.null, self.lines = null, null.lines
         self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
         self.kept, self.unidentifiable = null.kept, null.unidentifiable
@@ -174,43 +181,43 @@ class Evidence:
         self.weigh_as_usual()
 
     def floors_of(self, effect: str, sizes: Sequence[float]) -> list[float]:
-        """Floors by form: sizes by noise, at least what sound machines show in common.
+        """Return the floors of an effect by form: the sizes by noise, at least the size sound machines have in common.
 
-        A form that some sound machine does not show takes the floor of the nearest form that all of them show.
+        A form that some sound machine does not show gets the floor of the nearest form that all of them show.
         """
         assert self.null is not None
         forms, alike = self.forms.get(effect, ()), self.null.alike.get(effect) or [0.0] * len(sizes)
-        if len(forms) != len(sizes) or len(alike) != len(sizes):  # periodic: one floor for all orders; or other forms
+        if len(forms) != len(sizes) or len(alike) != len(sizes):  # a periodic effect has one floor for all orders
             return list(sizes)
         floors = [max(pair) for pair in zip(sizes, alike, strict=True)]
-        seen = [place for place, error in enumerate(self.null.errors[effect]) if error < math.inf]
-        if not seen:
+        shown = [index for index, error in enumerate(self.null.errors[effect]) if error < math.inf]
+        if not shown:
             return floors
-        seen_forms = [forms[place] for place in seen]
+        seen_forms = [forms[index] for index in shown]
         return [
-            floor if place in seen else floors[seen[nearest(seen_forms, forms[place])]]
-            for place, floor in enumerate(floors)
+            floor if index in shown else floors[shown[nearest(seen_forms, forms[index])]]
+            for index, floor in enumerate(floors)
         ]
 
     def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate], model: Model | None = None) -> "Evidence":
-        """Evidence of other runs for some effects, with what is known of the model and of sound machines from these.
+        """Return the evidence of other runs for some effects, with the floors, forms and held parameters of this one.
 
-        model : in the place of this one, where its columns are to be made of other parameters.
+        model : model to make the columns of, where it is not this one.
         """
-        other = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
+        evidence = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
         if self.null is not None:
-            other.compare_with(self.null)
-        other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
-        other.form_spread = dict(self.form_spread)
-        return other
+            evidence.compare_with(self.null)
+        evidence.forms, evidence.by_form, evidence.worth_knowing = self.forms, self.by_form, self.worth_knowing
+        evidence.form_spread = dict(self.form_spread)
+        return evidence
 
     def expected(self, rows: Rows, white: float | None = None) -> float:
-        """The unrest that a sound machine shows in some rows.
+        """Return the unrest that a sound machine has in some rows, at least one.
 
-        Sound machines tell it as a ratio to their own noise from row to row, and as a variance: where the case has less
-        noise than they, what its equations miss is as large and stands out more.
+        Sound machines give it as a ratio to their own noise from row to row, and as a variance: a case with less noise
+        has model errors of the same size, which stand out more.
 
-        white : noise from row to row that the unrest is a ratio to; the rows' own where left out.
+        white : noise from row to row that the unrest is relative to; by default that of the rows.
         """
         if self.null is None:
             return 1.0
@@ -218,36 +225,36 @@ class Evidence:
         return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / (white or rows.white) ** 2)
 
     def sound_white(self, rows: Rows) -> float:
-        """Noise of rows from one to the next as a sound machine has it, where most of that is a channel's rounding.
+        """Return the noise from row to row: a sound machine's where rounding makes most of it, else that of the rows.
 
-        What swings within a few rows passes for noise by itself. How much rounding leaves is known; how much noise a
-        machine makes beside that of its channels is not, so that where other noise prevails the rows' own counts.
+        A residual that swings within a few rows passes for noise. The noise of rounding is known, that of a machine is
+        not: where other noise prevails, the noise of the rows counts.
         """
         sound = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
         return min(rows.white, math.sqrt(sound)) if rows.rounding**2 > ROUNDED * sound > 0.0 else rows.white
 
     def is_judged(self, rows: Rows) -> bool:
-        """Whether what is left over of some rows tells anything: it is known what a sound machine leaves there."""
+        """Return whether the residual of some rows can be judged: whether a sound machine's residual there is known."""
         return not rows.rough and (self.null is None or (rows.equation, rows.kind) in self.null.unrest)
 
     def tells_nothing_of(self, parameter: str) -> bool:
-        """Whether these runs cannot tell a parameter of the model: sound machines move it, or no fit may."""
+        """Return whether these runs do not determine a parameter of the model, or every fit holds it."""
         return parameter in self.unidentifiable or self.priors.get(parameter) == PINNED
 
     def floor(self, candidate: Candidate) -> float:
-        """Size below which one form of an effect is model error, or too small to be one.
+        """Return the size below which one form of an effect is model error, or negligible.
 
-        Sound machines show it in the form next to it. What they cannot show, since one author wrote them and the
-        equations, is left out of account up to a small share of the smallest size worth knowing.
+        It is the floor of the nearest form, at least `NEGLIGIBLE` of the smallest size worth knowing: sound machines
+        cannot show errors that they share with the equations.
         """
         effect, form = candidate
-        shown, least = self.by_form.get(effect), NEGLIGIBLE * self.worth_knowing.get(effect, 0.0)
-        if not shown:
+        floors, least = self.by_form.get(effect), NEGLIGIBLE * self.worth_knowing.get(effect, 0.0)
+        if not floors:
             return least
-        return max(least, shown[nearest(self.forms[effect], form) if len(shown) > 1 else 0])
+        return max(least, floors[nearest(self.forms[effect], form) if len(floors) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
-        """Take further forms of effects into the regression."""
+        """Add further forms of effects to the regression."""
         fresh = [c for c in candidates if c not in self.candidates]
         if not fresh:
             return
@@ -259,39 +266,39 @@ class Evidence:
 
     @property
     def weights(self) -> list[float]:
-        """Of each rows: one over its noise variance, for as many rows as are independent."""
+        """Weight of each group of rows: one over its noise variance, for as many rows as are independent."""
         return [
             1.0 / (rows.noise**2 * max(rows.dependence, len(rows.left_over) / rows.levels)) for rows in self.stack.rows
         ]
 
     def normal(self) -> Normal:
-        """Normal equations under the present weights."""
+        """Return the normal equations under the present weights."""
         return Normal(self.stack, self.weights)
 
     def weigh(self, fit: Fit) -> None:
-        """Take noise and dependence from what a fit leaves over."""
+        """Estimate noise and dependence of the rows from the residuals of a fit."""
         pools: dict[tuple[str, str], list[tuple[Array, Rows]]] = {}
         for index, rows in enumerate(self.stack.rows):
             pools.setdefault((rows.equation, rows.kind), []).append((residuals(self.stack, fit, index), rows))
         for pool in pools.values():
-            noise = float(np.sqrt(np.mean(np.concatenate([left for left, _ in pool]) ** 2)))
-            dependence = float(np.mean([rows_per_independent(left, rows.memory) for left, rows in pool]))
+            noise = float(np.sqrt(np.mean(np.concatenate([residual for residual, _ in pool]) ** 2)))
+            dependence = float(np.mean([rows_per_independent(residual, rows.memory) for residual, rows in pool]))
             for _, rows in pool:
                 rows.noise, rows.dependence = max(noise, 1e-12), dependence
 
     def unrest(self) -> dict[tuple[str, str], float]:
-        """Power under the present noise over that from row to row, as many rows as count for one; by equation and kind.
+        """Return the unrest by equation and kind: residual power over row-to-row noise power, times the dependence.
 
-        Where every row is right but for noise it is about one.
+        It is about one where white noise makes all of the residual.
         """
         return self._mean_of(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
 
     def white(self) -> dict[tuple[str, str], float]:
-        """Variance of the rows' noise from one to the next, by equation and run."""
+        """Return the variance of the noise from row to row, by equation and run."""
         return {(rows.equation, rows.run): rows.white**2 for rows in self.stack.rows}
 
     def left(self) -> dict[tuple[str, str], float]:
-        """Variance of rows under the present noise, times as many rows as count for one; by equation and kind."""
+        """Return the residual variance times the rows per independent row, by equation and kind."""
         return self._mean_of(lambda rows: rows.noise**2 * rows.dependence)
 
     def _mean_of(self, of_rows: Callable[[Rows], float]) -> dict[tuple[str, str], float]:
@@ -301,12 +308,12 @@ class Evidence:
         return {key: float(np.mean(values)) for key, values in by_kind.items()}
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
-        """By equation whose channels' stamps are not told: weights of neighbouring samples that a fit gives them."""
+        """Return the fitted weights of neighbouring samples, by equation with channels of unknown stamps."""
         return {equation: weights for equation, (weights, _) in stamping(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
-        """Fit a hypothesis and the noise it leaves, by turns."""
-        # begin as if the hypothesis were right: from the noise that another left, a fit may not find the way
+        """Fit a hypothesis and its residual noise in turns."""
+        # start from the usual noise: from the noise of another hypothesis, a fit may not find the solution
         self.weigh_as_usual()
         fit = self.normal().fit(hypothesis)
         for _ in range(rounds):
@@ -315,41 +322,41 @@ class Evidence:
         return fit
 
     def surprise(self) -> float:
-        """Twice the negative log likelihood under the present noise, up to a constant: small where all is explained."""
+        """Return twice the negative log likelihood under the present noise, up to a constant."""
         total = 0.0
         for rows in self.stack.rows:
             total += len(rows.left_over) / rows.dependence * np.log(rows.noise**2)
         return float(total)
 
     def columns(self, candidate: Candidate) -> npt.NDArray[np.intp]:
-        """Where the columns of one form of an effect stand; empty where no run shows it."""
+        """Return the positions of the columns of one form of an effect; empty where no run shows it."""
         form = ("effect", candidate[0], repr(candidate[1]))
-        places = [place for name, place in self.stack.place.items() if name[:3] == form]
-        return np.asarray(sorted(places), np.intp)
+        positions = [position for name, position in self.stack.place.items() if name[:3] == form]
+        return np.asarray(sorted(positions), np.intp)
 
     def coefficient(self, place: int) -> str:
-        """Name of the coefficient of an effect's column."""
+        """Return the name of the coefficient of an effect's column."""
         name: Column = self.stack.names[place]
         return name[3]
 
 
-def rows_per_independent(left: Array, memory: int = MEMORY) -> float:
-    """How many neighbouring rows carry the information of one, from their autocorrelation (Bartlett, 1946).
+def rows_per_independent(residual: Array, memory: int = MEMORY) -> float:
+    """Return the number of rows per independent row, from their autocorrelation (Bartlett, 1946).
 
-    memory : rows, within which one may depend on another.
+    memory : rows within which one may depend on another.
     """
-    left = left - left.mean()
-    power = float(left @ left)
-    if power == 0.0 or len(left) < 8:
+    residual = residual - residual.mean()
+    power = float(residual @ residual)
+    if power == 0.0 or len(residual) < 8:
         return 1.0
-    longest = min(memory, len(left) // 4)
+    longest = min(memory, len(residual) // 4)
     total = 1.0
     for lag in range(1, longest):
-        if lag == FEW_LAGS:  # beyond a few, all at once costs less than one by one
-            rest = correlations(left, longest)[lag:] / power
-            ends = np.flatnonzero(rest <= NO_CORRELATION)
-            return max(total + 2.0 * float(rest[: ends[0] if len(ends) else None].sum()), 1.0)
-        correlation = float(left[lag:] @ left[:-lag]) / power
+        if lag == FEW_LAGS:  # beyond a few lags, one transform for all costs less
+            later_correlations = correlations(residual, longest)[lag:] / power
+            ends = np.flatnonzero(later_correlations <= NO_CORRELATION)
+            return max(total + 2.0 * float(later_correlations[: ends[0] if len(ends) else None].sum()), 1.0)
+        correlation = float(residual[lag:] @ residual[:-lag]) / power
         if correlation <= NO_CORRELATION:
             break
         total += 2.0 * correlation
@@ -357,31 +364,37 @@ def rows_per_independent(left: Array, memory: int = MEMORY) -> float:
 
 
 def correlations(values: Array, lags: int) -> Array:
-    """Sums of products with what comes so many rows later, from none on."""
+    """Return the autocorrelation sums of values at lags 0 to `lags` - 1."""
     size = next_fast_len(len(values) + lags, real=True)
     spectrum = rfft(values, size)
     return np.asarray(irfft(spectrum * np.conj(spectrum), size)[:lags], np.float64)
 
 
 def unscaled(names: set[str]) -> bool:
-    """Whether torques are balanced against each other alone: zero of everything would satisfy that too."""
+    """Return whether the equations only balance torques against each other: all zero would satisfy them, too."""
     return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
 
 
 def forms_here(records: Sequence[Record], model: Model) -> dict[str, list[Form]]:
-    """Forms of every effect that a model of this kind can lack, at the scales of the machine and these runs."""
-    own = form_scales(records, model)
-    return {effect.name: effect.forms_at(own) for effect in library().values() if effect.applies(model)}
+    """Return the forms of every effect that applies to a model, at the scales of the machine and these runs."""
+    scales = form_scales(records, model)
+    return {effect.name: effect.forms_at(scales) for effect in library().values() if effect.applies(model)}
 
 
 def nearest(forms: Sequence[Form], form: Form) -> int:
-    """Which of several forms lies next to one, by the ratios of their numbers."""
-    apart = [
-        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(other, form, strict=True)) for other in forms
+    """Return the index of the form nearest to one, by relative differences of their numbers."""
+    distances = [
+        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(candidate, form, strict=True))
+        for candidate in forms
     ]
-    return int(np.argmin(apart))
+    return int(np.argmin(distances))
 
 
 def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:
-    """Every form of every effect that does not wait for an order to be found."""
-    return [(name, form) for name, several in forms.items() if not library()[name].periodic for form in several]
+    """Return every form of every effect that is not periodic; orders are searched by a periodogram."""
+    return [
+        (name, form)
+        for name, forms_of_effect in forms.items()
+        if not library()[name].periodic
+        for form in forms_of_effect
+    ]

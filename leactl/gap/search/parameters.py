@@ -1,4 +1,4 @@
-"""Fitted coefficients as parameters of a model: what calibration makes of the nominal model, and its uncertainty."""
+"""Turn fitted coefficients into parameters of a model and of effects, with their uncertainties."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ RECIPROCAL = (
     "thermal.housing_ambient_resistance",
     "bench.shaft_stiffness",
 )
-"""Parameters whose reciprocal is what the equations are linear in."""
+"""Parameters in whose reciprocal the equations are linear."""
 MODEL_ERROR = {
     "phase_resistance": 6e-5,
     "phase_inductance": 7e-3,
@@ -35,10 +35,10 @@ MODEL_ERROR = {
     "thermal.winding_capacitance": 3.6e-3,
     "thermal.housing_capacitance": 8e-4,
 }
-"""Relative error of a parameter that the discretised equations leave, beside noise."""
-SMALLEST = 0.05  # of a parameter's nominal value, or one over that of a reciprocal: no fit goes beyond
+"""Relative error of a parameter from the discretised equations, in addition to noise."""
+SMALLEST = 0.05  # smallest ratio of fitted to nominal value, and reciprocal of the largest for reciprocal parameters
 LEAST_MODEL_ERROR = 5e-5
-UNSHOWN = 0.01  # change by which a parameter is tried of which no run shows how far it may change
+UNSHOWN = 0.01  # step of the derivative along a change whose variance is infinite
 UNITS = {
     "phase_resistance": "ohm",
     "phase_inductance": "H",
@@ -64,11 +64,11 @@ UNITS = {
 
 
 def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
-    """The nominal model's parameters as a fit has them."""
+    """Return the calibrated parameters of the nominal model under a fit."""
     parameters = []
     normal = evidence.normal()
-    for index, place in enumerate(fit.columns):
-        name = evidence.stack.names[place]
+    for index, column in enumerate(fit.columns):
+        name = evidence.stack.names[column]
         if name[0] != "calibration":
             continue
         parameter, change = name[1], float(fit.values[index])
@@ -77,7 +77,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
         bias = 0.0
-        if evidence.null is not None:  # acceleration that is smoothed against noise makes every inertia smaller
+        if evidence.null is not None:  # smoothing the acceleration biases every inertia low
             bias, std = evidence.null.bias(parameter), math.hypot(std, evidence.null.doubt(parameter))
         nominal = nominal_value(evidence.model, parameter)
         if nominal is None:
@@ -87,24 +87,32 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             parameters.append(CalibratedParameter(parameter, nominal, offset, std, UNITS[parameter]))
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
-        fitted, off = factor_of(parameter, change), factor_of(parameter, bias)
-        factor, slope = fitted / off, (fitted**2 if parameter in RECIPROCAL else 1.0) / off
+        fitted_factor, bias_factor = factor_of(parameter, change), factor_of(parameter, bias)
+        factor, slope = (
+            fitted_factor / bias_factor,
+            (fitted_factor**2 if parameter in RECIPROCAL else 1.0) / bias_factor,
+        )
         units = UNITS.get(parameter, "")
         parameters.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
         if parameter == "torque_constant" and evidence.model.back_emf_constant is not None:
             constant = evidence.model.back_emf_constant
-            other = "back_emf_constant"
-            parameters.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
+            back_emf = "back_emf_constant"
+            parameters.append(
+                CalibratedParameter(back_emf, constant, constant * factor, constant * std, UNITS[back_emf])
+            )
     return tuple(parameters)
 
 
 def factor_of(parameter: str, change: float) -> float:
-    """What a relative change that a fit found multiplies a parameter by."""
+    """Return the factor on a parameter for a fitted relative change."""
     return 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
 
 
 def kept_as_nominal(model: Model, parameter: str) -> list[CalibratedParameter]:
-    """A parameter that no run tells, as the model has it, with the error that is usual; a back-EMF constant with it."""
+    """Return an undetermined parameter at its nominal value, with its prior as error.
+
+    The back-EMF constant comes with the torque constant.
+    """
     names = [parameter, *(["back_emf_constant"] if parameter == "torque_constant" else [])]
     values = [(name, nominal_value(model, name)) for name in names]
     return [
@@ -115,9 +123,9 @@ def kept_as_nominal(model: Model, parameter: str) -> list[CalibratedParameter]:
 
 
 def at_bound(item: CalibratedParameter) -> bool:
-    """Whether a fit went as far as it may: the data want more than this parameter can give.
+    """Return whether a fit ended at the bound of a parameter: the data ask for a larger change than is allowed.
 
-    A feedforward is a fit itself, whose kS and kA may hold all that it left out: no share of these is a bound.
+    A feedforward is a fit itself, and its kS and kA may contain all that it leaves out: they have no bound.
     """
     if item.parameter == "ambient_offset":
         return abs(item.fitted) >= MOST_OFFSET
@@ -128,78 +136,78 @@ def at_bound(item: CalibratedParameter) -> bool:
 
 
 def nominal_value(model: Model, parameter: str) -> float | None:
-    """A parameter of the model by its dotted name; the load's start from the test actuator's."""
+    """Return a parameter of the model by its dotted name; the load's default to the test actuator's."""
     if parameter.startswith("load.") and getattr(model.load, parameter.removeprefix("load."), None) is None:
         parameter = parameter.removeprefix("load.")
-    at: Any = model
+    value: Any = model
     for part in parameter.split("."):
-        at = getattr(at, part, None)
-        if at is None:
+        value = getattr(value, part, None)
+        if value is None:
             return None
-    return float(at)
+    return float(value)
 
 
 def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) -> Model:
-    """The model with fitted parameters."""
+    """Return the model with fitted parameters."""
     document = as_mapping(model)
     for item in parameters:
-        at = document
-        *path, last = item.parameter.split(".")
+        section = document
+        *path, entry = item.parameter.split(".")
         for part in path:
-            at = at.setdefault(part, {})
-        at[last] = item.fitted
+            section = section.setdefault(part, {})
+        section[entry] = item.fitted
     return Model.model_validate(document)
 
 
 def with_effects(model: Model, effects: Sequence[tuple[str, Mapping[str, float]]]) -> Model:
-    """The model with effects added to those it has."""
+    """Return the model with effects added to those it has."""
     added = [EffectEntry(effect=name, parameters=dict(values)) for name, values in effects]
     return model.model_copy(update={"effects": [*model.effects, *added]})
 
 
 def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> float:
-    """Ratio of fitted to nominal friction, or what else an effect is a share of, in the rows that show the effect.
+    """Return the ratio of fitted to nominal value of the parameters that an effect is a share of, as friction.
 
-    Each of several parameters is weighted by the product of its column with the sum of all their columns.
+    Only rows that show the effect count. Each of several parameters is weighted by the product of its column with the
+    sum of all their columns.
     """
     stack, parameters = evidence.stack, library()[candidate[0]].relative_to
-    shown = evidence.columns(candidate)
-    changes = {place: float(value) for place, value in zip(fit.columns.tolist(), fit.values, strict=True)}
-    bases = [stack.place[name] for p in parameters if (name := ("calibration", p)) in stack.place]
+    effect_columns = evidence.columns(candidate)
+    changes = {column: float(value) for column, value in zip(fit.columns.tolist(), fit.values, strict=True)}
+    base_columns = [stack.place[name] for p in parameters if (name := ("calibration", p)) in stack.place]
     nominal = fitted = 0.0
     for gram, local, weight in zip(stack.grams, stack.local, evidence.weights, strict=True):
-        own = [place for place in bases if place in local]
-        if not own or not np.isin(shown, local).any():
+        local_bases = [column for column in base_columns if column in local]
+        if not local_bases or not np.isin(effect_columns, local).any():
             continue
-        at = [1 + int(np.flatnonzero(local == place)[0]) for place in own]
-        power = weight * gram[np.ix_(at, at)].sum(axis=1)
+        positions = [1 + int(np.flatnonzero(local == column)[0]) for column in local_bases]
+        power = weight * gram[np.ix_(positions, positions)].sum(axis=1)
         nominal += float(power.sum())
-        fitted += float(power @ [1.0 + changes.get(place, 0.0) for place in own])
+        fitted += float(power @ [1.0 + changes.get(column, 0.0) for column in local_bases])
     return fitted / nominal if nominal > 0.0 and fitted > 0.0 else 1.0
 
 
 def about(evidence: Evidence, fit: Fit, candidate: Candidate) -> Candidate:
-    """An effect in the form about which its columns are made next, once it was fitted."""
+    """Return a fitted effect in the form about which its columns are linearised next."""
     name, form = candidate
     values = dict(zip(fit.columns.tolist(), fit.values.tolist(), strict=True))
-    coefficients = {evidence.coefficient(place): values[place] for place in evidence.columns(candidate)}
+    coefficients = {evidence.coefficient(column): values[column] for column in evidence.columns(candidate)}
     return name, library()[name].about(form, coefficients)
 
 
 def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tuple[EffectParameter, ...]:
-    """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation.
+    """Return the parameters of one effect of a fitted hypothesis, with standard errors by linear propagation.
 
-    Shares of a parameter of the model are told of its fitted value: a model file holds both. The error of a size holds
-    what sound machines show of the effect beside noise. Errors of coefficients and of what the effect is not linear in,
-    such as a frequency, are taken for independent of each other; runs that lie further apart about the effect than
-    their noise says widen both.
+    Shares of a model parameter refer to its fitted value, since a model file holds both. The error of a size includes
+    the floor from sound machines in addition to noise. Errors of coefficients and of non-linear parameters, such as a
+    frequency, are taken as independent; a disagreement of runs beyond their noise widens both.
     """
     name, form = candidate
-    places = [int(np.flatnonzero(fit.columns == place)[0]) for place in evidence.columns(candidate)]
-    names = [evidence.coefficient(place) for place in evidence.columns(candidate)]
+    positions = [int(np.flatnonzero(fit.columns == position)[0]) for position in evidence.columns(candidate)]
+    names = [evidence.coefficient(position) for position in evidence.columns(candidate)]
     normal = evidence.normal()
-    apart = max((disagreement(normal, fit, place) for place in places), default=1.0) ** 2
-    values, spread = fit.values[places], apart * fit.covariance[np.ix_(places, places)]
+    widening = max((disagreement(normal, fit, position) for position in positions), default=1.0) ** 2
+    values, spread = fit.values[positions], widening * fit.covariance[np.ix_(positions, positions)]
     effect, model = library()[name], evidence.model
     size = effect.size(form, dict(zip(names, values.tolist(), strict=True)), model)
     if size > 0.0:
@@ -210,45 +218,48 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     def with_form(numbers: Sequence[float], coefficients: Array) -> dict[str, float]:
         return effect.parameters(tuple(numbers), dict(zip(names, coefficients.tolist(), strict=True)), model)
 
-    def at(logs: Array) -> dict[str, float]:
+    def with_logs(logs: Array) -> dict[str, float]:
         return with_form([*(form[: len(logs)] * np.exp(logs)), *form[len(logs) :]], values)
 
-    here, units = with_form(form, values), effect_definition(name).parameters
-    variances = propagated(here, lambda change: with_form(form, values + change), spread)
+    parameters, units = with_form(form, values), effect_definition(name).parameters
+    variances = propagated(parameters, lambda change: with_form(form, values + change), spread)
     refined = evidence.form_spread.get(candidate)
     if refined is not None:
-        free = apart * refined
-        far = np.diag(free) > math.log(SMALLEST) ** 2  # no run shows a number that may be off by that
-        free[far, far] = math.inf
-        of_form = propagated(here, at, free)
-        variances = {key: variances[key] + of_form[key] for key in here}
-    late = stamps_late(evidence, candidate)
+        form_covariance = widening * refined
+        # an error of this size means that no run shows the number
+        undetermined = np.diag(form_covariance) > math.log(SMALLEST) ** 2
+        form_covariance[undetermined, undetermined] = math.inf
+        form_variances = propagated(parameters, with_logs, form_covariance)
+        variances = {key: variances[key] + form_variances[key] for key in parameters}
+    stamp_error = stamps_late(evidence, candidate)
     return tuple(
         EffectParameter(
             key,
             value,
-            math.hypot(math.sqrt(variances[key]), late if units[key].units == "s" else 0.0),
+            math.hypot(math.sqrt(variances[key]), stamp_error if units[key].units == "s" else 0.0),
             model.units_of(units[key].units),
         )
-        for key, value in here.items()
+        for key, value in parameters.items()
     )
 
 
-def propagated(here: Mapping[str, float], at: Callable[[Array], dict[str, float]], spread: Array) -> dict[str, float]:
-    """Variance of each parameter, to first order; infinite where it goes with a change that no run shows.
+def propagated(
+    parameters: Mapping[str, float], parameters_after: Callable[[Array], dict[str, float]], covariance: Array
+) -> dict[str, float]:
+    """Return the variance of each parameter to first order; infinite if it depends on a change that no run shows.
 
-    at : gives the parameters after a change.
-    spread : covariance of the changes.
+    parameters_after : returns the parameters after a change.
+    covariance : covariance of the changes.
     """
-    steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    shown = np.isfinite(spread).all(axis=1)
-    slopes = {key: np.zeros(len(spread)) for key in here}
+    steps = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    shown = np.isfinite(covariance).all(axis=1)
+    slopes = {key: np.zeros(len(covariance)) for key in parameters}
     for k, step in enumerate(np.where(shown, steps, UNSHOWN)):
         if step > 0.0:
-            there = at(step * np.eye(len(spread))[k])
-            for key in here:
-                slopes[key][k] = (there[key] - here[key]) / step
-    finite = spread[np.ix_(shown, shown)]
+            moved = parameters_after(step * np.eye(len(covariance))[k])
+            for key in parameters:
+                slopes[key][k] = (moved[key] - parameters[key]) / step
+    finite = covariance[np.ix_(shown, shown)]
     return {
         key: math.inf if slope[~shown].any() else max(float(slope[shown] @ finite @ slope[shown]), 0.0)
         for key, slope in slopes.items()
@@ -256,14 +267,14 @@ def propagated(here: Mapping[str, float], at: Callable[[Array], dict[str, float]
 
 
 def stamps_late(evidence: Evidence, candidate: Candidate) -> float:
-    """Standard deviation [s] of what stamps that no file explains add to an effect's delay; zero where they are told.
+    """Return the standard deviation [s] that stamps of unknown meaning add to an effect's delay; zero for known stamps.
 
-    Below what they may add no delay is named; above, how much of it is theirs no run tells.
+    Stamps and a delay of the machine cannot be separated; a delay below what stamps may add is not named.
     """
     effect, form = candidate
-    late = [
+    errors = [
         LATE_STD * rows.signals.interval
         for rows in evidence.stack.rows
         if rows.equation in evidence.on_time and any(name[1:3] == (effect, repr(form)) for name in rows.columns)
     ]
-    return max(late, default=0.0)
+    return max(errors, default=0.0)

@@ -1,8 +1,8 @@
-"""Whether what a set of effects leaves over rings: a line in its spectrum that noise and a sound model do not have.
+"""Find ringing: lines in the spectrum of the residuals that noise and a sound model do not have.
 
-A part that swings on the bench, a loop that oscillates or a hum leaves little power, so that sums of squares hardly
-see it, but leaves it at one frequency. Spectra of all runs are averaged (Welch, 1967) and each bin is compared with its
-neighbours, which needs no reference: smoothing and slow model errors bend a spectrum, they put no line in it.
+A swinging part of the bench, an oscillating loop or hum has little power, so that sums of squares hardly show it, but
+has it at one frequency. Spectra of all runs are averaged (Welch, 1967) and each bin is compared with its neighbours.
+That needs no reference: smoothing and slow model errors bend a spectrum but make no line.
 """
 
 import math
@@ -18,76 +18,79 @@ from leactl.gap.search.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
 SEGMENT = 64  # rows
-FULL = 0.6  # of a segment's rows that must be there
-NEIGHBOURS = 5  # bins to either side, the next one left out
+FULL = 0.6  # smallest share of a segment's rows that are valid
+NEIGHBOURS = 5  # bins on either side, without the adjacent one
 LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unrest` sees what is slow
-STEADY = 0.05  # of a speed, by which it varies where it is not steady
+STEADY = 0.05  # largest relative variation of a steady speed
 FEWEST = 8  # segments
-DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
-COMMANDED = 3  # samples to either side, in which a command makes a current
-LEAP, AROUND = 6.0, 7  # of a moving command's usual bend, that is a leap, and samples around it that are not heard
-STILL = 1e-6  # of a command's greatest bend, up to which it stands
-COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
+DEVIATIONS = 3.0  # standard deviations of a mean spectrum that chance is allowed
+COMMANDED = 3  # samples on either side over which a command determines a current
+LEAP, AROUND = 6.0, 7  # bend of a leap, over a moving command's usual bend, and samples around it that are left out
+STILL = 1e-6  # share of a command's largest bend up to which the command is constant
+COLOURLESS = 10.0  # largest usual unrest with which the spectrum is even enough to show a line
 
 
 @dataclass(frozen=True)
 class Line:
     """The highest line of a spectrum."""
 
-    height: float  # over its neighbourhood, less what chance gives it, in units of what a sound machine shows
+    height: float  # ratio to its neighbourhood, less chance, in units of a sound machine's
     frequency: float  # Hz
 
 
-def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[str, str, str], Line]:
-    """The highest line of what a fit leaves over in each channel, of the rows that are to be heard.
+def ringing(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dict[tuple[str, str, str], Line]:
+    """Return the highest spectral line of the residuals of a fit in each channel.
 
     Keys are equation, quantity and mechanical set-up. Channels with too few rows are left out.
+
+    searched : by group of rows, whether it takes part.
     """
     spectra: dict[tuple[str, str, str], list[Array]] = {}
     rates: dict[tuple[str, str, str], float] = {}
     for index, rows in enumerate(evidence.stack.rows):
-        if not heard[index] or not evidence.is_judged(rows) or len(rows.index) < SEGMENT:
+        if not searched[index] or not evidence.is_judged(rows) or len(rows.index) < SEGMENT:
             continue
         if evidence.expected(rows) > COLOURLESS:
             continue
-        left = uncommanded(rows, residuals(evidence.stack, fit, index)) / rows.white
+        residual = uncommanded(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))
-        place = (rows.index - rows.index[0]) // step
-        even = np.full(place[-1] + 1, np.nan)
-        even[place] = np.where(steady(rows, place) | by_counts(rows), np.nan, left)
+        grid_index = (rows.index - rows.index[0]) // step
+        on_grid = np.full(grid_index[-1] + 1, np.nan)
+        on_grid[grid_index] = np.where(steady(rows, grid_index) | by_counts(rows), np.nan, residual)
         key = (rows.equation, rows.quantity, rows.mechanical)
         rates[key] = 1.0 / (step * rows.signals.interval)
-        spectra.setdefault(key, []).extend(periodograms(even))
+        spectra.setdefault(key, []).extend(periodograms(on_grid))
     lines = {}
     for key, spectrum in spectra.items():
         if len(spectrum) >= FEWEST:
-            at, height = highest_line(spectrum)
-            lines[key] = Line(height / max(evidence.lines.get(key, 1.0), 1.0), at * rates[key] / SEGMENT)
+            bin_index, height = highest_line(spectrum)
+            lines[key] = Line(height / max(evidence.lines.get(key, 1.0), 1.0), bin_index * rates[key] / SEGMENT)
     return lines
 
 
-def steady(rows: Rows, place: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Rows around which the speed stays as it is: an encoder's counts come in a rhythm there."""
+def steady(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Return the rows around which the speed is constant: encoder counts make lines there."""
     if rows.signals.velocity is None:
-        return np.zeros(len(place), bool)
+        return np.zeros(len(grid_index), bool)
     speed = rows.signals.velocity[rows.index]
     reach = SEGMENT // 4
-    first, last = (np.searchsorted(place, place + side * reach) for side in (-1, 1))
-    count = np.maximum(last - first, 1)
+    begin, end = (np.searchsorted(grid_index, grid_index + side * reach) for side in (-1, 1))
+    count = np.maximum(end - begin, 1)
     sums, squares = (np.concatenate([[0.0], np.cumsum(part)]) for part in (speed, speed**2))
-    mean = (sums[last] - sums[first]) / count
-    spread = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
+    mean = (sums[end] - sums[begin]) / count
+    spread = np.sqrt(np.maximum((squares[end] - squares[begin]) / count - mean**2, 0.0))
     return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
 
 
-def uncommanded(rows: Rows, left: Array) -> Array:
-    """What a current leaves over beyond what its command makes of it within a few samples; NaN where that leaps.
+def uncommanded(rows: Rows, residual: Array) -> Array:
+    """Return the residual of a current without the part that follows its command; NaN around leaps of the command.
 
-    A loop, a stamp or a reference between two samples that is a little off leaves the command's own lines.
+    A slightly wrong loop, stamp or reference between two samples leaves the command's own lines. Other equations keep
+    their residual.
     """
     following = rows.signals.following
     if rows.equation != "current" or following is None:
-        return left
+        return residual
     bend = np.zeros(len(following))
     bend[1:-1] = np.abs(np.diff(following, 2))
     moving = bend[bend > STILL * np.max(bend, initial=0.0)]
@@ -95,12 +98,12 @@ def uncommanded(rows: Rows, left: Array) -> Array:
     calm = ~leaps[rows.index]
     lags = [following[np.clip(rows.index + lag, 0, len(following) - 1)] for lag in range(-COMMANDED, COMMANDED + 1)]
     table = np.stack(lags, axis=1)
-    known = np.linalg.lstsq(table[calm], left[calm], rcond=None)[0]
-    return np.where(calm, left - table @ known, np.nan)
+    weights = np.linalg.lstsq(table[calm], residual[calm], rcond=None)[0]
+    return np.where(calm, residual - table @ weights, np.nan)
 
 
 def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
-    """Rows of speed in which a shaft moves by single counts of its encoder, which have a rhythm of their own."""
+    """Return the rows of a velocity equation in which the shaft moves by less than one encoder count a sample."""
     signals = rows.signals
     if signals.velocity is None or rows.quantity != "velocity":
         return np.zeros(len(rows.index), bool)
@@ -108,34 +111,40 @@ def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
 
 
 def periodograms(values: Array) -> list[Array]:
-    """Power of half-overlapping segments under a Hann window; missing values (NaN) count as nothing."""
+    """Return the power of half-overlapping segments under a Hann window; missing values (NaN) count as zero."""
     window, powers = np.hanning(SEGMENT), []
     for start in range(0, len(values) - SEGMENT + 1, SEGMENT // 2):
         part = values[start : start + SEGMENT]
-        there = np.isfinite(part)
-        if there.mean() >= FULL:
-            power = np.abs(np.fft.rfft(np.where(there, part, 0.0) * window)) ** 2
-            powers.append(power / np.sum((window * there) ** 2))
+        finite = np.isfinite(part)
+        if finite.mean() >= FULL:
+            power = np.abs(np.fft.rfft(np.where(finite, part, 0.0) * window)) ** 2
+            powers.append(power / np.sum((window * finite) ** 2))
     return powers
 
 
 def highest_line(spectra: Sequence[Array]) -> tuple[int, float]:
-    """The highest bin of the mean of periodograms, and how high it stands less what chance gives it.
+    """Return the highest bin of the mean of periodograms, and its height less what chance gives it.
 
-    Each periodogram counts in its own median power, else a loud run of few segments would be all that is heard.
+    Each periodogram is divided by its median power: else a loud run of few segments would dominate.
     """
-    own = [power / level for power in spectra if (level := float(np.median(power))) > 0.0]
-    if not own:
+    relative_powers = [power / level for power in spectra if (level := float(np.median(power))) > 0.0]
+    if not relative_powers:
         return 0, 0.0
-    at, over = highest_bin(np.mean(own, axis=0))
-    return at, over * (1.0 - DEVIATIONS / math.sqrt(len(own)))
+    bin_index, ratio = highest_bin(np.mean(relative_powers, axis=0))
+    return bin_index, ratio * (1.0 - DEVIATIONS / math.sqrt(len(relative_powers)))
 
 
 def highest_bin(power: Array) -> tuple[int, float]:
-    """The bin that stands highest over the medians of its neighbours on either side; a slope alone makes no line."""
-    over = np.zeros(len(power))
-    for at in range(LOWEST, len(power) - 2):
-        below, above = power[max(1, at - NEIGHBOURS) : at - 1], power[at + 2 : at + NEIGHBOURS + 1]
+    """Return the bin with the highest ratio to its neighbours, and the ratio.
+
+    The larger of the medians on either side counts, so that a slope makes no line.
+    """
+    ratios = np.zeros(len(power))
+    for bin_index in range(LOWEST, len(power) - 2):
+        below, above = (
+            power[max(1, bin_index - NEIGHBOURS) : bin_index - 1],
+            power[bin_index + 2 : bin_index + NEIGHBOURS + 1],
+        )
         around = max(float(np.median(below)), float(np.median(above)))
-        over[at] = power[at] / around if around > 0.0 else 0.0  # nothing is known of the noise beside it
-    return int(np.argmax(over)), float(np.max(over))
+        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # the noise around it is not known
+    return int(np.argmax(ratios)), float(np.max(ratios))

@@ -1,8 +1,9 @@
-"""Small sets of effects searched over Gram matrices: which effects, in which form, leave least over.
+"""Search for a small set of effects, each in one form, that leaves the smallest residual; works on Gram matrices.
 
-A step adds the effect whose columns take most away beyond what recalibration can imitate, then every member is tried
-against every other effect with the rest held, so that an early wrong choice is taken back. What an effect must reach
-is measured against the size that sound machines in the place of the case give it (`leactl.gap.null`).
+A step adds the effect whose columns reduce the misfit most beyond what recalibration can imitate. Then every member is
+tried against every other effect with the other members held, so that an early wrong choice is corrected. The size an
+effect must reach is measured against the size that sound machines simulated through the same runs give it
+(`leactl.gap.null`).
 """
 
 import math
@@ -23,45 +24,45 @@ from leactl.gap.search.stamp_fit import delay_of_stamps
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-MOST = 3  # effects in a set
-ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
-SAME = 1e-3  # of twice a log likelihood, by which fits are alike
-EXCHANGES = 4
-MOVES = 4  # of a form, at each of some steps:
-FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # of the grid's ratio, on a logarithmic scale
+MOST = 3  # largest number of effects in a set
+ENTRY = 3.2  # smallest size of an effect that enters a set, over its floor and uncertainty
+SAME = 1e-3  # difference of twice a log likelihood below which two fits are equally good
+EXCHANGES = 4  # most rounds of exchanging members
+MOVES = 4  # most moves of a form at each step size
+FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # step sizes as shares of the grid's ratio, on a logarithmic scale
 SCANNED = 8  # trials from one value of a narrow effect's grid to the next
-ALIKE = 2.0  # weighted squares, by which forms may differ that nothing tells apart
-NOISE_ROUNDS = (2, 0)  # times that the noise is taken from what a set leaves over; 0 keeps the usual noise
-SHORTLIST = 4
-USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
-WHOLE_ROUNDS = 2
+ALIKE = 2.0  # difference in weighted squares below which forms cannot be told apart
+NOISE_ROUNDS = (2, 0)  # rounds of estimating the noise from a set's residuals; 0 keeps the usual noise
+SHORTLIST = 4  # most candidates of one ranking that are fitted
+USUAL_SPREAD = 2.0  # largest residual power that counts as usual, in units of a sound machine's noise power
+WHOLE_ROUNDS = 2  # rounds of bringing shaped effects to their whole form
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
-OVERTONES = (2.0, 3.0)  # multiples of an order that a machine's wave has beside it
-LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
-TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
-RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
-CLOSE = 10.0  # times how far apart gains may be (`apart`), within which a rival's gain is close
-UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
-FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own forms may miss; 17 % of the amplitude
-ERROR_ELSEWHERE = 0.01  # the same over variables in which none of it acts
-BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
+OVERTONES = (2.0, 3.0)  # multiples of its order that a machine's wave also contains
+LOOSE, LOOSE_ERROR = 0.8, 0.1  # `explains` below which columns count as loose, and the form error of such an effect
+TIE = 1e-6  # share of its gain that the unusual one of two effects with equal columns loses; far above rounding
+RIVAL_FORM_ERROR = 0.005  # standard deviation, as a share of the gain, of the difference of two nearly right forms
+CLOSE = 10.0  # multiple of `apart` within which a rival's gain is close
+UNSHOWN = 0.05  # prior odds of a spring whose rest position no run passes, against an effect of constant direction
+FORM_ERROR = 0.03  # share of the explained squares that a set's forms may miss; 17 % of the amplitude
+ERROR_ELSEWHERE = 0.01  # `FORM_ERROR` for an effect that acts over other variables
+BEYOND = 2.0  # largest size met, over an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
-SHAPE = (0.3, 3.0)  # how much of a shape may be there: neighbours in a grid stand 2.1 times apart at most
+SHAPE = (0.3, 3.0)  # range of a shaped effect's fitted strength: neighbouring grid values are at most 2.1 times apart
 
 
 @dataclass(frozen=True)
 class FurtherEffect:
-    """One effect beyond a base hypothesis."""
+    """One effect fitted in addition to a base hypothesis."""
 
     candidate: Candidate
-    gain: float  # weighted squares that it takes away
+    gain: float  # weighted squares by which it lowers the misfit
     size: float  # in units of its leading parameter
     std: float
     values: tuple[float, ...]
     names: tuple[str, ...]
     covariance: Array
-    floor: float  # size that a sound machine gives it
-    by_chance: float = 0.0  # square of it in standard errors, by which the best of the orders tried is larger by noise
+    floor: float  # size fitted to a sound machine, which has no effect
+    by_chance: float = 0.0  # squared standard errors by which noise raises the best of the orders tried
 
     @property
     def effect(self) -> str:
@@ -70,7 +71,7 @@ class FurtherEffect:
 
     @property
     def directed(self) -> Array:
-        """Signed size; of a wave, a vector (cos, sin) with that length."""
+        """Signed size; for a wave, the vector (cos, sin) whose length is the size."""
         return self._scale * np.asarray(self.values)[leading_of(self.names)]
 
     @property
@@ -81,13 +82,13 @@ class FurtherEffect:
 
     @property
     def _scale(self) -> float:
-        """Size over the length of the leading coefficients."""
-        own = np.asarray(self.values)[leading_of(self.names)]
-        return self.size / max(float(np.linalg.norm(own)), 1e-300)
+        """Ratio of the size to the length of the vector of leading coefficients."""
+        leading_values = np.asarray(self.values)[leading_of(self.names)]
+        return self.size / max(float(np.linalg.norm(leading_values)), 1e-300)
 
     @property
     def height(self) -> float:
-        """Size, beyond what the best of many has by noise, over what noise and model error alone would give it."""
+        """Ratio of the size, less what noise gives the best of many orders, to the error and floor in quadrature."""
         beyond = math.sqrt(max(self.size**2 - self.by_chance * self.std**2, 0.0))
         return beyond / math.hypot(self.std, self.floor)
 
@@ -100,15 +101,19 @@ def finding(
     whole: bool = False,
     free: bool = False,
 ) -> FurtherEffect | None:
-    """What one form of an effect takes away beyond a base.
+    """Fit one form of an effect in addition to a base; return None where the fit is no possible effect.
 
-    None where no run shows it, where its sign makes no sense, and where its whole interval is beyond the range in which
-    the effect is met: what would have to be so large is something else. A free one may have any sign and size.
+    That is where no run shows the form, where the sign is impossible, and where the whole interval of the size lies
+    beyond the range in which the effect is met: so large a residual has another cause.
+
+    base : columns of the base hypothesis.
+    whole : whether a shaped effect counts at full strength, not at the fitted share of it.
+    free : whether any sign and size is accepted.
     """
-    added = evidence.columns(candidate)
-    if len(added) == 0:
+    columns = evidence.columns(candidate)
+    if len(columns) == 0:
         return None
-    gain, values, covariance = gain_of(normal, base, added)
+    gain, values, covariance = gain_of(normal, base, columns)
     effect = library()[candidate[0]]
     if not effect.is_usual(evidence.travel):
         gain *= 1.0 - TIE
@@ -117,8 +122,8 @@ def finding(
     if effect.shaped and not (covariance[0, 0] < SHAPE[1] ** 2 and (free or SHAPE[0] < values[0] < SHAPE[1])):
         return None
     if effect.shaped and whole:
-        gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
-    names = tuple(evidence.coefficient(place) for place in added)
+        gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # at strength 1, not at the fitted one
+    names = tuple(evidence.coefficient(column) for column in columns)
     coefficients = dict(zip(names, values.tolist(), strict=True))
     if not free and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
         gain -= behind(gain)
@@ -126,14 +131,14 @@ def finding(
         coefficients[names[0]] = min(abs(coefficients[names[0]]), SHAPE[1])
     size = effect.size(candidate[1], coefficients, evidence.model)
     leading = leading_of(names)
-    own, spread = values[leading], covariance[np.ix_(leading, leading)]
-    length = max(float(np.linalg.norm(own)), 1e-300)
-    if not (np.isfinite(own).all() and np.isfinite(spread).all()):
+    leading_values, leading_covariance = values[leading], covariance[np.ix_(leading, leading)]
+    length = max(float(np.linalg.norm(leading_values)), 1e-300)
+    if not (np.isfinite(leading_values).all() and np.isfinite(leading_covariance).all()):
         return None
-    direction = own / length
-    std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
+    direction = leading_values / length
+    std = size / length * math.sqrt(max(float(direction @ leading_covariance @ direction), 0.0))
     floor = evidence.floor(candidate)
-    if effect.delays:  # a delay within what stamps may be is no effect, however surely it is there
+    if effect.delays:  # a delay within the uncertainty of stamps is no effect, however significant
         floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
     result = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
@@ -141,22 +146,22 @@ def finding(
 
 
 def leading_of(names: Sequence[str]) -> list[int]:
-    """Places of the coefficients that tell an effect's size: both of a wave, else the first."""
+    """Return the positions of the coefficients that define an effect's size: both of a wave, else the first."""
     return [k for k, name in enumerate(names) if name in WAVE] or [0]
 
 
 def apart(gain: float) -> float:
-    """How far apart the gains of two effects may be by noise and by what their forms miss."""
+    """Return the difference of two effects' gains that noise and inexact forms explain."""
     return 1.0 + RIVAL_FORM_ERROR * gain
 
 
 def behind(gain: float) -> float:
-    """How far an effect stands behind its gain that the runs show as a constant torque only: by prior odds."""
+    """Return the gain that an effect loses by prior odds where the runs show it only as a constant torque."""
     return -2.0 * apart(gain) * math.log(UNSHOWN)
 
 
 def by_themselves(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
-    """Every effect by itself, whatever its sign, in each form that is tried; None in forms that no run shows."""
+    """Fit every effect alone, with any sign, in each form of the grid; None for forms that no run shows."""
     normal, base = evidence.normal(), evidence.stack.columns_of([])
     tried: dict[str, list[FurtherEffect | None]] = {}
     for candidate in evidence.candidates:
@@ -165,12 +170,12 @@ def by_themselves(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
 
 
 def sizes_by_chance(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
-    """Size of an effect beyond what noise explains, in each form that is tried; empty where nothing is gained.
+    """Return the size of an effect beyond noise in each form of the grid; empty where no form gains.
 
-    It is measured in the form that takes most away and told in the others by their standard errors: a form that the
-    runs hardly show is large where one that they show well is small. Of a periodic effect the best order stands for
-    all. The best of many forms is larger by noise than one: the largest of n squares of unit variance is about
-    1 + 2 ln n.
+    The size is measured in the form with the largest gain and scaled to the other forms by their standard errors: a
+    form that the runs hardly show is large where one that they show well is small. A periodic effect has one size, that
+    of its best order. Noise makes the best of many forms larger than a single one: the largest of n squares of unit
+    variance is about 1 + 2 ln n.
     """
     effect = library()[name]
     best = max((item for item in items if item is not None), key=lambda item: item.gain, default=None)
@@ -185,36 +190,39 @@ def sizes_by_chance(name: str, items: Sequence[FurtherEffect | None]) -> list[fl
 
 
 def standard_errors(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
-    """Standard error of an effect in each form that is tried, infinite where no run shows one; of orders the least."""
+    """Return the standard error of an effect by form, infinite where no run shows it; of a periodic one the least."""
     stds = [math.inf if item is None else item.std for item in items]
     return [min(stds)] if library()[name].periodic else stds
 
 
 def is_possible(evidence: Evidence, item: FurtherEffect) -> bool:
-    """Whether an effect is met in such a size; nothing is said against what noise alone would give."""
+    """Return whether an effect is met in the fitted size; a wave within noise is always possible."""
     if is_beyond_range(item) or item.size + INTERVAL * item.std < library()[item.effect].least:
         return False
-    places = evidence.columns(item.candidate)
-    return item.height <= ENTRY or not outweighs(evidence.stack, places, np.asarray(item.values))
+    columns = evidence.columns(item.candidate)
+    return item.height <= ENTRY or not outweighs(evidence.stack, columns, np.asarray(item.values))
 
 
 def is_beyond_range(item: FurtherEffect) -> bool:
-    """Whether the whole interval of an effect's size is beyond the range in which the effect is met."""
+    """Return whether the whole interval of an effect's size lies beyond the range in which the effect is met."""
     return item.size - INTERVAL * item.std > BEYOND * effect_definition(item.effect).largest
 
 
-def outweighs(stack: Stack, added: npt.NDArray[np.intp], values: Array) -> bool:
-    """Whether a wave over the angle is higher than all other parts of an equation together.
+def outweighs(stack: Stack, columns: npt.NDArray[np.intp], values: Array) -> bool:
+    """Return whether a wave over the angle is larger than all other parts of an equation together.
 
-    Where the shaft hardly turns, what is seen of such a wave is a line, which something else makes.
+    Where the shaft hardly turns, such a wave is a straight line over the angle, and another cause makes it.
     """
-    if not all(stack.names[place][3] in WAVE for place in added):
+    if not all(stack.names[column][3] in WAVE for column in columns):
         return False
     for gram, local in zip(stack.grams, stack.local, strict=True):
-        touched = 1 + np.flatnonzero(np.isin(local, added))
-        parts = [0, *(1 + k for k, place in enumerate(local) if stack.names[place][0] == "calibration")]
+        wave_parts = 1 + np.flatnonzero(np.isin(local, columns))
+        other_parts = [0, *(1 + k for k, column in enumerate(local) if stack.names[column][0] == "calibration")]
         power = np.diag(gram)
-        if len(parts) > 1 and values @ values * power[touched].sum() / 2.0 > np.sqrt(power[parts]).sum() ** 2:
+        if (
+            len(other_parts) > 1
+            and values @ values * power[wave_parts].sum() / 2.0 > np.sqrt(power[other_parts]).sum() ** 2
+        ):
             return True
     return False
 
@@ -222,53 +230,63 @@ def outweighs(stack: Stack, added: npt.NDArray[np.intp], values: Array) -> bool:
 def best_of_each(
     evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], whole: bool = False
 ) -> list[FurtherEffect]:
-    """The best form of every effect beyond a hypothesis, by gain, largest first."""
+    """Fit every effect that is not in a hypothesis in addition to it; return the best form of each, by falling gain."""
     base = evidence.stack.columns_of(hypothesis)
-    taken = {effect for effect, _ in hypothesis}
+    effects_in_set = {effect for effect, _ in hypothesis}
     best: dict[str, FurtherEffect] = {}
     for candidate in evidence.candidates:
-        if candidate[0] in taken:
+        if candidate[0] in effects_in_set:
             continue
-        shown = finding(evidence, normal, base, candidate, whole)
-        if shown is not None and (candidate[0] not in best or shown.gain > best[candidate[0]].gain):
-            best[candidate[0]] = shown
+        further = finding(evidence, normal, base, candidate, whole)
+        if further is not None and (candidate[0] not in best or further.gain > best[candidate[0]].gain):
+            best[candidate[0]] = further
     return sorted(best.values(), key=lambda item: -item.gain)
 
 
 @dataclass
 class EffectSet:
-    """The set that a search ended with."""
+    """Set of effects that a search ended with, and how well it explains each group of rows."""
 
     hypothesis: list[Candidate]
-    members: list[FurtherEffect]  # each beyond the others
-    rivals: list[list[FurtherEffect]]  # for each member: every effect in its place, itself among them
-    rest: list[FurtherEffect]  # what would come next
+    members: list[FurtherEffect]  # each fitted in addition to the other members
+    rivals: list[list[FurtherEffect]]  # for each member: itself, then every effect fitted in its place
+    rest: list[FurtherEffect]  # effects fitted in addition to the whole set, by falling gain
     fit: Fit
-    taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away, with its overtones,
-    left: list[float]  # and what is left there beyond usual noise
-    moved: list[list[float]]  # for each member, of each rows: misfit that leaving it out moves, either way
-    missed: dict[Candidate, float]  # squares that the free forms of members and their close rivals explain further
+    taken: list[float]  # by group of rows: weighted squares under usual noise explained by the set and its overtones
+    left: list[float]  # by group of rows: weighted squares that remain beyond usual noise
+    moved: list[list[float]]  # by member and group of rows: absolute change of the misfit without the member
+    missed: dict[Candidate, float]  # squares that free forms of members and close rivals explain in addition
 
     def explained(self, evidence: Evidence, index: int) -> float:
-        """Share of what calibration leaves beyond usual noise that the whole set takes away, where a member acts.
+        """Return the share of the calibrated residual beyond usual noise that the set explains where a member acts.
 
-        The smaller of two: in the rows that its columns touch, and in those whose misfit it moves. An effect that only
-        balances a sound channel against one that nothing explains is owed to what is missing there.
+        It is the smaller of two shares: over the rows that hold a column of the member, and over the rows whose misfit
+        the member changes. An effect that only balances a sound channel against an unexplained one compensates for
+        what is missing there.
         """
         candidate = self.members[index].candidate
-        gone = shared_with(evidence, candidate, self.taken)
-        touched = gone / (gone + shared_with(evidence, candidate, self.left)) if gone > 0.0 else 0.0
-        return min(touched, self._explained_where_moved(evidence, self.moved[index]))
+        squares_taken = shared_with(evidence, candidate, self.taken)
+        share_where_touched = (
+            squares_taken / (squares_taken + shared_with(evidence, candidate, self.left))
+            if squares_taken > 0.0
+            else 0.0
+        )
+        return min(share_where_touched, self._explained_where_moved(evidence, self.moved[index]))
 
     def _explained_where_moved(self, evidence: Evidence, moved: Sequence[float]) -> float:
-        taken: dict[tuple[str, str], float] = {}
-        whole: dict[tuple[str, str], float] = {}
-        places = [(rows.equation, rows.mechanical) for rows in evidence.stack.rows]
-        for place, gone, left in zip(places, self.taken, self.left, strict=True):
-            taken[place] = taken.get(place, 0.0) + gone
-            whole[place] = whole.get(place, 0.0) + gone + left
-        shares = [taken[place] / whole[place] if whole[place] > 0.0 else 1.0 for place in places]
-        return sum(m * share for m, share in zip(moved, shares, strict=True)) / max(sum(moved), 1e-300)
+        taken_by_channel: dict[tuple[str, str], float] = {}
+        total_by_channel: dict[tuple[str, str], float] = {}
+        channels = [(rows.equation, rows.mechanical) for rows in evidence.stack.rows]
+        for channel, squares_taken, squares_left in zip(channels, self.taken, self.left, strict=True):
+            taken_by_channel[channel] = taken_by_channel.get(channel, 0.0) + squares_taken
+            total_by_channel[channel] = total_by_channel.get(channel, 0.0) + squares_taken + squares_left
+        shares = [
+            taken_by_channel[channel] / total_by_channel[channel] if total_by_channel[channel] > 0.0 else 1.0
+            for channel in channels
+        ]
+        return sum(moved_misfit * share for moved_misfit, share in zip(moved, shares, strict=True)) / max(
+            sum(moved), 1e-300
+        )
 
 
 def search(evidence: Evidence) -> EffectSet:
@@ -280,15 +298,15 @@ def search(evidence: Evidence) -> EffectSet:
             break
         hypothesis = exchange(evidence, [*hypothesis, added])
         hypothesis = replace_by_refined_rivals(evidence, refine(evidence, hypothesis))
-    evidence.settle(hypothesis)  # finer forms leave less noise, under which they are told more finely
+    evidence.settle(hypothesis)  # finer forms leave less noise, which allows a further refinement
     return describe(evidence, prune(evidence, refine(evidence, hypothesis)))
 
 
 def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | None:
-    """The effect to add, or None where none stands above its floor.
+    """Return the effect to add to a hypothesis, or None where no effect is above its floor.
 
-    Ranked twice, under the noise that is usual and under what the present set leaves: the first sees an effect that
-    touches everything, the second one that touches a quiet channel. The best of both lists is found by fitting.
+    Effects are ranked twice. Under the usual noise an effect on all channels ranks first, under the noise that the
+    present set leaves an effect on a quiet channel does. The best of both lists is found by fitting.
     """
     listed = shortlist(evidence, hypothesis)
     if len(listed) > 1:
@@ -302,7 +320,7 @@ def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | Non
 
 
 def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
-    """The effects worth fitting beside a set."""
+    """Return the effects worth fitting in addition to a set, the best of both rankings."""
     listed: list[Candidate] = []
     for rounds in NOISE_ROUNDS:
         test = CandidateTest(evidence, hypothesis, rounds)
@@ -316,18 +334,18 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
 
 
 class CandidateTest:
-    """Tests whether a further effect lowers the misfit by more than the forms of a set could, which are inexact.
+    """Test whether a further effect lowers the misfit by more than the inexact forms of a set could.
 
-    A form explains its effect to within a share (`form_error`); nobody can say in which rows it is wrong. So that share
-    of the misfit that a member removes from an equation is allowed for in all rows of the equation. Waves of a set are
-    joined by their overtones first: no machine's wave is a pure sine. What a member's law misses over its own variables
-    is measured on the case besides (`leactl.gap.search.free_forms`).
+    A form is wrong by a share of what it explains (`form_error`), in rows that are not known. So that share of the
+    misfit that a member removes from an equation is allowed for in all rows of the equation. Overtones are added to the
+    waves of a set first: no machine's wave is a pure sine. The error of a member's law over its own variables is
+    measured on the case in addition (`leactl.gap.search.free_forms`).
     """
 
     def __init__(self, evidence: Evidence, hypothesis: Sequence[Candidate], rounds: int) -> None:
-        """Fit the set; the noise of `evidence` is that of this fit from here on.
+        """Fit the set; `evidence` keeps the noise of this fit.
 
-        rounds : as `NOISE_ROUNDS` has them.
+        rounds : rounds of estimating the noise from the residuals, one of `NOISE_ROUNDS`.
         """
         overtones = overtones_of(hypothesis)
         evidence.add(overtones)
@@ -338,10 +356,10 @@ class CandidateTest:
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
-        """Whether a candidate lowers the misfit by more than the errors of the set's forms could, by `ENTRY` squared.
+        """Return whether a candidate lowers the misfit by `ENTRY` squared more than errors of the set's forms could.
 
-        In each equation a change up to the allowance counts as none, whichever its sign; what the priors of the
-        parameters cost counts in full.
+        In each equation a change of either sign up to the allowance counts as none; the cost of the parameters' priors
+        counts in full.
         """
         larger = self.normal.fit([*self._wider, candidate])
         reduction = self._fit.misfit - larger.misfit
@@ -354,26 +372,26 @@ class CandidateTest:
         return reduction > ENTRY**2 and outdoes_free_forms(self.normal, self._wider, candidate)
 
     def _reduction_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
-        """By how much one member lowers the misfit of each equation beside the others."""
+        """Return by how much one member lowers the misfit of each equation in addition to the other members."""
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
         return by_equation(self.normal, reduction_by_rows(self.normal, self.normal.fit(others), fit))
 
 
 def form_error(effect: str, other: str) -> float:
-    """Share of the misfit removed by an effect that another could remove because the first one's form is inexact.
+    """Return the share of the misfit removed by `effect` that `other` could remove because the first form is inexact.
 
     `LOOSE_ERROR` for an effect whose columns are known to be loose; `FORM_ERROR` for two effects that act over a common
     variable and are both waves over the angle or neither; else `ERROR_ELSEWHERE`.
     """
     if library()[effect].explains < LOOSE:
         return LOOSE_ERROR
-    first, second = (set(effect_definition(name).acts_over) for name in (effect, other))
+    first_variables, second_variables = (set(effect_definition(name).acts_over) for name in (effect, other))
     both_or_neither_wave = (library()[effect].orders[1] > 0) == (library()[other].orders[1] > 0)
-    return FORM_ERROR if first & second and both_or_neither_wave else ERROR_ELSEWHERE
+    return FORM_ERROR if first_variables & second_variables and both_or_neither_wave else ERROR_ELSEWHERE
 
 
 def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
-    """Multiples of the orders of a set's waves, as far as the library tries them."""
+    """Return the overtones of a set's waves, up to the highest order that the library tries."""
     return [
         (name, (times * form[0], *form[1:]))
         for name, form in hypothesis
@@ -383,7 +401,7 @@ def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
 
 
 def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
-    """Sums over the rows of each equation."""
+    """Sum amounts, one for each group of rows, over each equation."""
     sums: dict[str, float] = {}
     for rows, amount in zip(normal.stack.rows, amounts, strict=True):
         sums[rows.equation] = sums.get(rows.equation, 0.0) + amount
@@ -391,7 +409,7 @@ def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
 
 
 def reduction_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
-    """By how much the misfit of each rows is lower with one fit than with another; negative where it is higher."""
+    """Return by how much the misfit of each group of rows is lower after than before; negative where it is higher."""
     return [
         normal.weights[k] * len(rows.left_over) * (normal.residual(before, k) ** 2 - normal.residual(after, k) ** 2)
         for k, rows in enumerate(normal.stack.rows)
@@ -399,7 +417,7 @@ def reduction_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
 
 
 def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
-    """What a set explains in the rows that a candidate touches."""
+    """Sum the squares explained over the groups of rows that hold a column of a candidate."""
     key = (candidate[0], repr(candidate[1]))
     return sum(
         amount
@@ -409,7 +427,7 @@ def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[fl
 
 
 def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Try every member against every other effect, with the rest held, until nothing gains."""
+    """Replace each member by the best effect in its place, the other members held, until no effect changes."""
     for _ in range(EXCHANGES):
         evidence.settle(hypothesis)
         normal, changed = evidence.normal(), False
@@ -425,9 +443,9 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
 
 
 def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True) -> list[Candidate]:
-    """Find the non-linear parameters of each member between the grid's values and a little beyond.
+    """Refine the non-linear parameters of each member between the grid's values and slightly beyond.
 
-    shapes : whether also those that their strength tells.
+    shapes : whether to refine the forms that a fitted strength determines, too.
     """
     for index, candidate in enumerate(hypothesis):
         if shapes or not strength_tells_form(*candidate):
@@ -436,12 +454,12 @@ def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True)
 
 
 def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> Candidate:
-    """The candidate in its best form beside others; stores the covariance of that form in `evidence.form_spread`."""
+    """Return the candidate in its best form beside other members; store that form's covariance in the evidence."""
     name, form = candidate
     effect = library()[name]
     if not form or effect.periodic or not effect.continuous:
         return candidate
-    grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
+    grids = [grid_values(position, form, evidence.forms.get(name, [])) for position in range(effect.refined)]
     ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
     if effect.narrow:
         form = scanned(evidence, others, name, form, ratios[0])
@@ -452,10 +470,10 @@ def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candi
 
 
 def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Refine the close rivals of each member; then put whichever effect takes most away in its place.
+    """Refine the close rivals of each member, then replace the member by the effect with the largest gain.
 
-    The grid's values are coarse for a form with a threshold: the effect whose value lies nearer to the grid gains more,
-    whether or not it is the one that acts.
+    The grid is coarse for a form with a threshold: the effect whose threshold lies nearer to a grid value gains more,
+    whether or not it acts.
     """
     for index, candidate in enumerate(hypothesis):
         others = hypothesis[:index] + hypothesis[index + 1 :]
@@ -479,18 +497,18 @@ def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -
 
 
 def strength_tells_form(name: str, form: Form) -> bool:
-    """Whether a share of an effect in one form stands for all of it in another."""
+    """Return whether a fraction of an effect in one form equals the whole effect in another form."""
     return library()[name].shaped and library()[name].whole(form, 0.5) != form
 
 
 def spread_of_form(
     evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
 ) -> npt.NDArray[np.float64]:
-    """Covariance of the logarithms of a form's refined numbers, all coefficients being fitted anew.
+    """Return the covariance of the logarithms of a form's refined numbers, with all coefficients fitted again.
 
-    The gain falls by the squared deviation in standard errors: its curvature, over the finest step of the search, tells
-    them. Infinite where it does not fall to both sides, as at the edge of what is possible; zero for a number that is
-    not refined.
+    The gain falls by the squared deviation in standard errors, so its curvature over the finest step of the search
+    gives the covariance. It is infinite where the gain does not fall to both sides, as at the edge of the possible
+    range, and zero for a number that is not refined.
     """
     name, form = candidate
     free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
@@ -503,64 +521,67 @@ def spread_of_form(
 
     gains, all_possible = gains_of(evidence, others, [(name, moved(move)) for move in sorted(moves)])
     spread = np.zeros((len(ratios), len(ratios)))
-    at = np.ix_(free, free)
-    spread[at] = np.diag(np.full(len(free), math.inf))
+    free_block = np.ix_(free, free)
+    spread[free_block] = np.diag(np.full(len(free), math.inf))
     if not all_possible or not free:
         return spread
     falls = {move: gains[form] - gains[moved(move)] for move in moves}
 
     def fall_along(move: Sequence[int]) -> float:
-        """The mean of both directions, which is free of a slope."""
+        """Return the mean fall of the gain in both directions, in which a slope cancels."""
         return 0.5 * (falls[tuple(move)] + falls[tuple(-part for part in move)])
 
-    own = np.eye(len(free), dtype=int)
-    curvature = np.diag([fall_along(row.tolist()) for row in own])
+    unit_moves = np.eye(len(free), dtype=int)
+    curvature = np.diag([fall_along(row.tolist()) for row in unit_moves])
     for i, j in combinations(range(len(free)), 2):
-        together, opposed = fall_along((own[i] + own[j]).tolist()), fall_along((own[i] - own[j]).tolist())
+        together, opposed = (
+            fall_along((unit_moves[i] + unit_moves[j]).tolist()),
+            fall_along((unit_moves[i] - unit_moves[j]).tolist()),
+        )
         curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
     if np.linalg.eigvalsh(curvature)[0] > 0.0:
-        spread[at] = np.linalg.inv(curvature) * np.outer(steps, steps)
+        spread[free_block] = np.linalg.inv(curvature) * np.outer(steps, steps)
     return spread
 
 
-def grid_values(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
-    """Values of one parameter of a form on the grid, in ascending order.
+def grid_values(position: int, form: Form, forms: Sequence[Form]) -> list[float]:
+    """Return the grid values of the parameter at one position of a form, ascending.
 
-    Only grid forms count whose later parameters equal those of `form`; where there are none, all of them.
+    Only grid forms whose later parameters equal those of `form` count, or all of them where there is none.
     """
-    alike = {other[place] for other in forms if other[place + 1 :] == form[place + 1 :]}
-    return sorted(alike or {other[place] for other in forms})
+    matching_values = {grid_form[position] for grid_form in forms if grid_form[position + 1 :] == form[position + 1 :]}
+    return sorted(matching_values or {grid_form[position] for grid_form in forms})
 
 
 def scanned(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratio: float) -> Form:
-    """Search between one form and its neighbours on the grid, where a narrow effect may have several best forms.
+    """Return the best form between one form and its grid neighbours; a narrow effect may have several local optima.
 
-    ratio : of neighbouring grid values of the first parameter.
+    ratio : ratio of neighbouring grid values of the first parameter.
     """
-    near = [form[0] * ratio ** (step / SCANNED) for step in range(-SCANNED, SCANNED + 1)]
-    later = sorted({other[1:] for other in evidence.forms.get(name, [])} | {form[1:]})
-    gains, _ = gains_of(evidence, others, [(name, (value, *rest)) for value, rest in product(near, later)])
+    first_values = [form[0] * ratio ** (step / SCANNED) for step in range(-SCANNED, SCANNED + 1)]
+    tails = sorted({grid_form[1:] for grid_form in evidence.forms.get(name, [])} | {form[1:]})
+    gains, _ = gains_of(evidence, others, [(name, (value, *tail)) for value, tail in product(first_values, tails)])
     return max(gains, key=lambda tried_form: gains[tried_form], default=form)
 
 
 def gains_of(evidence: Evidence, others: list[Candidate], tried: list[Candidate]) -> tuple[dict[Form, float], bool]:
-    """What each form gains beside other members, by form, and whether every one is possible there."""
+    """Return the gain of each possible form beside other members, and whether every form is possible."""
     evidence.add(tried)
     normal, base = evidence.normal(), evidence.stack.columns_of(others)
-    possible = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
+    possible = [item for trial in tried if (item := finding(evidence, normal, base, trial)) is not None]
     return {item.candidate[1]: item.gain for item in possible}, len(possible) == len(tried)
 
 
 def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
-    """Search for a better form near one.
+    """Search for a better form in the neighbourhood of one form.
 
-    Every combination of one step down, none or one step up is tried for the first parameters together, since they can
-    compensate each other. Steps become finer (`FINER`); the search ends where all trials explain the runs alike.
+    Every combination of one step down, no step and one step up is tried for the first parameters together, since they
+    can compensate each other. Steps become finer (`FINER`); the search ends where all trials gain alike.
 
     ratios : the largest ratio of neighbouring grid values of each of these parameters.
     """
-    # a fitted strength below one stands for another form of such an effect (`whole`), which `make_whole` goes to at
-    # once: larger moves would go to a longer delay of which a share is there
+    # a fitted strength below one is equal to another form of such an effect, which `make_whole` finds at once: larger
+    # moves would lead to a fraction of a longer delay
     strength_is_form = strength_tells_form(name, form)
     for part in FINER[:2] if strength_is_form else FINER:
         for _ in range(1 if strength_is_form else MOVES):
@@ -577,7 +598,7 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
 
 
 def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Remove members that do not pass the tests of entry beside the others, one at a time, the lowest first."""
+    """Remove members that fail the tests of entry beside the other members, one at a time, the lowest first."""
     while hypothesis:
         evidence.settle(hypothesis)
         normal = evidence.normal()
@@ -595,21 +616,21 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
 
 
 def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
-    """Whether a member lowers the misfit by more than the form errors of the others could, under either noise."""
+    """Return whether a member lowers the misfit by more than form errors of the others could, under either noise."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
 
 
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
-    """One member of a set beyond the others."""
+    """Fit one member of a set in addition to the other members."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
 
 
 def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
-    """Members, rivals and what would come next, under the weights of the set."""
+    """Return a set with its members, their rivals and the further effects, under the weights of the set."""
     hypothesis = make_whole(evidence, hypothesis)
-    taken, left = taken_and_left(evidence, hypothesis)
+    squares_taken, squares_left = taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
     members, rivals, moved, missed = [], [], [], dict[Candidate, float]()
@@ -617,29 +638,29 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
         item = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
-        if item is None:  # brought to its whole form it has no place beside the others
+        if item is None:  # in its whole form it is no possible effect beside the other members
             return describe(evidence, others)
         members.append(item)
         ranked = best_of_each(evidence, normal, others, whole=True)
         rivals.append([item, *(r for r in ranked if r.effect != item.effect and is_possible(evidence, r))])
         close = [r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE * apart(item.gain)]
         if len(close) > 1:
-            missed |= {one: missed_by_form(normal, [*others, one], one) for one in close}
-    rest = best_of_each(evidence, normal, hypothesis)
-    return EffectSet(hypothesis, members, rivals, rest, fit, taken, left, moved, missed)
+            missed |= {rival: missed_by_form(normal, [*others, rival], rival) for rival in close}
+    further_effects = best_of_each(evidence, normal, hypothesis)
+    return EffectSet(hypothesis, members, rivals, further_effects, fit, squares_taken, squares_left, moved, missed)
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Bring every shape, of members and of their rivals, to the form at which it is whole, so that forms compare."""
+    """Bring shaped members and rivals to the form with a strength of one, so that their gains compare."""
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         for _ in range(WHOLE_ROUNDS):
             evidence.settle(hypothesis)
             best = best_of_each(evidence, evidence.normal(), others)
             shaped = [item for item in best if library()[item.effect].shaped and item.height > ENTRY]
-            fresh = [(item.effect, whole_form(item)) for item in shaped]
-            evidence.add(fresh)
-            for candidate in fresh:
+            whole_forms = [(item.effect, whole_form(item)) for item in shaped]
+            evidence.add(whole_forms)
+            for candidate in whole_forms:
                 if candidate[0] == hypothesis[index][0]:
                     hypothesis[index] = candidate
         normal = evidence.normal()
@@ -650,7 +671,7 @@ def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidat
 
 
 def whole_form(item: FurtherEffect) -> tuple[float, ...]:
-    """The form at which a shape would be whole, to three digits."""
+    """Return the form at which a shaped effect has a strength of one, to three digits."""
     form = library()[item.effect].whole(item.candidate[1], item.values[0])
     return tuple(float(f"{value:.3g}") for value in form)
 
@@ -658,18 +679,20 @@ def whole_form(item: FurtherEffect) -> tuple[float, ...]:
 def taken_and_left(
     evidence: Evidence, hypothesis: Sequence[Candidate], sound: bool = False
 ) -> tuple[list[float], list[float]]:
-    """Of each rows, under usual noise: weighted squares that a set and its overtones take away, and what they leave.
+    """Return, by group of rows, the weighted squares that a set with its overtones explains, and those that remain.
 
-    sound : whether usual noise is a sound machine's where that is less.
+    Both are weighted by the usual noise; what remains counts beyond `USUAL_SPREAD`.
+
+    sound : whether the usual noise is a sound machine's where that is lower.
     """
     overtones = overtones_of(hypothesis)
     evidence.add(overtones)
     evidence.weigh_as_usual(sound)
     normal = evidence.normal()
-    before, after = normal.fit(), normal.fit([*hypothesis, *overtones])
-    taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, before, after)]
-    left = [
-        max(normal.weights[k] * normal.residual(after, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
+    fit_without, fit_with = normal.fit(), normal.fit([*hypothesis, *overtones])
+    squares_taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, fit_without, fit_with)]
+    squares_left = [
+        max(normal.weights[k] * normal.residual(fit_with, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
     ]
-    return taken, left
+    return squares_taken, squares_left

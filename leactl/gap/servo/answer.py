@@ -1,4 +1,4 @@
-"""The fitted effect sets of a servo, put into the words of a diagnosis."""
+"""Convert the fitted effect sets of a servo into causes, calibration and notes of a diagnosis."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
 SIMULATED = {name.partition(".")[0] for name in FREE if "." in name}
-"""Effects that a servo's simulation knows."""
+"""Effects that the simulation of a servo includes."""
 ALLOWED_RMS_OVER_FLOOR = 3.0  # RMS error over floor that a replay without the rig's load zero and delay may have
 LEAST_LEAP_RATIO = 2.0  # step of the reference over the fastest step of the axis, above which the reference leaps
 TOP_STEP_QUANTILE = 0.99  # quantile of the axis' steps that counts as its fastest
@@ -77,7 +77,7 @@ def causes(
     No torque is logged, so the balance takes the model's: an effect that it proposes has to lower the mean square error
     of replayed angles, or its probability is reduced.
     """
-    standing = [
+    from_free_runs = [
         Cause(
             item.effect,
             item.probability,
@@ -89,19 +89,19 @@ def causes(
         )
         for item in fitted_sets.standing
     ]
-    named = [_entry(cause) for cause in standing if cause.probability >= NAMED]
-    others = [cause for cause in balanced if cause.effect not in SIMULATED]
-    if others:
-        alone, *with_each = mean_square_errors(
-            records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in others)]]
+    named = [_entry(cause) for cause in from_free_runs if cause.probability >= NAMED]
+    from_balance = [cause for cause in balanced if cause.effect not in SIMULATED]
+    if from_balance:
+        error_without, *with_each = mean_square_errors(
+            records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in from_balance)]]
         )
-        others = [
+        from_balance = [
             cause
-            if closer < CONFIRMED_ERROR_RATIO * alone
+            if closer < CONFIRMED_ERROR_RATIO * error_without
             else replace(cause, probability=cause.probability * UNCONFIRMED)
-            for cause, closer in zip(others, with_each, strict=True)
+            for cause, closer in zip(from_balance, with_each, strict=True)
         ]
-    return tuple(sorted([*standing, *others], key=lambda cause: -cause.probability))
+    return tuple(sorted([*from_free_runs, *from_balance], key=lambda cause: -cause.probability))
 
 
 def mean_square_errors(records: Sequence[Record], models: Sequence[Model]) -> list[float]:
@@ -134,15 +134,15 @@ def unfollowed(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dic
 
 
 def hidden_by_stamps(record: Record) -> float:
-    """Mean square [rad^2] by which an axis is off where its reference leaps, at whatever instant between two stamps."""
+    """Return the mean square error [rad^2] of an axis due to leaps of its reference at unknown times between stamps."""
     clock = record.fast
     if clock is None or ("angle_reference", "test") not in clock.unstamped or clock.get("angle") is None:
         return 0.0
     reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
-    moved, asked = np.abs(np.diff(angle)), np.abs(np.diff(reference))
-    away, on_its_way = np.abs(reference - angle)[1:], np.zeros(len(moved), np.bool_)
-    for leap in np.flatnonzero(asked > LEAST_LEAP_RATIO * float(np.quantile(moved, TOP_STEP_QUANTILE))):
-        arrived = np.flatnonzero(away[leap:] < ARRIVAL_SHARE * asked[leap])
+    moved, reference_change = np.abs(np.diff(angle)), np.abs(np.diff(reference))
+    error_size, on_its_way = np.abs(reference - angle)[1:], np.zeros(len(moved), np.bool_)
+    for leap in np.flatnonzero(reference_change > LEAST_LEAP_RATIO * float(np.quantile(moved, TOP_STEP_QUANTILE))):
+        arrived = np.flatnonzero(error_size[leap:] < ARRIVAL_SHARE * reference_change[leap])
         on_its_way[leap : leap + arrived[0] if len(arrived) else None] = True
     return float(np.sum(moved[on_its_way] ** 2)) / (12.0 * len(angle))
 
@@ -154,13 +154,13 @@ def parameters_with_units(effect: str, fitted: Mapping[str, tuple[float, float]]
 
 
 def calibration(model: Model, fitted: FittedServo, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
-    """The nominal model's parameters as free runs have them."""
+    """Return the calibrated parameters of the nominal model from free runs."""
     parameters = []
     for name in MODEL_PARAMETERS:
         nominal, value = float(getattr(model, name) or 0.0), fitted.parameters[name]
         std = max(stds.get(name, 0.0), LEAST_MODEL_ERROR * abs(value))
         parameters.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))
         if name == "torque_constant" and model.back_emf_constant is not None:
-            other = "back_emf_constant"
-            parameters.append(CalibratedParameter(other, model.back_emf_constant, value, std, UNITS[other]))
+            back_emf = "back_emf_constant"
+            parameters.append(CalibratedParameter(back_emf, model.back_emf_constant, value, std, UNITS[back_emf]))
     return tuple(parameters)

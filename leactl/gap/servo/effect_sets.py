@@ -31,13 +31,13 @@ Set = frozenset[str]
 MODEL_PARAMETERS = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
 RIG_PARAMETERS = ("load_zero", "reference_delay", "voltage_delay")  # of the rig; no model file holds them
 ALWAYS: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
-MOST_PROPOSED = 2  # effects of a balance that are tried besides
-COST_FORM_ERROR = 0.05  # relative gain in cost of an effect that only imitates another, or by luck of the search
+MOST_PROPOSED = 2  # most effects proposed by a balance that are tried in addition
+COST_FORM_ERROR = 0.05  # relative gain in cost of an effect that only imitates another, or by chance of the search
 """On the XL330's logs, friction over the angle at any order gains 2 to 15 % beyond the others, by where a fit ends."""
 DRIVE_FORM_ERROR = 0.01  # share of the cost taken by the drive's effects that their forms may leave over
 IGNORED_RMS_COUNTS = 1.0  # RMS error in encoder counts, below which a closer fit does not matter
-LOST = 0.1  # share of the torque at the largest current, that saturation begins with
-FADES = (0.03, 0.15)  # of the fast speeds, at which friction may begin to fall
+LOST = 0.1  # share of the torque lost at the largest current, from which fits of saturation begin
+FADES = (0.03, 0.15)  # Stribeck velocities from which fits begin, as shares of the fast speeds
 SIZE_ALWAYS_TRIED = 2  # effects; sets up to this size are tried even if smaller ones gain little
 FEWEST_RUNS_FOR_SPREAD = 4  # below, standard errors do not include the spread between runs
 
@@ -48,21 +48,21 @@ class LikelyEffect:
 
     effect: str
     probability: float
-    share: float  # of what the set takes from the cost
+    share: float  # of the set's reduction of the cost
     parameters: Mapping[str, tuple[float, float]]  # value and standard error
-    peers: tuple[str, ...] = ()  # that would do as well in its place
+    peers: tuple[str, ...] = ()  # effects that would fit as well in its place
 
 
 @dataclass(frozen=True, eq=False)
 class FittedEffectSets:
-    """The set that stands, and the model with and without it."""
+    """Fitted effects, and the model with and without them."""
 
     standing: tuple[LikelyEffect, ...]
     calibrated: FittedServo
     augmented: FittedServo
     stds: Mapping[str, float]  # of the parameters of the augmented model
     sets: Mapping[Set, FittedServo]
-    late: float  # s, by which the reference acts after its stamps
+    late: float  # s, delay of the reference after its stamps
 
 
 def fit_effect_sets(
@@ -118,7 +118,7 @@ def fit_effect_sets(
 
 
 class Sets(dict[Set, FittedServo]):
-    """The best fit of every set of effects that was tried."""
+    """Best fit of every set of effects that was tried."""
 
     def __init__(self, runs: ServoRuns, known: Mapping[Set, FittedServo], held: Sequence[str]) -> None:
         super().__init__(known)
@@ -199,7 +199,7 @@ class Sets(dict[Set, FittedServo]):
 
 
 def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: int) -> Sequence[Parameters]:
-    """Where an effect begins: a drive's with all parameters by itself, else with its own beside what was fitted."""
+    """Return the starts of an effect's fit; a drive's effect added to others starts with its own parameters only."""
     if beside == 0 or effect not in DRIVE:
         return starts[effect]
     return [{name: value for name, value in starts[effect][0].items() if name.startswith(f"{effect}.")}]
@@ -277,7 +277,7 @@ def effects_of(model: Model) -> Parameters:
 
 
 def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> dict[str, list[Parameters]]:
-    """Where each effect begins, from what the rig can do."""
+    """Return the start values of each effect, from the limits of the rig and the proposed forms."""
     forms = dict(proposed)
     largest = float(np.max(runs.limit)) / (model.phase_resistance or math.inf)
     exponent = forms.get("saturation", (1.0,))[0]
@@ -330,7 +330,7 @@ def open_cost(sets: Mapping[Set, FittedServo], members: Set, judged: Set, runs: 
 
 
 def height(worse: float, fitted: FittedServo) -> float:
-    """How far an effect stands above what noise and the forms of others would give it."""
+    """Return the log cost ratio of an effect over that by noise and the errors of other forms."""
     independent = len(fitted.error) / rows_per_independent(fitted.error)
     return worse / math.hypot(COST_FORM_ERROR, math.sqrt(2.0) / independent)
 
@@ -359,7 +359,7 @@ def errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
 
 
 def parameters_of(effect: str, fitted: FittedServo, stds: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """The parameters of an effect by the names of its definition, with standard errors."""
+    """Return the parameters of an effect by the names of its definition, with standard errors."""
     parameters = {
         name.removeprefix(f"{effect}."): (value, stds.get(name, 0.0))
         for name, value in fitted.parameters.items()

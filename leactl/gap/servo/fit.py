@@ -1,4 +1,4 @@
-"""Parameters fitted by free simulation: Levenberg and Marquardt's steps, for several models side by side.
+"""Fit parameters by free simulation: Levenberg-Marquardt steps for several models side by side.
 
 A step of a simulation costs little more for a hundred parameter sets than for ten: models to be compared are fitted
 together, several dampings of each are tried at once, and each stops for itself.
@@ -19,16 +19,16 @@ from leactl.gap.servo.stretches import Stretches, cut
 Array = npt.NDArray[np.float64]
 MOST_ITERATIONS = 25
 OUTLIER_RAD = 0.03  # errors beyond count by their size, not their square: a slip at another instant is no other model
-DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # tried at once, relative to the last that helped
-MOVED = 1e-3  # relative, by which a parameter is moved for a derivative
-LIMIT_MOVED = 1e-2  # the same of a profile's: it arrives at its goal a sample earlier or later, which is not smooth
+DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # tried at once, relative to the last successful one
+MOVED = 1e-3  # relative step of a parameter for a derivative
+LIMIT_MOVED = 1e-2  # the same for a profile's: it arrives at its goal a sample earlier or later, which is not smooth
 LEAST_VALUE = 1e-3  # of a parameter's typical size: the lower bound of a positive one
-LEAST_GAIN = 1e-3  # of the cost; an iteration that gains less is the last
+LEAST_GAIN = 1e-3  # relative gain in cost; an iteration that gains less is the last
 FINAL_LEAST_GAIN = 1e-4  # the same for a set that is reported
 
 
 class Fitting:
-    """One model on its way to the least cost."""
+    """One model during its fit."""
 
     def __init__(self, start: Parameters, held: Sequence[str], runs: ServoRuns) -> None:
         self.names = [name for name in start if name not in SHAPES and name not in held]
@@ -41,27 +41,27 @@ class Fitting:
         self.point = np.array([start[name] for name in self.names])
         usual = [runs.usual.get(name, (0.0, math.inf)) for name in self.names]
         self.usual, self.pull = (
-            np.array([at for at, _ in usual]),
-            np.array([(runs.encoder_resolution / by) ** 2 for _, by in usual]),
+            np.array([usual_value for usual_value, _ in usual]),
+            np.array([(runs.encoder_resolution / width) ** 2 for _, width in usual]),
         )
         self.damping, self.cost, self.done = 1e-2, np.inf, False
         self.error = self.tangent = np.empty(0)
 
     def parameters(self, point: Array) -> Parameters:
-        """A point by name."""
+        """Return the parameters of a point by name."""
         return self.shapes | dict(zip(self.names, point.tolist(), strict=True))
 
     def moves(self) -> Array:
-        """How far each parameter is moved for its derivative."""
+        """Return the step of each parameter for its derivative."""
         return np.asarray(self.moved * np.maximum(np.abs(self.point), 0.1 * self.sizes), np.float64)
 
     def curvature(self) -> tuple[Array, Array]:
-        """Weighted normal matrix, and the slope of the cost."""
+        """Return the weighted normal matrix and the slope of the cost."""
         weighted = self.tangent / np.sqrt(1.0 + (self.error / OUTLIER_RAD) ** 2)
         return weighted @ self.tangent.T + np.diag(self.pull), weighted @ self.error + self.pull * self.off(self.point)
 
     def off(self, point: Array) -> Array:
-        """How far a point is off the model."""
+        """Return the difference of a point from the model."""
         return np.asarray(point - self.usual, np.float64)
 
     def total(self, error: Array, point: Array) -> float:
@@ -72,21 +72,21 @@ class Fitting:
         return cost(error) + float(self.pull @ self.off(point) ** 2)
 
     def scores(self, run: npt.NDArray[np.intp]) -> Array:
-        """Slope of the cost by run."""
+        """Return the slope of the cost by run."""
         weighted = self.tangent * self.error / np.sqrt(1.0 + (self.error / OUTLIER_RAD) ** 2)
         return np.stack([np.bincount(run, weights=row) for row in weighted], axis=1)
 
     def trials(self) -> Array:
-        """The steps of all dampings, brought back to where parameters make sense."""
+        """Return the trial points of all dampings, within the parameters' lower bounds."""
         gram, slope = self.curvature()
         if not (np.isfinite(gram).all() and np.isfinite(slope).all()):
-            return np.repeat(self.point[None], len(DAMPINGS), axis=0)  # nowhere to go from here
+            return np.repeat(self.point[None], len(DAMPINGS), axis=0)  # no step is possible
         steps = [np.linalg.solve(gram + d * np.diag(np.diag(gram) + 1e-12), slope) for d in self.damping * DAMPINGS]
         points = self.point - np.stack(steps)
         return np.asarray(np.maximum(points, self.least), np.float64)
 
     def take(self, points: Array, errors: Array, least_gain: float) -> None:
-        """Go on to the best of the trials, or stop."""
+        """Move to the best of the trials, or stop."""
         costs = np.array([self.total(error, point) for error, point in zip(errors, points, strict=True)])
         costs[~np.isfinite(costs)] = np.inf
         best = int(np.argmin(costs))
@@ -99,12 +99,12 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class FittedServo:
-    """A model at its least cost."""
+    """Result of a fit: a model at its least cost."""
 
     parameters: Parameters
     cost: float  # sum of squares of the angle's errors, outliers by their size
     error: Array  # rad, of every measured sample
-    names: tuple[str, ...]  # of what was fitted
+    names: tuple[str, ...]  # of the fitted parameters
     information: Array  # normal matrix over these, per rad^2
     scores: Array  # (runs, these): each run's own slope of the cost
 
@@ -128,7 +128,7 @@ def fit(
             fitting.take(trial_points, errors, least_gain)
     for fitting in fittings:
         fitting.done = False
-    against.differentiate(fittings)  # where each ended
+    against.differentiate(fittings)  # at the final points
     return [
         FittedServo(
             fitting.parameters(fitting.point),
@@ -143,7 +143,7 @@ def fit(
 
 
 def cost(error: Array) -> float:
-    """Sum of squares, outliers by their size (a pseudo-Huber loss)."""
+    """Return the pseudo-Huber loss: the sum of squares, outliers by their size."""
     return float(2.0 * OUTLIER_RAD**2 * np.sum(np.sqrt(1.0 + (error / OUTLIER_RAD) ** 2) - 1.0))
 
 
@@ -162,14 +162,14 @@ class MeasuredServoRuns:
     def of(self, sets: Sequence[Parameters]) -> Array:
         """Return residuals [rad] (sets, measured samples): angles first, then voltages over the gain."""
         runs, values = self._runs, table(sets)
-        wrong = (simulate(runs, values, self._stretches, self._points) - runs.angle)[:, runs.measured]
+        angle_errors = (simulate(runs, values, self._stretches, self._points) - runs.angle)[:, runs.measured]
         if self._voltage_logged is None:
-            return wrong
-        inner = (voltages(runs, values, self._points) - runs.q_axis_voltage)[:, self._voltage_logged]
-        return np.concatenate([wrong, inner / runs.gain[np.nonzero(self._voltage_logged)[0]]], axis=1)
+            return angle_errors
+        voltage_errors = (voltages(runs, values, self._points) - runs.q_axis_voltage)[:, self._voltage_logged]
+        return np.concatenate([angle_errors, voltage_errors / runs.gain[np.nonzero(self._voltage_logged)[0]]], axis=1)
 
     def differentiate(self, fittings: Sequence[Fitting]) -> None:
-        """Give each fitting that goes on the slopes of its errors."""
+        """Set the derivatives of the errors of each fitting that is not done."""
         going = [fitting for fitting in fittings if not fitting.done]
         moved = [fitting.point + np.diag(fitting.moves()) for fitting in going]
         for fitting, errors in zip(going, self.errors(going, moved), strict=True):

@@ -1,4 +1,4 @@
-"""Speed limit, acceleration limit and dead band of a servo's drive: where fits begin, tests, conversions."""
+"""Speed limit, acceleration limit and dead band of a servo's drive: starts of fits, tests, conversions."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,9 +27,9 @@ LEAST_STDS = 2.0  # an inverse limit over its standard error; below, there is no
 
 
 def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list[Parameters]]:
-    """Where fits of a limited profile and of a dead band begin: the best of a grid beside each of some bases.
+    """Return the starts of fits of a limited profile and a dead band: the best points of a grid with each base.
 
-    A start holds the base's parameters as well: a fit without the limit may have bent them to make up for it.
+    A start includes the base's parameters: a fit without the limit may have changed them to compensate for it.
     """
     top = top_speed(runs)
     if top <= 0.0:
@@ -39,9 +39,9 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
         {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEED_LIMIT_SHARES for ramp in ramps
     ]
     bands = [{"servo_dead_band.band": counts * max(runs.encoder_resolution, FINEST)} for counts in DEAD_BAND_COUNTS]
-    asked = np.abs(np.diff(runs.reference, axis=1)) / runs.interval
+    reference_speeds = np.abs(np.diff(runs.reference, axis=1)) / runs.interval
     grids = {"servo_dead_band": bands} | (
-        {"reference_rate_limit": profiles} if float(np.max(asked)) > LEAST_REFERENCE_RATIO * top else {}
+        {"reference_rate_limit": profiles} if float(np.max(reference_speeds)) > LEAST_REFERENCE_RATIO * top else {}
     )
     measured, starts = MeasuredServoRuns(runs), {}
     for effect, grid in grids.items():
@@ -56,20 +56,20 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
 
 
 def acts(effect: str, parameters: Parameters, runs: ServoRuns) -> bool:
-    """Whether a fitted effect acts: the axis reaches the limit, or the dead band is two encoder counts or wider."""
+    """Return whether a fitted effect acts: the axis reaches the limit, or the dead band is wide enough to matter."""
     if effect == "servo_dead_band":
         return parameters.get("servo_dead_band.band", 0.0) >= LEAST_BAND_COUNTS * runs.encoder_resolution
     if effect != "reference_rate_limit":
         return True
     top = top_speed(runs)
-    slow, idle = parameters.get(SLOWNESS, 0.0), parameters.get(SLUGGISHNESS, 0.0)
-    return slow * top > LEAST_SPEED_RATIO or idle * top > LEAST_RAMP_SAMPLES * runs.interval
+    slowness, sluggishness = parameters.get(SLOWNESS, 0.0), parameters.get(SLUGGISHNESS, 0.0)
+    return slowness * top > LEAST_SPEED_RATIO or sluggishness * top > LEAST_RAMP_SAMPLES * runs.interval
 
 
 def top_speed(runs: ServoRuns) -> float:
     """Return the 99 % quantile of the axis' speed [rad/s], taken over four samples to suppress quantisation."""
-    far = np.abs(runs.angle[:, SPEED_SPAN:] - runs.angle[:, :-SPEED_SPAN]) / (SPEED_SPAN * runs.interval)
-    return float(np.quantile(far[runs.measured[:, SPEED_SPAN:] & runs.measured[:, :-SPEED_SPAN]], TOP_QUANTILE))
+    speeds = np.abs(runs.angle[:, SPEED_SPAN:] - runs.angle[:, :-SPEED_SPAN]) / (SPEED_SPAN * runs.interval)
+    return float(np.quantile(speeds[runs.measured[:, SPEED_SPAN:] & runs.measured[:, :-SPEED_SPAN]], TOP_QUANTILE))
 
 
 def to_fit_parameters(effect: str, defined: Mapping[str, float]) -> dict[str, float]:

@@ -14,15 +14,15 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 SLOWNESS, SLUGGISHNESS = "reference_rate_limit.slowness", "reference_rate_limit.sluggishness"
-KEPT = 256  # profiles
+KEPT = 256  # most profiles stored
 PROFILE = (SLOWNESS, SLUGGISHNESS)
 UNLIMITED = (0.0, 0.0)
-GOAL_TOLERANCE = 1e-9  # of the distance at the beginning of an interval; a set-point within it is at its goal
+GOAL_TOLERANCE = 1e-9  # share of the distance at the beginning of an interval within which the goal is reached
 TINY = 1e-300
 
 
 class SetPoints:
-    """References of runs as a servo's controller has them; profiles that were worked out once are kept."""
+    """Set-points of runs as a servo's controller uses them; computed profiles are cached."""
 
     def __init__(self, runs: ServoRuns) -> None:
         self._runs = runs
@@ -34,15 +34,15 @@ class SetPoints:
         The first array is for the beginning of the interval after a sample, the second for its end; where no set has a
         limit, both are the same array.
         """
-        none = np.zeros(count)
-        delays = (sets.get(delay, none) / self._runs.interval).tolist()
-        limits = zip(sets.get(SLOWNESS, none).tolist(), sets.get(SLUGGISHNESS, none).tolist(), strict=True)
-        wanted = list(zip(limits, delays, strict=True))
-        distinct = {profile_delay: index for index, profile_delay in enumerate(dict.fromkeys(wanted))}
+        zeros = np.zeros(count)
+        delays = (sets.get(delay, zeros) / self._runs.interval).tolist()
+        limits = zip(sets.get(SLOWNESS, zeros).tolist(), sets.get(SLUGGISHNESS, zeros).tolist(), strict=True)
+        profile_delays = list(zip(limits, delays, strict=True))
+        distinct = {profile_delay: index for index, profile_delay in enumerate(dict.fromkeys(profile_delays))}
         if len(self._known) > KEPT:
             self._known.clear()
         self._work_out([limit for limit in dict.fromkeys(limit for limit, _ in distinct) if limit not in self._known])
-        index = np.array([distinct[profile_delay] for profile_delay in wanted])
+        index = np.array([distinct[profile_delay] for profile_delay in profile_delays])
         begins = np.stack([shifted(self._known[limit][0], late) for limit, late in distinct])
         if all(limit == UNLIMITED for limit, _ in distinct):
             return begins, begins, index
@@ -53,8 +53,8 @@ class SetPoints:
         self._known.update({limit: plain for limit in limits if limit == UNLIMITED})
         limits = [limit for limit in limits if limit != UNLIMITED]
         if limits:
-            slow, idle = (np.array(values)[:, None] for values in zip(*limits, strict=True))
-            begins, ends = profile(self._runs.reference, self._runs.interval, slow, idle)
+            slow, sluggish = (np.array(values)[:, None] for values in zip(*limits, strict=True))
+            begins, ends = profile(self._runs.reference, self._runs.interval, slow, sluggish)
             self._known.update({limit: (begins[k], ends[k]) for k, limit in enumerate(limits)})
 
 
@@ -65,39 +65,39 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
     the interval of its arrival a set-point is at the goal from the beginning, as one without a limit is.
     """
     lanes = (len(slowness), len(reference))
-    fast = np.broadcast_to(1.0 / np.maximum(slowness, TINY), lanes).copy()
-    gain = np.broadcast_to(interval / np.maximum(sluggishness, TINY), lanes).copy()
-    slow, loss = -fast, -gain
-    held = np.broadcast_to(2.0 * sluggishness / interval, lanes).copy()
-    point, pace = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
+    highest_speed = np.broadcast_to(1.0 / np.maximum(slowness, TINY), lanes).copy()
+    highest_change = np.broadcast_to(interval / np.maximum(sluggishness, TINY), lanes).copy()
+    lowest_speed, lowest_change = -highest_speed, -highest_change
+    brake_factor = np.broadcast_to(2.0 * sluggishness / interval, lanes).copy()
+    set_point, speed = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
     begins, ends = np.empty((reference.shape[1], *lanes)), np.empty((reference.shape[1], *lanes))
     ramps = bool(np.any(sluggishness > 0.0))
-    needed, wanted = np.empty(lanes), np.empty(lanes)
-    for sample, asked in enumerate(reference.T.copy()):
-        begins[sample] = point
-        np.subtract(asked, point, out=needed)
-        needed /= interval
+    change, share = np.empty(lanes), np.empty(lanes)
+    for sample, goal_at_sample in enumerate(reference.T.copy()):
+        begins[sample] = set_point
+        np.subtract(goal_at_sample, set_point, out=change)
+        change /= interval
         if ramps:
-            np.abs(needed, out=wanted)
-            wanted *= held
-            wanted += 0.25
-            np.sqrt(wanted, out=wanted)
-            wanted += 0.5
-            np.divide(2.0, wanted, out=wanted)
-            np.minimum(wanted, 1.0, out=wanted)
-            needed *= wanted  # so fast that it can still stop there
-            np.minimum(needed, fast, out=needed)
-            np.maximum(needed, slow, out=needed)
-            needed -= pace
-            np.minimum(needed, gain, out=needed)
-            np.maximum(needed, loss, out=needed)
-            pace += needed
+            np.abs(change, out=share)
+            share *= brake_factor
+            share += 0.25
+            np.sqrt(share, out=share)
+            share += 0.5
+            np.divide(2.0, share, out=share)
+            np.minimum(share, 1.0, out=share)
+            change *= share  # at most the speed from which it can still stop at the goal
+            np.minimum(change, highest_speed, out=change)
+            np.maximum(change, lowest_speed, out=change)
+            change -= speed
+            np.minimum(change, highest_change, out=change)
+            np.maximum(change, lowest_change, out=change)
+            speed += change
         else:
-            np.minimum(needed, fast, out=pace)
-            np.maximum(pace, slow, out=pace)
-        np.multiply(pace, interval, out=needed)
-        point += needed
-        ends[sample] = point
+            np.minimum(change, highest_speed, out=speed)
+            np.maximum(speed, lowest_speed, out=speed)
+        np.multiply(speed, interval, out=change)
+        set_point += change
+        ends[sample] = set_point
     goal = reference.T[:, None, :]
     np.copyto(
         begins, np.broadcast_to(goal, begins.shape), where=np.abs(ends - goal) <= GOAL_TOLERANCE * np.abs(goal - begins)
@@ -106,11 +106,11 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
 
 
 def shifted(values: Array, samples: float) -> Array:
-    """Rows some samples later, linear in between, the first or last value beyond the ends."""
+    """Delay rows by a number of samples, linear in between, constant beyond the ends."""
     if samples == 0.0:
         return values
-    whole = int(np.floor(samples))
-    share, last = samples - whole, values.shape[1] - 1
-    at = np.arange(last + 1) - whole
-    later = values[:, np.clip(at, 0, last)]
-    return np.asarray((1.0 - share) * later + share * values[:, np.clip(at - 1, 0, last)], np.float64)
+    whole_samples = int(np.floor(samples))
+    share, last_index = samples - whole_samples, values.shape[1] - 1
+    index = np.arange(last_index + 1) - whole_samples
+    later = values[:, np.clip(index, 0, last_index)]
+    return np.asarray((1.0 - share) * later + share * values[:, np.clip(index - 1, 0, last_index)], np.float64)

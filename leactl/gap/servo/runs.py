@@ -1,4 +1,4 @@
-"""Runs of position servos put side by side."""
+"""Runs of position servos side by side, as arrays for the simulation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 PARABOLA_SAMPLES = 4  # at the beginning of a run, to which a parabola is fitted for its speed
-LEAST_MOVING_SHARE = 0.1  # of the fast speeds; a run that begins more slowly begins at rest
+LEAST_MOVING_SHARE = 0.1  # share of the fast speeds; a run that begins more slowly begins at rest
 INTERVAL_TOLERANCE = 0.01  # relative difference of sampling intervals that count as equal
 FAST = 0.95  # quantile of the speeds
 
@@ -41,8 +41,8 @@ class ServoRuns:
     level: Array  # N*m, of the pendulum held out level
     inertia: Array  # kg*m^2, of the pendulum
     scales: Mapping[str, float]  # typical size of each parameter that a fit may move, in the parameter's own unit
-    usual: Mapping[str, tuple[float, float]]  # of the model's own parameters: value, and how far it may be off
-    forgets: int  # samples, after which a servo of the model no longer knows where it began
+    usual: Mapping[str, tuple[float, float]]  # by parameter of the model: value and prior width
+    forgets: int  # samples after which the start of a servo has no influence
 
     @property
     def hangs(self) -> bool:
@@ -51,9 +51,9 @@ class ServoRuns:
 
 
 def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
-    """Put runs of position servos side by side; shorter ones wait at their last reference.
+    """Put runs of position servos side by side; shorter ones are held at their last reference.
 
-    Samples that are closer than a simulation of the servo needs are thinned out.
+    Samples are thinned out where they are closer than a simulation of the servo needs.
 
     Raises
     ------
@@ -81,30 +81,30 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     gain, inertia = np.array([servo.gain for servo in servos]), np.array([load.inertia for load in loads])
     voltage_logged &= (gain > 0.0)[:, None]
     fast, slow = times_of(model, gain, float(np.min(inertia)), float(np.max(inertia)))
-    every = max(1, math.floor(STEPS * fast / interval))
+    thinning = max(1, math.floor(STEPS * fast / interval))
     return ServoRuns(
-        interval * every,
+        interval * thinning,
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
-        angles[:, ::every],
+        angles[:, ::thinning],
         np.array([starting_speed(angle, interval) for angle in angles]),
-        block_means(references, every),
-        enabled[:, ::every],
-        measured[:, ::every],
-        volts[:, ::every],
-        voltage_logged[:, ::every],
+        block_means(references, thinning),
+        enabled[:, ::thinning],
+        measured[:, ::thinning],
+        volts[:, ::thinning],
+        voltage_logged[:, ::thinning],
         gain,
         np.array([servo.damping for servo in servos]),
         np.array([servo.voltage_limit for servo in servos]),
         np.array([load.level_torque for load in loads]),
         inertia,
-        parameter_scales(model, angles, interval * every, interval, float(np.mean(inertia))),
+        parameter_scales(model, angles, interval * thinning, interval, float(np.mean(inertia))),
         usual_of(model),
-        math.ceil(FORGETS * slow / (interval * every)),
+        math.ceil(FORGETS * slow / (interval * thinning)),
     )
 
 
 def parameter_scales(model: Model, angles: Array, interval: float, sampled: float, load: float) -> dict[str, float]:
-    """Typical size of each parameter of a simulation, from the servo's torque, speed and response time."""
+    """Return the typical size of each parameter of a simulation, from the servo's torque, speed and response time."""
     constant, resistance = model.torque_constant or 0.0, model.phase_resistance or 1.0
     volts = model.drive.voltage_limit if model.drive is not None else 0.0
     stall, holding = constant * volts / resistance, constant**2 / resistance
@@ -138,7 +138,7 @@ def parameter_scales(model: Model, angles: Array, interval: float, sampled: floa
 
 
 def usual_of(model: Model) -> dict[str, tuple[float, float]]:
-    """What a model says of the parameters that a fit may move, with the width of their priors."""
+    """Return the model's values of the parameters that a fit may move, with the widths of their priors."""
     names = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
     known = {name: float(getattr(model, name) or 0.0) for name in names}
     return {name: (value, PRIORS[name] * value) for name, value in known.items() if value > 0.0}
@@ -148,13 +148,13 @@ def block_means(values: Array, length: int) -> Array:
     """Average blocks of samples, (runs, samples) to (runs, blocks); the last sample fills up the last block."""
     if length == 1:
         return values
-    short = -values.shape[1] % length
-    whole = np.pad(values, ((0, 0), (0, short)), mode="edge")
-    return np.asarray(whole.reshape(len(values), -1, length).mean(axis=2), np.float64)
+    missing = -values.shape[1] % length
+    padded = np.pad(values, ((0, 0), (0, missing)), mode="edge")
+    return np.asarray(padded.reshape(len(values), -1, length).mean(axis=2), np.float64)
 
 
 def runs_at_common_rate(records: Sequence[Record], model: Model) -> list[Record]:
-    """The largest group of servo runs whose sampling intervals are within 1 % of one of theirs."""
+    """Return the largest group of servo runs whose sampling intervals are within 1 % of that of one run."""
     paced = [(r, r.fast.interval) for r in records if r.fast is not None and drive_of(r, model) is not None]
     paces = [
         [r for r, other_interval in paced if abs(other_interval / interval - 1.0) <= INTERVAL_TOLERANCE]
@@ -164,7 +164,7 @@ def runs_at_common_rate(records: Sequence[Record], model: Model) -> list[Record]
 
 
 def starting_speed(angle: Array, interval: float) -> float:
-    """Speed at the first sample, by a parabola through a few; none where that is little beside the run's speeds."""
+    """Return the speed at the first sample by a parabola through a few; zero if small against the run's speeds."""
     speed = float(
         np.polynomial.Polynomial.fit(interval * np.arange(PARABOLA_SAMPLES), angle[:PARABOLA_SAMPLES], 2).deriv()(0.0)
     )
@@ -173,15 +173,17 @@ def starting_speed(angle: Array, interval: float) -> float:
 
 
 def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array, Array]:
-    """Angle, reference, whether the drive is enabled, and the motor's voltage, held to a length."""
+    """Return angle, reference, enabled state and voltage of a run, padded to a length with their last values."""
     enabled, volts = clock.get("drive_enabled"), clock.get("q_axis_voltage")
-    on = np.ones(len(clock.time)) if enabled is None else (enabled > 0.5).astype(float)
-    none = np.zeros(len(clock.time))
+    enabled_samples = np.ones(len(clock.time)) if enabled is None else (enabled > 0.5).astype(float)
+    zeros = np.zeros(len(clock.time))
     columns = (
         clock.values["angle", "test"],
         clock.values["angle_reference", "test"],
-        on,
-        none if volts is None else volts,
+        enabled_samples,
+        zeros if volts is None else volts,
     )
-    angle, reference, on, volts = (np.pad(values, (0, length - len(values)), mode="edge") for values in columns)
-    return angle, reference, on, volts
+    angle, reference, enabled_samples, volts = (
+        np.pad(values, (0, length - len(values)), mode="edge") for values in columns
+    )
+    return angle, reference, enabled_samples, volts

@@ -1,7 +1,8 @@
 """Runs of a servo cut into stretches that are simulated side by side.
 
-A servo forgets where it began within a few of its own time constants, unless it is let go. A stretch begins from the
-measured state that much earlier, and only what follows is scored; runs that are not much longer stay whole.
+The start of a servo loses influence within a few of its own time constants, unless the drive is disabled. A stretch
+begins from the measured state that much earlier, and only the following part is scored; runs that are not much longer
+stay whole.
 """
 
 from dataclasses import dataclass
@@ -14,30 +15,30 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 SPEED_SPAN = 4  # samples over which the speed at the beginning of a stretch is taken
-LEAST_SCORED = 2.0  # times as long as it takes to forget, that a stretch is scored for at least
+LEAST_SCORED = 2.0  # shortest scored part of a stretch, over the time in which a start loses influence
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Which run each stretch is of, where it begins and from where on it is scored."""
+    """Stretches: the run of each, its beginning, and the sample from which it is scored."""
 
     run: Index
-    first: Index  # sample that it begins at
+    first: Index  # first sample
     scored_from: Index  # sample
     length: int  # samples, of each
-    angle: Array  # rad, where it begins
+    angle: Array  # rad, at the beginning
     speed: Array  # rad/s
 
     @property
     def samples(self) -> Index:
-        """The sample that each stretch is at, (stretches, samples); those that run on beyond the end stay there."""
+        """Sample of the run at each step of each stretch, (stretches, samples); it may lie beyond the run's end."""
         return self.first[:, None] + np.arange(self.length)
 
 
 def whole_runs(runs: ServoRuns) -> Stretches:
-    """Each run as one stretch."""
-    none = np.zeros(len(runs.gain), np.intp)
-    return Stretches(np.arange(len(none)), none, none, runs.angle.shape[1], runs.angle[:, 0], runs.speed)
+    """Return each run as one stretch."""
+    zeros = np.zeros(len(runs.gain), np.intp)
+    return Stretches(np.arange(len(zeros)), zeros, zeros, runs.angle.shape[1], runs.angle[:, 0], runs.speed)
 
 
 def cut(runs: ServoRuns) -> Stretches:
@@ -46,13 +47,15 @@ def cut(runs: ServoRuns) -> Stretches:
     count = int(samples / (LEAST_SCORED * forgets))
     if count < 2 or bool(np.any(runs.enabled < 1.0)):
         return whole_runs(runs)
-    long = -(-samples // count)
-    count = -(-samples // long)  # a length that is rounded up may need fewer
-    scored_from = np.tile(long * np.arange(count), len(runs.gain))
+    scored_length = -(-samples // count)
+    count = -(-samples // scored_length)  # a length rounded up may need fewer stretches
+    scored_from = np.tile(scored_length * np.arange(count), len(runs.gain))
     run = np.repeat(np.arange(len(runs.gain)), count)
-    first = np.maximum(scored_from - forgets, 0)
-    ends = np.minimum(first + SPEED_SPAN, samples - 1)
-    angle = runs.angle[run, first]
+    begin = np.maximum(scored_from - forgets, 0)
+    ends = np.minimum(begin + SPEED_SPAN, samples - 1)
+    angle = runs.angle[run, begin]
     speed = (runs.angle[run, ends] - angle) / (SPEED_SPAN * runs.interval)
-    begin = first == 0
-    return Stretches(run, first, scored_from, long + forgets, angle, np.where(begin, runs.speed[run], speed))
+    at_start = begin == 0
+    return Stretches(
+        run, begin, scored_from, scored_length + forgets, angle, np.where(at_start, runs.speed[run], speed)
+    )

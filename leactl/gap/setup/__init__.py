@@ -1,4 +1,4 @@
-"""Faults of a set-up, looked for before any effect: a channel that is dead, turned, scaled, swapped or out of time.
+"""Faults of a set-up, searched before any effect: a channel that is dead, reversed, scaled, swapped or out of time.
 
 They are the commonest causes on real benches, and each makes a gap that some effect of a machine would explain as well.
 """
@@ -19,38 +19,38 @@ __all__ = ["SetUpFault", "mended"]
 
 Look = Callable[[Sequence[Record], Model], SetUpFault | None]
 LOOKS: tuple[Look, ...] = (swapped, wrapped, frozen, repeated, clipped, misscaled, out_of_time)
-GONE = 0.3  # of what a channel is off by on held-out runs, that mending a fault takes at least
-MOST = 8  # faults, beyond which a set-up is not described but made up
+GONE = 0.3  # smallest share of a channel's squared error on held-out runs that mending a fault removes
+MOST = 8  # most mends of one set-up
 
 
 def mended(
     records: Sequence[Record], model: Model, held_out: int | None = None
 ) -> tuple[list[SetUpFault], list[Record]]:
-    """Faults that the records of a case show, and the records without them, in the same order.
+    """Return the faults that the records of a case show, and the mended records in the same order.
 
     Parameters
     ----------
-    held_out : so many of the last records are held out: they show how far a fault opens the gap; all by default.
+    held_out : number of held-out records, the last ones, on which the gap of a fault is measured; all by default.
     """
-    faults, kept = list[SetUpFault](), list(records)
-    rounds, first = 0, 0 if held_out is None else len(kept) - held_out
+    faults, mended_records = list[SetUpFault](), list(records)
+    rounds, first_held_out = 0, 0 if held_out is None else len(mended_records) - held_out
     for look in LOOKS:
-        logged = kept
-        while (fault := look(kept, model)) is not None:
-            again = [fault.mend(record) for record in kept]
-            rest = bool(faults) and (faults[-1].name, faults[-1].key) == (fault.name, fault.key)
-            logged = logged if rest else kept
-            drawn = mended_picture(fault.name, logged[first:], again[first:], model)
-            shrinks = drawn is not None and drawn[1] >= GONE
-            if drawn is not None and fault.shrinks and not shrinks:
+        logged = mended_records
+        while (fault := look(mended_records, model)) is not None:
+            remended = [fault.mend(record) for record in mended_records]
+            repeats_last = bool(faults) and (faults[-1].name, faults[-1].key) == (fault.name, fault.key)
+            logged = logged if repeats_last else mended_records
+            picture_and_share = mended_picture(fault.name, logged[first_held_out:], remended[first_held_out:], model)
+            shrinks = picture_and_share is not None and picture_and_share[1] >= GONE
+            if picture_and_share is not None and fault.shrinks and not shrinks:
                 break
-            if drawn is not None and shrinks:
-                fault = replace(fault, picture=drawn[0], share=drawn[1])
-            if rest:  # more of the same: what was found first tells it best
+            if picture_and_share is not None and shrinks:
+                fault = replace(fault, picture=picture_and_share[0], share=picture_and_share[1])
+            if repeats_last:  # more of the last fault: its first description is the best
                 fault = replace(faults.pop(), picture=fault.picture, share=fault.share)
             faults.append(fault)
-            kept = again
+            mended_records = remended
             rounds += 1
             if rounds == MOST:
-                return faults, kept
-    return faults, kept
+                return faults, mended_records
+    return faults, mended_records

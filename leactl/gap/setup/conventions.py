@@ -1,4 +1,4 @@
-"""Factors that have a name: conventions of transformations, units taken for one another, small whole numbers."""
+"""Named factors: conventions of transformations, mistaken units, and small whole numbers."""
 
 import math
 from fractions import Fraction
@@ -26,22 +26,22 @@ UNITS = {
 }
 FACTORS = CURRENTS | UNITS
 STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
-NEAR = 0.06  # logarithm, by which a factor may miss its convention
+NEAR = 0.06  # largest difference of logarithms between a factor and its convention
 MOST_RATE, MOST_POLES, WHOLE = 10, 64, 0.25
 
 
 def convention(factor: float, error: float = 0.0) -> str:
-    """The convention that a factor equals within its error; empty where none does."""
+    """Return the name of the convention that a factor equals within its error; empty where it equals none."""
     size = abs(factor)
-    near = min(FACTORS, key=lambda name: abs(math.log(size / FACTORS[name])))
-    return ("-" if factor < 0.0 else "") + near if abs(math.log(size / FACTORS[near])) < NEAR + error else ""
+    nearest = min(FACTORS, key=lambda name: abs(math.log(size / FACTORS[name])))
+    return ("-" if factor < 0.0 else "") + nearest if abs(math.log(size / FACTORS[nearest])) < NEAR + error else ""
 
 
 def step_of_time(factor: float, error: float) -> str:
-    """The unit or the ratio of two rates that a factor of time equals; empty where it is neither."""
-    near = min(STEPS_OF_TIME, key=lambda name: abs(math.log(factor / STEPS_OF_TIME[name])))
-    if abs(math.log(factor / STEPS_OF_TIME[near])) < NEAR + error:
-        return near
+    """Return the unit or ratio of rates that a factor of time equals; empty where it is neither."""
+    nearest = min(STEPS_OF_TIME, key=lambda name: abs(math.log(factor / STEPS_OF_TIME[name])))
+    if abs(math.log(factor / STEPS_OF_TIME[nearest])) < NEAR + error:
+        return nearest
     ratio = Fraction(factor).limit_denominator(MOST_RATE)
     if 1 in (ratio.numerator, ratio.denominator) and ratio and abs(math.log(factor / float(ratio))) < NEAR + error:
         return str(ratio)
@@ -49,9 +49,9 @@ def step_of_time(factor: float, error: float) -> str:
 
 
 def whole(factor: float, error: float) -> int | None:
-    """The whole number that a factor, or its inverse, equals; None beyond what machines have as pole pairs."""
+    """Return the whole number, 2 to `MOST_POLES`, that a factor or its inverse equals; None if it equals none."""
     larger = max(factor, 1.0 / factor)
     number = round(larger)
-    between = WHOLE / max(number, 1)  # half-way to the next whole number, and half of that again
-    told = 2 <= number <= MOST_POLES and error < between
-    return number if told and abs(math.log(larger / number)) < between + error else None
+    tolerance = WHOLE / max(number, 1)  # half-way to the next whole number, and half of that again
+    determined = 2 <= number <= MOST_POLES and error < tolerance
+    return number if determined and abs(math.log(larger / number)) < tolerance + error else None

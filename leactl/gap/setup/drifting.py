@@ -1,4 +1,4 @@
-"""Channels whose clock runs off against the others': by an offset, ever further, or in leaps where samples were lost.
+"""Find channels whose clock differs from the others': by an offset, a drift, or leaps where samples were lost.
 
 A delay or a filter of a machine is as late at the end of a run as at its start, and never early.
 """
@@ -21,90 +21,94 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 DRIFT, DROPPED = "clock_drift", "dropped_samples"
-SEEN = 0.99
+SEEN = 0.99  # probability of such a fault
 FEWEST = 5  # stretches of a run
 STEADY = 5.0  # standard errors of a drift or a leap
 SAMPLE = (
     1.0  # that a stamp may be off by where nothing promises it; a drift over the run, an offset and a leap are more
 )
-FOLLOWS = 0.2  # of a drift, that its stretches may scatter about it
-MENDS = 0.5  # of what a channel is off by, that goes with its clock put right
-ALIKE = 0.5  # of a drift, by which that of another run may differ
-QUIET = 2.0  # times its noise, that a channel may be off by
+FOLLOWS = 0.2  # largest scatter of stretches about a drift, as a share of its total
+MENDS = 0.5  # smallest share of a channel's squared error that a corrected clock removes
+ALIKE = 0.5  # largest difference between the drifts of runs, as a share of a drift
+QUIET = 2.0  # largest error of a channel in time, over its noise
 MOST_LEAPS = 4
-CAPPED = 9.0  # squares of standard errors, that one stretch may cost: a leap may lie within it
-BETTER = 10.0  # squares of standard errors, by which leaps have to fit better than a drift
+CAPPED = 9.0  # squared standard errors that one stretch costs at most: a leap may lie within it
+BETTER = 10.0  # squared standard errors by which leaps have to fit better than a drift
 STRETCHES = 32
 
 
 @dataclass(frozen=True)
 class LatenessCourse:
-    """How late a channel of a run is, over time: on a line, or in leaps."""
+    """Lateness of a channel over a run: a line, or leaps."""
 
-    start: float  # samples late at the first sample
-    drift: float  # samples a sample
+    start: float  # lateness at the first sample, in samples
+    drift: float  # samples per sample
     leaps: tuple[tuple[int, float], ...] = ()  # samples at which it leaps, and by how much
 
     def late(self, count: int) -> Array:
-        """Samples late at every sample."""
-        at = np.arange(count)
-        late = self.start + self.drift * at
+        """Return the lateness [samples] at every sample."""
+        samples = np.arange(count)
+        late = self.start + self.drift * samples
         for begin, height in self.leaps:
-            late = late + height * (at >= begin)
+            late = late + height * (samples >= begin)
         return np.asarray(late, np.float64)
 
 
 def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
-    """The channel whose clock runs off most clearly, if one does."""
+    """Return the clock fault of the channel that shows it in most runs, if any channel does."""
     courses: dict[Key, dict[str, LatenessCourse]] = {}
-    told: dict[Key, list[tuple[Record, Pair, Lateness]]] = {}
-    asked: dict[Key, int] = {}
+    drifting_pairs: dict[Key, list[tuple[Record, Pair, Lateness]]] = {}
+    pair_counts: dict[Key, int] = {}
     for record in records:
         for pair in direct_pairs(record, model):
             assert record.fast is not None
-            asked[pair.key] = asked.get(pair.key, 0) + 1
+            pair_counts[pair.key] = pair_counts.get(pair.key, 0) + 1
             if in_time(pair):
                 continue
             stretches = lateness(pair.reads, pair.expected, record.fast.all_valid(*pair.keys), STRETCHES)
             if len(stretches.late) >= FEWEST:
-                told.setdefault(pair.key, []).append((record, pair, stretches))
-    for key, group in told.items():
-        leaps = {record.name: course for record, pair, one in group if (course := leaping(record, pair, one))}
-        # a clock that runs off does so in every run, and shows in most; samples may be lost in one
-        runs_off = drifting(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= asked[key] else {}
+                drifting_pairs.setdefault(pair.key, []).append((record, pair, stretches))
+    for key, group in drifting_pairs.items():
+        leaps = {
+            record.name: course
+            for record, pair, stretches_of_pair in group
+            if (course := leaping(record, pair, stretches_of_pair))
+        }
+        # a wrong clock acts in every run and shows in most; samples may be lost in a single one
+        runs_off = drifting(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= pair_counts[key] else {}
         if fault := runs_off or leaps:
             courses[key] = fault
     if not courses:
         return None
     key = max(courses, key=lambda key: len(courses[key]))
-    return fault_of(key, told[key][0][1].against, courses[key], records)
+    return fault_of(key, drifting_pairs[key][0][1].against, courses[key], records)
 
 
 def in_time(pair: Pair) -> bool:
-    """Whether a channel follows by one lag that is not early and leaves nothing but its noise."""
+    """Return whether a channel follows its companion with one lag that is not negative, and to within its noise."""
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
     columns = np.stack([expected, -slope(expected, 1.0), np.ones(len(expected))], axis=1)
     solved, *_ = np.linalg.lstsq(columns, smooth(pair.reads, width), rcond=1e-10)
-    left = pair.reads - solved[0] * pair.expected
-    noise = noise_of(left) / np.sqrt(np.sqrt(4.0 * np.pi) * width)
-    rest = smooth(pair.reads, width) - columns @ solved
+    residual = pair.reads - solved[0] * pair.expected
+    noise = noise_of(residual) / np.sqrt(np.sqrt(4.0 * np.pi) * width)
+    smooth_residual = smooth(pair.reads, width) - columns @ solved
     early = solved[1] < -SAMPLE * abs(solved[0])
-    return not early and float(np.std(rest)) < QUIET * noise
+    return not early and float(np.std(smooth_residual)) < QUIET * noise
 
 
 def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, LatenessCourse]:
-    """Courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
-    lines = {record.name: line(one) for record, _, one in group}
+    """Return the courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
+    lines = {record.name: line(stretches) for record, _, stretches in group}
     known = {
         run: course for run, (course, error, scatter, count) in lines.items() if drifts(course, error, scatter, count)
     }
     speeds = [course.drift for course in known.values()]
     agreed = known and float(np.ptp(speeds)) <= ALIKE * float(np.min(np.abs(speeds)))
-    rest = [run for run in lines if run not in known]
+    unsteady_runs = [run for run in lines if run not in known]
     contradicted = [
         run
-        for run in rest
+        for run in unsteady_runs
         if agreed and abs(lines[run][0].drift - np.mean(speeds)) > STEADY * lines[run][1] + 0.3 * abs(np.mean(speeds))
     ]
     if agreed and not contradicted and len(known) >= max(len(lines) // 2, 1):
@@ -113,7 +117,7 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Latene
             for record, pair, _ in group
         }
         return courses if mends(group, courses) else {}
-    offsets = {record.name: (one.mean(), pair, record) for record, pair, one in group}
+    offsets = {record.name: (stretches.mean(), pair, record) for record, pair, stretches in group}
     early, late = 0, 0
     for (mean, error), pair, record in offsets.values():
         allowed = SAMPLE * (2.0 if set(pair.keys) & unstamped(record) else 1.0)
@@ -126,58 +130,66 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Latene
 
 
 def unstamped(record: Record) -> set[Key]:
-    """Channels of which a run does not say what a stamp means."""
+    """Return the channels of a run whose file does not say what a stamp means."""
     return set() if record.fast is None else record.fast.unstamped
 
 
-def line(one: Lateness) -> tuple[LatenessCourse, float, float, float]:
-    """A straight course through stretches, the error of its drift, its scatter, and the samples it spans."""
-    columns = np.stack([np.ones(len(one.late)), one.middle], axis=1) / one.error[:, None]
-    solved, *_ = np.linalg.lstsq(columns, one.late / one.error, rcond=None)
-    left = one.late - solved[0] - solved[1] * one.middle
-    inflation = max(float(np.sqrt(np.sum((left / one.error) ** 2) / (len(left) - 2))), 1.0)
+def line(stretches: Lateness) -> tuple[LatenessCourse, float, float, float]:
+    """Fit a line to the lateness of stretches; return it, the error of its drift, its scatter and its span."""
+    columns = np.stack([np.ones(len(stretches.late)), stretches.middle], axis=1) / stretches.error[:, None]
+    solved, *_ = np.linalg.lstsq(columns, stretches.late / stretches.error, rcond=None)
+    residual = stretches.late - solved[0] - solved[1] * stretches.middle
+    inflation = max(float(np.sqrt(np.sum((residual / stretches.error) ** 2) / (len(residual) - 2))), 1.0)
     error = float(np.sqrt(np.linalg.inv(columns.T @ columns)[1, 1])) * inflation
     return (
         LatenessCourse(float(solved[0]), float(solved[1])),
         error,
-        float(np.median(np.abs(left))),
-        float(np.ptp(one.middle)),
+        float(np.median(np.abs(residual))),
+        float(np.ptp(stretches.middle)),
     )
 
 
 def drifts(course: LatenessCourse, error: float, scatter: float, span: float) -> bool:
-    """Whether a channel is ever later, or earlier, by more than a sample over its run."""
+    """Return whether a channel drifts by more than two samples over its run, significantly and along a line."""
     total = abs(course.drift) * span
     return total > 2.0 * SAMPLE and abs(course.drift) > STEADY * error and scatter < FOLLOWS * total
 
 
-def leaping(record: Record, pair: Pair, one: Lateness) -> LatenessCourse | None:
-    """The course of a channel that goes early in leaps and stays so; None where it does not."""
-    error = np.maximum(one.error, float(np.median(np.abs(np.diff(one.late)))) + 0.05)
-    steps = leaps_of(one.late, error)
+def leaping(record: Record, pair: Pair, stretches: Lateness) -> LatenessCourse | None:
+    """Return the course of a channel that becomes earlier in leaps and stays so; None where it does not."""
+    error = np.maximum(stretches.error, float(np.median(np.abs(np.diff(stretches.late)))) + 0.05)
+    steps = leaps_of(stretches.late, error)
     if not steps or len(steps) > MOST_LEAPS:
         return None
-    straight = line(one)[0]
-    bent = float(np.sum(np.minimum(((one.late - straight.start - straight.drift * one.middle) / error) ** 2, CAPPED)))
-    levels = np.split(one.late, steps)
+    drift_line = line(stretches)[0]
+    drift_misfit = float(
+        np.sum(
+            np.minimum(((stretches.late - drift_line.start - drift_line.drift * stretches.middle) / error) ** 2, CAPPED)
+        )
+    )
+    levels = np.split(stretches.late, steps)
     medians = [float(np.median(level)) for level in levels]
-    left = sum(
+    level_misfit = sum(
         float(np.sum(np.minimum(((level - middle) / part) ** 2, CAPPED)))
         for level, middle, part in zip(levels, medians, np.split(error, steps), strict=True)
     )
     heights = np.diff(medians)
-    if (heights > -2.0 * SAMPLE).any() or bent - left < BETTER or min(len(level) for level in levels[1:]) < 2:
+    if (
+        (heights > -2.0 * SAMPLE).any()
+        or drift_misfit - level_misfit < BETTER
+        or min(len(level) for level in levels[1:]) < 2
+    ):
         return None
-    # where between two stretches it leaps: the place after which the later course fits better
-    places = [int(0.5 * (one.middle[step - 1] + one.middle[step])) for step in steps]
+    # a leap lies between two stretches: at the sample after which the later level fits better
+    samples = [int(0.5 * (stretches.middle[step - 1] + stretches.middle[step])) for step in steps]
     start = medians[0]
-    whole = tuple((place, float(round(height))) for place, height in zip(places, heights.tolist(), strict=True))
-    course = LatenessCourse(0.0, 0.0, refined(record, pair, start, whole))
-    return course if mends([(record, pair, one)], {record.name: course}) else None
+    leaps = tuple((sample, float(round(height))) for sample, height in zip(samples, heights.tolist(), strict=True))
+    course = LatenessCourse(0.0, 0.0, refined(record, pair, start, leaps))
+    return course if mends([(record, pair, stretches)], {record.name: course}) else None
 
 
 def leaps_of(late: Array, error: Array) -> list[int]:
-    """Indices at which levels of a series change, by the fewest levels that explain it."""
+    """Return the indices at which the level of a series changes, by dynamic programming with a penalty per level."""
     count = len(late)
 
     def cost(begin: int, end: int) -> float:
@@ -202,62 +214,67 @@ def leaps_of(late: Array, error: Array) -> list[int]:
 def refined(
     record: Record, pair: Pair, start: float, leaps: tuple[tuple[int, float], ...]
 ) -> tuple[tuple[int, float], ...]:
-    """Leaps at the places where what is left over is least."""
-    at, late = [], start
+    """Move each leap to the sample with the smallest squared residual."""
+    refined_leaps, late = [], start
     stamps = np.arange(len(pair.reads), dtype=np.float64)
     reach = len(pair.reads) // STRETCHES
-    for place, height in leaps:
-        begin, end = max(place - reach, 0), min(place + reach, len(pair.reads))
-        before, after = (
+    for sample, height in leaps:
+        begin, end = max(sample - reach, 0), min(sample + reach, len(pair.reads))
+        residual_before, residual_after = (
             np.interp(stamps[begin:end] - shift, stamps, pair.expected) - pair.reads[begin:end]
             for shift in (late, late + height)
         )
-        left = np.concatenate([[0.0], np.cumsum(before**2)]) + np.concatenate(
-            [np.cumsum((after**2)[::-1])[::-1], [0.0]]
+        squares = np.concatenate([[0.0], np.cumsum(residual_before**2)]) + np.concatenate(
+            [np.cumsum((residual_after**2)[::-1])[::-1], [0.0]]
         )
-        at.append((begin + int(np.argmin(left)), height))
+        refined_leaps.append((begin + int(np.argmin(squares)), height))
         late += height
-    return tuple(at)
+    return tuple(refined_leaps)
 
 
 def mends(
     group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[str, LatenessCourse], steady: bool = True
 ) -> bool:
-    """Whether channels go along with their companions once their clock is put right."""
+    """Return whether the median gain of the runs with corrected clocks is at least `MENDS`."""
     return float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group])) >= MENDS
 
 
 def gain_of(pair: Pair, course: LatenessCourse, steady: bool) -> float:
-    """Share of what a channel is off by that goes with its clock put right; beside both a steady lag, if allowed."""
+    """Return the share of a channel's squared error that a corrected clock removes.
+
+    steady : whether a constant lag is fitted in addition, before and after.
+    """
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
-    beside = [slope(expected, 1.0)] if steady else []
-    columns = np.stack([expected, *beside, np.ones(len(expected))], axis=1)
+    lag_columns = [slope(expected, 1.0)] if steady else []
+    columns = np.stack([expected, *lag_columns, np.ones(len(expected))], axis=1)
 
-    def left(reads: Array) -> float:
+    def residual_squares(reads: Array) -> float:
         reads = smooth(reads, width)
         return float(np.sum((reads - columns @ np.linalg.lstsq(columns, reads, rcond=1e-10)[0]) ** 2))
 
-    before, after = left(pair.reads), left(put_right(pair.reads, course))
-    return 1.0 - after / before if before > 0.0 else 0.0
+    squares_before, squares_after = residual_squares(pair.reads), residual_squares(put_right(pair.reads, course))
+    return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
 
 
 def put_right(values: Array, course: LatenessCourse) -> Array:
-    """A channel as it was when its stamps say; what lies beyond its ends is held."""
-    at = np.arange(len(values), dtype=np.float64)
-    return np.asarray(np.interp(at + course.late(len(values)), at, values), np.float64)
+    """Return a channel with its lateness removed; the end values are held beyond its ends."""
+    samples = np.arange(len(values), dtype=np.float64)
+    return np.asarray(np.interp(samples + course.late(len(values)), samples, values), np.float64)
 
 
 def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], records: Sequence[Record]) -> SetUpFault:
-    """A channel's clock as a fault, with what it does and how it is put right."""
+    """Return the fault of a channel's clock, with its evidence, its parameters and its mend."""
     intervals = {record.name: record.fast.interval for record in records if record.fast is not None}
     mend = partial(with_clock, key=key, courses=courses)
     within = "" if len(courses) == len(records) else f" in {len(courses)} of {len(records)} runs"
     if any(course.leaps for course in courses.values()):
         lost = {run: -sum(height for _, height in course.leaps) for run, course in courses.items()}
         run, most = max(lost.items(), key=lambda item: item[1])
-        first = courses[run].leaps[0][0] * intervals[run]
-        evidence = f"goes ahead of {against} by {most:.0f} samples in leaps{within}, in {run} first after {first:.4g} s"
+        first_leap = courses[run].leaps[0][0] * intervals[run]
+        evidence = (
+            f"goes ahead of {against} by {most:.0f} samples in leaps{within}, in {run} first after {first_leap:.4g} s"
+        )
         change = "stamp each sample when it is taken, and log a lost one as NaN: no line of a mapping puts it back"
         return SetUpFault(
             DROPPED, key, SEEN, evidence, change, mend, (EffectParameter("samples_lost", most, 0.5, "1"),)
@@ -274,13 +291,13 @@ def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], reco
 
 
 def with_clock(record: Record, key: Key, courses: Mapping[str, LatenessCourse]) -> Record:
-    """A record whose channel is put right in time; what is beyond its ends is left out."""
+    """Return a record with the lateness of a channel removed; samples beyond its ends become invalid."""
     clock, course = record.fast, courses.get(record.name)
     if clock is None or course is None or key not in clock.values:
         return record
     late = course.late(len(clock.time))
-    at = np.arange(len(late)) + late
-    inside = (at >= 0.0) & (at <= len(late) - 1.0)
+    stamps = np.arange(len(late)) + late
+    inside = (stamps >= 0.0) & (stamps <= len(late) - 1.0)
     shifted = with_values(record, key, put_right(clock.values[key], course))
     assert shifted.fast is not None
     return replace(shifted, fast=replace(shifted.fast, valid=clock.valid | {key: clock.valid[key] & inside}))

@@ -1,8 +1,8 @@
-"""What each fault of a set-up does to the factors of relations, and which fault the factors of some runs speak for.
+"""Identify the fault of a set-up from the factors of relations.
 
-A fault scales several factors at once, each by a power of its own size, and turns the sign of some. A wrong parameter
-of the model scales others. The sizes at which sound machines have these factors are the errors of a small regression,
-one for each fault; those that fit as well as the best one cannot be told from it.
+A fault scales several factors at once, each by a power of the fault's size, and reverses the sign of some. A wrong
+parameter of the model scales factors, too. Each fault is a small regression over the logarithms of the factors, whose
+errors are the scatter of sound machines; faults that fit about as well as the best cannot be told from it.
 """
 
 import math
@@ -16,21 +16,21 @@ from leactl.gap.setup.relations import CONSTANT, OF_CONSTANT, TIGHT, USUAL, Fact
 from leactl.gap.signals.record import Key
 
 Array = npt.NDArray[np.float64]
-SURPRISE = 9.0  # squares of standard deviations, that a fault has to explain
-LEFT = 3.0  # standard deviations, that it may leave of any factor
-RIVAL = 9.0  # squares of standard deviations, by which another may fit worse and still be named beside it
+SURPRISE = 9.0  # squared standard deviations that a fault explains at least
+LEFT = 3.0  # largest residual of any factor, in standard deviations
+RIVAL = 9.0  # squared standard deviations by which a rival may fit worse
 WRONG_PARAMETER = math.log(2.0)  # deviation of the logarithm of a parameter that is wrong in the model file
-AGREE = 0.2  # logarithm, by which the factors of runs with one fault may differ
-EXACT = 0.004  # logarithm, to which two channels that say the same tell a factor
-HEATED = {"resistance": 0.4}  # logarithm, by which warm and cold runs may differ beyond that
-OFF = 3.0  # standard deviations, beyond which a factor is not usual
-EXPLAINS = 0.8  # of what a channel is off by
+AGREE = 0.2  # largest deviation of the logarithms of one factor between runs with one fault
+EXACT = 0.004  # error of the logarithm of a factor between two channels of one quantity
+HEATED = {"resistance": 0.4}  # further difference of logarithms between warm and cold runs
+OFF = 3.0  # standard deviations beyond which a factor is not usual
+EXPLAINS = 0.8  # smallest share of a channel's squared error that a scale fault removes
 TIME: Key = ("time", "")
 
 
 @dataclass(frozen=True)
 class Signature:
-    """Powers of a fault's size in each factor, and the factors whose sign it turns if it is negative."""
+    """Powers of a fault's size in each factor, and the factors whose sign a negative fault reverses."""
 
     keys: tuple[Key, ...]  # channels that are scaled alike; none for a parameter of the model
     powers: Mapping[str, float]
@@ -64,7 +64,7 @@ BY_VELOCITY = (
     _of([VELOCITY], "velocity to its reference", f"velocity load,back_emf,{MOTION}", "friction,feeding"),
     Signature((TIME,), {"inertia": 1.0}),
 )
-"""Faults of motion that is told by the angle, and by the velocity where no angle is logged."""
+"""Faults of motion measured by the angle, and by the velocity where no angle is logged."""
 OTHERS = (
     _of([("velocity", "load")], "velocity load"),
     _of([("q_axis_current", "load")], "current load"),
@@ -98,7 +98,7 @@ class Pooled:
 
 @dataclass(frozen=True)
 class Spoken:
-    """A signature that the factors speak for, at its size."""
+    """A fault that the factors show, with its fitted size."""
 
     signature: Signature
     size: float  # logarithm
@@ -114,59 +114,59 @@ class Spoken:
 
 
 def pooled(runs: Sequence[Mapping[str, Factor]]) -> dict[str, Pooled]:
-    """Factors that runs agree on."""
+    """Return the factors that all runs agree on, by relation."""
     by_channel = {}
     for name in USUAL:
         factors = [run[name] for run in runs if name in run]
         if not factors:
             continue
-        signs = np.sign([one.value for one in factors])
-        sizes = np.log(np.abs([one.value for one in factors]))
-        errors = float(np.median([one.error for one in factors]))
+        signs = np.sign([factor.value for factor in factors])
+        sizes = np.log(np.abs([factor.value for factor in factors]))
+        errors = float(np.median([factor.error for factor in factors]))
         spread = float(np.std(sizes))
         if (signs != signs[0]).any() or float(np.ptp(sizes)) > 2.0 * AGREE + HEATED.get(name, 0.0) + 4.0 * errors:
             continue
         error = math.hypot(errors, spread / math.sqrt(len(factors)))
-        explained = float(np.median([one.explained for one in factors]))
+        explained = float(np.median([factor.explained for factor in factors]))
         by_channel[name] = Pooled(float(signs[0]), float(np.median(sizes)), error, explained)
     return by_channel
 
 
 def usual(factor: Factor) -> bool:
-    """Whether a sound machine may show a factor."""
+    """Return whether a sound machine may have a factor."""
     deviation = math.hypot(math.hypot(USUAL[factor.relation], factor.error), CONSTANT * abs(constant(factor.relation)))
     return factor.value > 0.0 and abs(math.log(factor.value)) <= OFF * deviation
 
 
 def constant(relation: str) -> float:
-    """The power of the torque constant in a factor."""
+    """Return the power of the torque constant in a factor."""
     return OF_CONSTANT.get(relation, 0.0)
 
 
 def spoken_for(factors: Mapping[str, Pooled], channels: Iterable[Key]) -> list[Spoken]:
-    """The fault that factors speak for and its rivals, best first; empty where all is usual or nothing fits.
+    """Return the fault that the factors show and its rivals, best first; empty if all are usual or no fault fits.
 
     Parameters
     ----------
-    channels : that the runs have.
+    channels : channels of the runs.
     """
     if not factors:
         return []
-    there, names = {*channels, TIME}, list(factors)
-    by_motion = BY_ANGLE if ANGLE in there else BY_VELOCITY
+    channels_there, names = {*channels, TIME}, list(factors)
+    by_motion = BY_ANGLE if ANGLE in channels_there else BY_VELOCITY
     sizes = np.array([factors[name].size for name in names])
     signs = np.array([factors[name].sign for name in names])
-    along = np.array([constant(name) for name in names])
-    usually = np.diag([USUAL[name] ** 2 + factors[name].error ** 2 for name in names])
-    usually += CONSTANT**2 * np.outer(along, along)
-    weights = np.linalg.inv(usually)
-    nothing = float(sizes @ weights @ sizes)
+    constant_powers = np.array([constant(name) for name in names])
+    covariance = np.diag([USUAL[name] ** 2 + factors[name].error ** 2 for name in names])
+    covariance += CONSTANT**2 * np.outer(constant_powers, constant_powers)
+    weights = np.linalg.inv(covariance)
+    misfit_without_fault = float(sizes @ weights @ sizes)
     turned = bool((signs < 0.0).any())
-    if not turned and nothing < SURPRISE:
+    if not turned and misfit_without_fault < SURPRISE:
         return []
     fitted = []
     for signature in (*by_motion, *OTHERS, *PARAMETERS):
-        if not there.issuperset(signature.keys):
+        if not channels_there.issuperset(signature.keys):
             continue
         sign = np.array([-1.0 if name in signature.turns else 1.0 for name in names])
         if turned and not np.array_equal(sign, signs):
@@ -178,27 +178,29 @@ def spoken_for(factors: Mapping[str, Pooled], channels: Iterable[Key]) -> list[S
             continue
         size = float(powers @ weights @ sizes) / information
         if turned and information * size**2 < SURPRISE:
-            size = 0.0  # turned, and no more than that
-        left = sizes - size * powers
-        misfit = float(left @ weights @ left) + cost * size**2
-        if not turned and (nothing - misfit < SURPRISE or not shown(names, powers, factors)):
+            size = 0.0  # only the sign is reversed
+        residual = sizes - size * powers
+        misfit = float(residual @ weights @ residual) + cost * size**2
+        if not turned and (misfit_without_fault - misfit < SURPRISE or not shown(names, powers, factors)):
             continue
-        if np.max(np.abs(left) / np.sqrt(np.diag(usually))) > LEFT:
+        if np.max(np.abs(residual) / np.sqrt(np.diag(covariance))) > LEFT:
             continue
-        own = [factors[name].explained for name in names if powers[names.index(name)] or name in signature.turns]
+        explained_shares = [
+            factors[name].explained for name in names if powers[names.index(name)] or name in signature.turns
+        ]
         error = float(information**-0.5)
         for name, power in zip(names, powers.tolist(), strict=True):
-            if size and power and USUAL[name] <= TIGHT:  # two channels that say the same tell the size best
+            if size and power and USUAL[name] <= TIGHT:  # two channels of one quantity give the size best
                 size, error = factors[name].size / power, math.hypot(factors[name].error, EXACT)
-        fitted.append(Spoken(signature, size, error, -1.0 if turned else 1.0, misfit, max(own)))
-    fitted.sort(key=lambda one: (one.misfit, len(one.signature.keys)))
-    return [one for one in fitted if one.misfit <= fitted[0].misfit + RIVAL]
+        fitted.append(Spoken(signature, size, error, -1.0 if turned else 1.0, misfit, max(explained_shares)))
+    fitted.sort(key=lambda fault: (fault.misfit, len(fault.signature.keys)))
+    return [fault for fault in fitted if fault.misfit <= fitted[0].misfit + RIVAL]
 
 
 def shown(names: Sequence[str], powers: Array, factors: Mapping[str, Pooled]) -> bool:
-    """Whether the factors that a signature scales explain nearly all of what their channels are off by.
+    """Return whether the scaled factors explain nearly all of their channels' squared errors.
 
-    Two channels that say the same have to agree once the factor is undone; of other relations one has to.
+    All relations between two channels of one quantity have to; if there is none, one other relation has to.
     """
     scaled = [name for name, power in zip(names, powers, strict=True) if power]
     tight = [name for name in scaled if USUAL[name] <= TIGHT]

@@ -1,4 +1,4 @@
-"""How late one channel is against another, stretch by stretch of a run."""
+"""Measure how late one channel is against another, in stretches of a run."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,16 @@ Mask = npt.NDArray[np.bool_]
 Places = npt.NDArray[np.intp]
 STRETCHES = 16  # of a run
 FEWEST = 60  # samples of a stretch
-FOLLOWS = 0.9  # of a stretch's variance, that the other channel explains once it is shifted
-TELLS = 0.3  # samples, standard error up to which a stretch tells anything
+FOLLOWS = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
+TELLS = 0.3  # samples, largest standard error of a stretch that counts
 WIDTH = 3.0  # samples of smoothing
 ROUNDS = 4
-REACH = 0.25  # of a stretch, that a shift is looked for in
+REACH = 0.25  # largest shift that is searched, as a share of a stretch
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """Samples by which a channel is late, at the middle of each stretch that tells."""
+    """Lateness of a channel in samples, at the middle of each stretch that determines it."""
 
     middle: Array  # samples from the run's first
     late: Array
@@ -33,7 +33,7 @@ class Lateness:
         return len(self.late) > 0
 
     def mean(self) -> tuple[float, float]:
-        """Over all stretches, with its error."""
+        """Return the weighted mean over all stretches, and its error."""
         weights = 1.0 / self.error**2
         mean = float(self.late @ weights / weights.sum())
         spread = float(np.std(self.late)) / np.sqrt(len(self.late))
@@ -41,7 +41,7 @@ class Lateness:
 
 
 def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES) -> Lateness:
-    """How late `reads` is against `expected` in each of so many stretches of a run."""
+    """Return how late `reads` is against `expected`, in each of `count` stretches of a run."""
     length = len(reads) // count
     if length < FEWEST:
         count = max(len(reads) // FEWEST, 1)
@@ -49,19 +49,19 @@ def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES)
     width = max(WIDTH, width_of(expected))
     reads, expected = smooth(reads, width), smooth(expected, width)
     delays = []
-    first = 0.0
+    shift = 0.0
     for index in range(count):
         begin = index * length
-        told = shift_of(reads, expected, valid, begin, begin + length, first, width)
-        if told is not None:
-            first = told[0]
-            delays.append((begin + 0.5 * length, *told))
+        shift_and_error = shift_of(reads, expected, valid, begin, begin + length, shift, width)
+        if shift_and_error is not None:
+            shift = shift_and_error[0]
+            delays.append((begin + 0.5 * length, *shift_and_error))
     columns = np.array(delays).reshape(-1, 3)
     return Lateness(columns[:, 0], columns[:, 1], columns[:, 2])
 
 
 def width_of(values: Array) -> float:
-    """Smoothing after which a channel's slope is more than its noise, at most that of a stretch's tenth."""
+    """Return the smoothing [samples] that makes the noise of a channel's slope small, up to a tenth of a stretch."""
     width, noise = WIDTH, noise_of(values)
     while width < len(values) / STRETCHES / 10.0 and noise / width**1.5 > 0.05 * float(
         np.std(np.diff(smooth(values, width)))
@@ -71,63 +71,68 @@ def width_of(values: Array) -> float:
 
 
 def shift_of(
-    reads: Array, expected: Array, valid: Mask, begin: int, end: int, first: float, width: float
+    reads: Array, expected: Array, valid: Mask, begin: int, end: int, start_shift: float, width: float
 ) -> tuple[float, float] | None:
-    """Samples by which a stretch is late, and the error; None where it tells nothing."""
-    # neighbours within the smoothing tell the same
-    at = np.arange(begin, end, max(int(width / 1.5), 1), dtype=np.intp)
+    """Return the samples by which a stretch is late, and the error; None where it is not determined."""
+    # neighbours within the smoothing carry no further information
+    samples = np.arange(begin, end, max(int(width / 1.5), 1), dtype=np.intp)
     stamps = np.arange(len(expected), dtype=np.float64)
-    if not valid[begin:end].all() or float(np.ptp(reads[at])) == 0.0 or float(np.ptp(expected[at])) == 0.0:
+    if not valid[begin:end].all() or float(np.ptp(reads[samples])) == 0.0 or float(np.ptp(expected[samples])) == 0.0:
         return None
     margin = int(REACH * (end - begin))
-    near = refined(reads, expected, at, stamps, first, width, margin)
-    return near or refined(reads, expected, at, stamps, roughly(reads, expected, at, margin), width, margin)
+    near_shift = refined(reads, expected, samples, stamps, start_shift, width, margin)
+    return near_shift or refined(
+        reads, expected, samples, stamps, roughly(reads, expected, samples, margin), width, margin
+    )
 
 
-def roughly(reads: Array, expected: Array, at: Places, margin: int) -> float:
-    """The shift at which a stretch goes along best, to the spacing of the samples that are looked at."""
-    every = int(at[1] - at[0])
-    before, after = min(margin, int(at[0])) // every, min(margin, len(expected) - 1 - int(at[-1])) // every
-    around = expected[at[0] - before * every : at[-1] + after * every + 1 : every]
-    moved = sliding_window_view(around, len(at))
-    moved = moved - moved.mean(axis=1, keepdims=True)
-    power = np.sqrt(np.sum(moved**2, axis=1))
-    along = np.abs(moved @ (reads[at] - reads[at].mean())) / np.where(power > 0.0, power, np.inf)
-    return float((before - int(np.argmax(along))) * every)
+def roughly(reads: Array, expected: Array, samples: Places, margin: int) -> float:
+    """Return the shift with the largest correlation, to the spacing of the samples."""
+    spacing = int(samples[1] - samples[0])
+    steps_before, steps_after = (
+        min(margin, int(samples[0])) // spacing,
+        min(margin, len(expected) - 1 - int(samples[-1])) // spacing,
+    )
+    around = expected[samples[0] - steps_before * spacing : samples[-1] + steps_after * spacing + 1 : spacing]
+    windows = sliding_window_view(around, len(samples))
+    windows = windows - windows.mean(axis=1, keepdims=True)
+    power = np.sqrt(np.sum(windows**2, axis=1))
+    correlation = np.abs(windows @ (reads[samples] - reads[samples].mean())) / np.where(power > 0.0, power, np.inf)
+    return float((steps_before - int(np.argmax(correlation))) * spacing)
 
 
 def refined(
-    reads: Array, expected: Array, at: Places, stamps: Array, late: float, width: float, margin: int
+    reads: Array, expected: Array, samples: Places, stamps: Array, late: float, width: float, margin: int
 ) -> tuple[float, float] | None:
-    """A shift to a fraction of a sample, by the slope of what should be there, and its error."""
-    values = reads[at] - reads[at].mean()
-    low, high = max(int(at[0]) - 2 * margin, 0), int(at[-1]) + 2 * margin
+    """Refine a shift to a fraction of a sample by Gauss-Newton steps; return it and its error, None if unclear."""
+    values = reads[samples] - reads[samples].mean()
+    low, high = max(int(samples[0]) - 2 * margin, 0), int(samples[-1]) + 2 * margin
     expected, stamps = expected[low:high], stamps[low:high]
     fitted = (0.0, 0.0, 1.0)
     for _ in range(ROUNDS):
-        moved = np.interp(at - late, stamps, expected)
+        moved = np.interp(samples - late, stamps, expected)
         columns = np.stack(
-            [moved, -slope_at(np.asarray(at - late, np.float64), stamps, expected), np.ones(len(moved))], axis=1
+            [moved, -slope_at(np.asarray(samples - late, np.float64), stamps, expected), np.ones(len(moved))], axis=1
         )
-        solved, *_ = np.linalg.lstsq(columns, reads[at], rcond=1e-10)
-        left = reads[at] - columns @ solved
+        solved, *_ = np.linalg.lstsq(columns, reads[samples], rcond=1e-10)
+        residual = reads[samples] - columns @ solved
         if solved[0] == 0.0 or not np.isfinite(solved).all():
             return None
         step = float(np.clip(solved[1] / solved[0], -width, width))
         late += step
         inverse = np.linalg.pinv(columns.T @ columns)
-        if not inverse[1, 1] > 0.0:  # by rounding alone: the columns do not tell a shift
+        if not inverse[1, 1] > 0.0:  # only by rounding: the columns do not determine a shift
             return None
-        independent = (at[-1] - at[0]) / (np.sqrt(4.0 * np.pi) * width)
-        noise = float(left @ left) / max(independent - 3.0, 1.0)
+        independent = (samples[-1] - samples[0]) / (np.sqrt(4.0 * np.pi) * width)
+        noise = float(residual @ residual) / max(independent - 3.0, 1.0)
         error = float(np.sqrt(inverse[1, 1] * noise) / abs(solved[0]))
-        fitted = (late, error, float(left @ left) / float(values @ values))
+        fitted = (late, error, float(residual @ residual) / float(values @ values))
     late, error, unexplained = fitted
     if abs(late) > margin or unexplained > 1.0 - FOLLOWS or error > TELLS * max(1.0, width / WIDTH):
         return None
     return late, max(error, 1e-3)
 
 
-def slope_at(places: Array, stamps: Array, values: Array) -> Array:
-    """The slope of a channel at places between its samples."""
-    return np.asarray(np.interp(places, stamps, slope(values, 1.0)), np.float64)
+def slope_at(positions: Array, stamps: Array, values: Array) -> Array:
+    """Return the slope of a channel at positions between its samples."""
+    return np.asarray(np.interp(positions, stamps, slope(values, 1.0)), np.float64)

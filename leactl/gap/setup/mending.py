@@ -1,4 +1,4 @@
-"""How far a fault of a set-up opens a gap: a channel beside what it should read, as it was logged and once mended."""
+"""Measure the gap that a fault of the set-up opens: a channel minus its expected value, as logged and mended."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ OVER_TIME = {"clock_drift", "dropped_samples", "frozen_channel", "repeated_sampl
 
 @dataclass(frozen=True, eq=False)
 class Off:
-    """What a channel of a run is off by, as logged and once mended."""
+    """Error of a channel of a run against its expected value, as logged and mended."""
 
-    pair: Pair  # mended
+    pair: Pair  # of the mended run
     before: Array
     after: Array
     at: npt.NDArray[np.intp]  # samples of the run
@@ -33,12 +33,12 @@ class Off:
 def mended_picture(
     name: str, before: Sequence[Record], after: Sequence[Record], model: Model
 ) -> tuple[Picture, float] | None:
-    """The channel that a fault puts off most, over what it should read; and the share of that which mending takes.
+    """Return the picture of the channel whose error mending removes most of, and the share removed; None without one.
 
     Parameters
     ----------
-    name : of the fault; where it is one of time the residual is counted along the channel's slope, over time.
-    before, after : the same runs as logged and mended.
+    name : name of the fault; for one of `OVER_TIME` the error is multiplied by the sign of the slope, over time.
+    before, after : the same runs as logged and as mended.
     """
     groups: dict[tuple[str, str, str], list[Off]] = {}
     for logged, mended in zip(before, after, strict=True):
@@ -49,43 +49,43 @@ def mended_picture(
     shares = {key: share_of(group) for key, group in groups.items()}
     if not shares:
         return None
-    best = max(shares, key=lambda key: shares[key])
-    role = groups[best][0].pair.key[1]
-    drawn = drawn_of(groups[best], (best[0], role, best[2]), name in OVER_TIME, after)
-    return None if drawn is None else (drawn, shares[best])
+    worst_channel = max(shares, key=lambda key: shares[key])
+    role = groups[worst_channel][0].pair.key[1]
+    picture = drawn_of(groups[worst_channel], (worst_channel[0], role, worst_channel[2]), name in OVER_TIME, after)
+    return None if picture is None else (picture, shares[worst_channel])
 
 
 def every_pair(record: Record, model: Model) -> Iterator[Pair]:
-    """Every channel of a run that something is known of."""
+    """Yield every channel of a run that has an expected value."""
     yield from direct_pairs(record, model)
     yield from modelled_pairs(record, model)
 
 
 def rows_of(logged: Record, mended: Record, before: Pair | None, after: Pair) -> Off | None:
-    """What a channel is off by as logged and once mended, where both are known."""
+    """Return the error of a channel as logged and mended; None where one of both is not known."""
     if before is None or logged.fast is None or mended.fast is None:
         return None
     valid = logged.fast.all_valid(*before.keys) & mended.fast.all_valid(*after.keys)
-    off = [smooth(pair.reads) - smooth(pair.expected) for pair in (before, after)]
-    at = np.flatnonzero(valid)
-    return Off(after, off[0][at], off[1][at], at) if len(at) else None
+    errors = [smooth(pair.reads) - smooth(pair.expected) for pair in (before, after)]
+    samples = np.flatnonzero(valid)
+    return Off(after, errors[0][samples], errors[1][samples], samples) if len(samples) else None
 
 
 def sides_of(group: Sequence[Off]) -> tuple[list[Array], list[Array]]:
-    """What a channel is off by in every run, before and after."""
-    return [off.before for off in group], [off.after for off in group]
+    """Return the errors of a channel in every run, before and after mending."""
+    return [rows.before for rows in group], [rows.after for rows in group]
 
 
 def share_of(group: Sequence[Off]) -> float:
-    """The share of what a channel is off by that goes, as it is logged where that is more."""
-    before, after = (sum(float(np.sum(off**2)) for off in side) for side in sides_of(group))
-    return 1.0 - after / before if before > 0.0 else 0.0
+    """Return the share of a channel's squared error that mending removes."""
+    squares_before, squares_after = (sum(float(np.sum(error**2)) for error in side) for side in sides_of(group))
+    return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
 
 
 def drawn_of(
     group: Sequence[Off], channel: tuple[str, str, str], over_time: bool, records: Sequence[Record]
 ) -> Picture | None:
-    """Means of what a channel is off by, in bins of what it should read, or of time."""
+    """Return the picture of a channel's error in bins of its expected value, or of time; None with too few bins."""
     intervals = {id(record.fast): record.fast.interval for record in records if record.fast is not None}
     interval = float(np.median(list(intervals.values())))
     signs = [
@@ -101,16 +101,16 @@ def drawn_of(
     edges = bin_edges(values, before - after, bin_count(float(len(np.unique(stretches)))))
     if len(edges) < 3:
         return None
-    place, bins = bin_of(values, edges), len(edges) - 1
-    drawn = [means(left, place, stretches, bins) for left in (before, after)]
-    counts = np.bincount(place[place >= 0], minlength=bins)
+    bin_of_row, bins = bin_of(values, edges), len(edges) - 1
+    binned_sides = [means(error, bin_of_row, stretches, bins) for error in (before, after)]
+    counts = np.bincount(bin_of_row[bin_of_row >= 0], minlength=bins)
     pair = group[0].pair
     variable: Variable = "time" if over_time else pair.variable
     columns = zip(
         edges[:-1].tolist(),
         edges[1:].tolist(),
         counts.tolist(),
-        *(row.tolist() for own in drawn for row in (own.mean, own.low, own.high)),
+        *(row.tolist() for binned in binned_sides for row in (binned.mean, binned.low, binned.high)),
         strict=True,
     )
     return Picture(
@@ -121,9 +121,9 @@ def drawn_of(
         *channel,
         "set-up",
         UNITS[channel[0]],
-        drawn[0].rms(counts),
-        drawn[1].rms(counts),
-        drawn[0].off_zero,
-        drawn[1].off_zero,
+        binned_sides[0].rms(counts),
+        binned_sides[1].rms(counts),
+        binned_sides[0].off_zero,
+        binned_sides[1].off_zero,
         tuple(ResidualBin(*row) for row in columns),
     )

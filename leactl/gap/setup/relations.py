@@ -1,6 +1,6 @@
-"""What a run's channels make of each other and of the model: factors that are one where a set-up is sound.
+"""Relations between the channels of a run and the model, as factors that are one in a sound set-up.
 
-Each relation is a regression of one channel on what it should follow, with what lags and offsets do beside it. Sides
+Each relation is a regression of one channel on its expected value, with further columns for lags and offsets. Channels
 that are differentiated are smoothed until the encoder's noise no longer shows in the acceleration.
 """
 
@@ -21,17 +21,17 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-WIDEST = 64.0  # samples of smoothing, beyond which an encoder is too coarse for an acceleration
-NOISY = 0.1  # of an acceleration's deviation, that its noise may be
+WIDEST = 64.0  # samples of smoothing beyond which an encoder is too coarse for an acceleration
+NOISY = 0.1  # largest noise of an acceleration, as a share of its standard deviation
 CURVES = 0.46  # deviation of a second difference per deviation of the angle, at a width of one sample
-FITS = 0.8  # of a channel's variance, that what it should follow has to explain
+FITS = 0.8  # smallest share of a channel's variance that its expected value explains if a relation holds
 FEWEST = 50  # samples
-BRIDGED = 1  # sample that is missing, and taken in between its neighbours
-KNOWN = 4.0  # standard errors, from which a factor is told at all
-SMALL, ALIKE = 0.3, 0.3  # share of a channel's values that are small, and how far their factor's logarithm may be off
-LEVEL = 0.5  # of a channel's largest value, above which a value is not small
-FAR = 0.1  # logarithm of a factor, below which values of any size need not agree
-MISFIT = 3.0  # by which a residual that is no noise widens an error
+BRIDGED = 1  # longest gap in samples that interpolation bridges well
+KNOWN = 4.0  # standard errors from which a coefficient is determined
+SMALL, ALIKE = 0.3, 0.3  # share of values that are small, and largest relative difference of their factor's logarithm
+LEVEL = 0.5  # share of a channel's largest value above which a value is not small
+FAR = 0.1  # logarithm of a factor below which small and large values need not agree
+MISFIT = 3.0  # factor on standard errors, for residuals that are not noise
 TIGHT = 0.02
 USUAL = {
     "velocity test": TIGHT,
@@ -48,31 +48,31 @@ USUAL = {
     "damping": 0.5,
     "friction": 0.4,
 }
-"""Standard deviation of each factor's logarithm on sound machines, but for that of the torque constant."""
+"""Standard deviation of each factor's logarithm on sound machines, without the share of the torque constant."""
 CONSTANT = 0.08
 OF_CONSTANT = {"torque": 1.0, "back_emf": 1.0, "inertia": -1.0, "damping": -1.0, "friction": -1.0}
-"""How each factor goes with the torque constant, and its deviation."""
+"""Power of the torque constant in each factor; `CONSTANT` is the standard deviation of its logarithm."""
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of one run: what is logged over what is expected."""
+    """One factor of one run: logged over expected value."""
 
     relation: str
     value: float
     error: float  # of its logarithm
-    fits: float  # share of the channel's variance that is explained
-    explained: float  # share of what the channel is off by that goes with the factor
+    fits: float  # share of the channel's variance that the relation explains
+    explained: float  # share of the channel's squared error that the factor removes
 
     @property
     def holds(self) -> bool:
-        """Whether the channel follows at all."""
+        """Whether the relation explains enough of the channel's variance."""
         return self.fits >= FITS
 
 
 @dataclass(frozen=True)
 class SmoothedMotion:
-    """Speed, acceleration and way of a run, alike smoothed."""
+    """Angle, velocity and acceleration of a run with one smoothing."""
 
     angle: Array | None
     velocity: Array
@@ -81,7 +81,7 @@ class SmoothedMotion:
 
 
 def factors_of(record: Record, model: Model) -> Iterator[Factor]:
-    """Every factor that a run tells, and every relation that does not hold."""
+    """Yield every factor that a run determines, and every relation that does not hold."""
     clock = record.fast
     if clock is None or len(clock.time) < FEWEST:
         return
@@ -97,7 +97,7 @@ def factors_of(record: Record, model: Model) -> Iterator[Factor]:
 
 
 def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
-    """Motion from the angle, else from the velocity; None where neither is logged or all of it is noise."""
+    """Return the motion from angle or velocity; None if neither is logged, or the acceleration is noise."""
     angle, velocity = clock.get("angle", role), clock.get("velocity", role)
     if angle is None and velocity is None:
         return None
@@ -117,7 +117,7 @@ def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
 
 
 def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
-    """Channels that say the same as another, or follow their reference."""
+    """Yield the factors of channels that equal another channel or follow their reference."""
     angle = "angle", role if clock.get("angle", role) is not None or mechanical != "coupled" else "test"
     pairs = [
         (f"velocity {role}", ("velocity", role), angle),
@@ -128,20 +128,20 @@ def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
             ("angle to its reference", ("angle", role), ("angle_reference", role)),
             ("velocity to its reference", ("velocity", role), ("velocity_reference", role)),
         ]
-    for name, key, other in pairs:
-        reads, expected = clock.get(*key), clock.get(*other)
+    for name, key, companion in pairs:
+        reads, expected = clock.get(*key), clock.get(*companion)
         if reads is None or expected is None or (mechanical == "locked" and key[0] != "q_axis_current"):
             continue
-        if key[0] == "velocity" and other[0] == "angle":
+        if key[0] == "velocity" and companion[0] == "angle":
             expected = np.gradient(expected, clock.interval)
         width = width_for(expected)
         expected = smooth(expected, width)
-        valid = clock.all_valid(key, other)
+        valid = clock.all_valid(key, companion)
         yield from factor(name, smooth(reads, width), expected, [slope(expected, 1.0)], valid, width)
 
 
 def width_for(values: Array) -> float:
-    """Smoothing after which noise is a tenth of what a channel does; the widest where it never is."""
+    """Return the smoothing [samples] after which noise is a tenth of a channel's deviation, at most the widest."""
     width = BASE
     while width < WIDEST and noise_of(values) / math.sqrt(3.5 * width) > NOISY * float(np.std(smooth(values, width))):
         width *= math.sqrt(2.0)
@@ -149,21 +149,21 @@ def width_for(values: Array) -> float:
 
 
 def of_torque(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion | None) -> Iterator[Factor]:
-    """The torque on the shaft over what the current and the motion make of it."""
+    """Yield the factor of the logged shaft torque over that from current and motion."""
     torque, force = clock.get("torque"), driving(clock, model, mechanical)
     if torque is None or force is None:
         return
     valid = clock.all_valid(("torque", "test"), ("q_axis_current", "test"))
-    width, beside = BASE, list[Array]()
+    width, other_columns = BASE, list[Array]()
     if mechanical == "coupled" and moved is not None:
         width, valid = moved.width, valid & clock.all_valid(("angle", "test"))
-        beside = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), width)]
+        other_columns = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), width)]
     force = smooth(force, width)
-    yield from factor("torque", smooth(torque, width), force, [slope(force, 1.0), *beside], valid, width)
+    yield from factor("torque", smooth(torque, width), force, [slope(force, 1.0), *other_columns], valid, width)
 
 
 def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
-    """The torque that a current makes, less what friction holds of it where the rotor is locked."""
+    """Return the torque that a current makes; for a locked rotor, the torque transmitted past sticking friction."""
     current = clock.get("q_axis_current")
     if current is None or not model.torque_constant or mechanical not in ("locked", "coupled"):
         return None
@@ -172,13 +172,13 @@ def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
 
 
 def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion) -> Iterator[Factor]:
-    """What current and speed take of the voltage."""
+    """Yield the factors of resistance and back-EMF in the voltage."""
     voltage, current = clock.get("q_axis_voltage"), clock.get("q_axis_current")
     if voltage is None or current is None:
         return
     constant = model.back_emf_constant or model.torque_constant
     current = smooth(current, moved.width)
-    sign = np.tanh(4.0 * current / (float(np.std(current)) or 1.0))  # along which a drive's dead time acts
+    sign = np.tanh(4.0 * current / (float(np.std(current)) or 1.0))  # a drive's dead time acts along it
     columns = [current, moved.velocity, slope(current, 1.0), sign]
     nominal = {"resistance": model.phase_resistance, "back_emf": constant}
     if mechanical == "locked":
@@ -188,9 +188,9 @@ def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMot
 
 
 def of_feeding(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
-    """The voltage that feeds a motor over what its motion takes: its sense, for how much is what such runs are to tell.
+    """Yield the factor of a feeding voltage over that from the motion; it shows the sign, not the size.
 
-    Each with its mirror image: a step holds one voltage, whose sense is in its mean.
+    Both are extended by their mirror images: a step holds one voltage, whose sign is in its mean.
     """
     takes, voltage = taken_of_voltage(record, model, moved), clock.get("q_axis_voltage")
     if takes is None or voltage is None:
@@ -202,7 +202,7 @@ def of_feeding(record: Record, clock: Clocked, model: Model, moved: SmoothedMoti
 
 
 def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Array | None:
-    """What back-EMF and friction of a motor that is fed with a voltage take of it [V]; None where none feeds it."""
+    """Return the voltage [V] for back-EMF and friction of a motor fed with a voltage; None if no voltage feeds it."""
     fed = fed_by_voltage(record, model)
     if fed is None:
         return None
@@ -211,7 +211,7 @@ def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Arr
 
 
 def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
-    """What inertia, damping and friction take of the current of a free run, in currents; gravity stands beside."""
+    """Yield the factors of inertia, damping and friction in the current of a free run; gravity is fitted, too."""
     current = clock.get("q_axis_current")
     if current is None or not model.torque_constant:
         return
@@ -219,8 +219,8 @@ def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotio
     mass, length = record.setup.get("load_mass", load.mass), record.setup.get("load_length", load.length)
     arm = record.setup.get("load_arm_mass", load.arm_mass)
     inertia = None if model.rotor_inertia is None else model.rotor_inertia + (mass + arm / 3.0) * length**2
-    taken = {"inertia": inertia, "damping": model.viscous_damping, "friction": model.coulomb_friction}
-    nominal = {name: value / constant if value else None for name, value in taken.items()}
+    parameters = {"inertia": inertia, "damping": model.viscous_damping, "friction": model.coulomb_friction}
+    nominal = {name: value / constant if value else None for name, value in parameters.items()}
     columns = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), moved.width)]
     if moved.angle is not None and load.type != "none":
         columns += [np.sin(moved.angle), np.cos(moved.angle)]
@@ -229,16 +229,16 @@ def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotio
 
 
 def factor(
-    name: str, reads: Array, expected: Array, beside: list[Array], valid: Mask, width: float
+    name: str, reads: Array, expected: Array, other_columns: list[Array], valid: Mask, width: float
 ) -> Iterator[Factor]:
-    """The factor of one relation, if it holds."""
-    yield from several({name: 1.0}, reads, [expected, *beside], valid, width)
+    """Yield the factor of one relation, if it is determined or does not hold."""
+    yield from several({name: 1.0}, reads, [expected, *other_columns], valid, width)
 
 
 def several(
     nominal: dict[str, float | None], reads: Array, columns: list[Array], valid: Mask, width: float
 ) -> Iterator[Factor]:
-    """Factors of the first columns' coefficients over nominal ones; the other columns and an offset stand beside."""
+    """Yield the ratios of the first columns' coefficients to nominal ones; fit other columns and an offset, too."""
     valid = unsmeared(valid, width)
     rows = np.stack([column[valid] for column in columns], axis=1)
     values = reads[valid]
@@ -247,48 +247,52 @@ def several(
         return
     rows, values = rows - rows.mean(axis=0), values - values.mean()
     sizes = np.sqrt(np.mean(rows**2, axis=0))
-    kept = sizes > 0.0
+    non_zero = sizes > 0.0
     solved, covariance = np.zeros(len(sizes)), np.full(len(sizes), np.inf)
-    scaled = rows[:, kept] / sizes[kept]
+    scaled = rows[:, non_zero] / sizes[non_zero]
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
-    solved[kept] = inverse @ (scaled.T @ values) / sizes[kept]
+    solved[non_zero] = inverse @ (scaled.T @ values) / sizes[non_zero]
     if len(nominal) == 1 and not is_scaled(rows, values, float(solved[0])):
         return
-    left = values - rows @ solved
-    noise = float(left @ left) / max(independent - int(kept.sum()), 1.0) * independent / len(values)
-    covariance[kept] = np.diag(inverse) * len(values) / independent * noise / sizes[kept] ** 2
-    fits = 1.0 - float(left @ left) / float(values @ values)
-    known = np.asarray([value or 0.0 for value in nominal.values()])
-    nominally = values - rows[:, : len(known)] @ known
-    others = rows[:, len(known) :]
-    if others.shape[1]:
-        nominally = nominally - others @ np.linalg.lstsq(others, nominally, rcond=1e-10)[0]
-    off = float(nominally @ nominally)
-    explained = 1.0 - float(left @ left) / off if off > 0.0 else 0.0
+    residual = values - rows @ solved
+    noise = float(residual @ residual) / max(independent - int(non_zero.sum()), 1.0) * independent / len(values)
+    covariance[non_zero] = np.diag(inverse) * len(values) / independent * noise / sizes[non_zero] ** 2
+    fits = 1.0 - float(residual @ residual) / float(values @ values)
+    nominal_values = np.asarray([value or 0.0 for value in nominal.values()])
+    nominal_residual = values - rows[:, : len(nominal_values)] @ nominal_values
+    other_columns = rows[:, len(nominal_values) :]
+    if other_columns.shape[1]:
+        nominal_residual = (
+            nominal_residual - other_columns @ np.linalg.lstsq(other_columns, nominal_residual, rcond=1e-10)[0]
+        )
+    nominal_squares = float(nominal_residual @ nominal_residual)
+    explained = 1.0 - float(residual @ residual) / nominal_squares if nominal_squares > 0.0 else 0.0
     for index, (name, value) in enumerate(nominal.items()):
         error = MISFIT * math.sqrt(covariance[index])
-        told = math.isfinite(error) and abs(solved[index]) > KNOWN * error
-        if value and (told or fits < FITS):
+        determined = math.isfinite(error) and abs(solved[index]) > KNOWN * error
+        if value and (determined or fits < FITS):
             size = abs(float(solved[index])) or 1e-300
             yield Factor(name, float(solved[index]) / value, error / size, fits, explained)
 
 
-def is_scaled(rows: Array, values: Array, whole: float) -> bool:
-    """Whether a factor is that of small values too: a limit takes from the large ones alone, a scale from all."""
+def is_scaled(rows: Array, values: Array, factor_of_all: float) -> bool:
+    """Return whether small values have the same factor as all: a limit changes only large values, a scale all."""
     size = np.abs(rows[:, 0])
     least = float(np.quantile(size, SMALL))
     small = size <= least
-    if whole <= 0.0 or abs(math.log(whole)) < FAR or int(small.sum()) < FEWEST:
+    if factor_of_all <= 0.0 or abs(math.log(factor_of_all)) < FAR or int(small.sum()) < FEWEST:
         return True
-    if least > LEVEL * float(np.max(size)):  # it goes to and fro between two levels, and has no small values
+    if least > LEVEL * float(np.max(size)):  # a channel of two levels has no small values
         return False
     columns = np.column_stack([rows[small], np.ones(int(small.sum()))])
-    own = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
-    return own > 0.0 and abs(math.log(own / whole)) <= ALIKE * abs(math.log(whole))
+    factor_of_small = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
+    return factor_of_small > 0.0 and abs(math.log(factor_of_small / factor_of_all)) <= ALIKE * abs(
+        math.log(factor_of_all)
+    )
 
 
 def unsmeared(valid: Mask, width: float) -> Mask:
-    """Valid samples, without those into which smoothing carries several that are not; one alone is bridged well."""
+    """Return the valid samples farther from gaps than the smoothing reaches; a gap of one sample does not count."""
     if valid.all():
         return valid
     gaps = binary_opening(~valid, np.ones(BRIDGED + 1))

@@ -1,4 +1,4 @@
-"""Faults that a channel's own samples show: wrapped, frozen, repeated, clipped."""
+"""Find faults in a channel's own samples: wrapped, frozen, repeated, clipped."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -14,18 +14,18 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-MEASURED = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # that noise keeps from standing still
-SEEN = 0.99  # probability of what samples show by themselves
-ALIKE = 0.1  # of a period, by which leaps of a wrapped channel differ
-LEAPS = 0.6  # of a channel's whole range, from which a step from one sample to the next is a leap
-TURN = 16.0  # steps of an encoder, below which a leap is an angle at rest that flickers
-FROZEN = 0.3  # of a record, from which a channel that stands still is no rest
-MOVES = 0.2  # of its usual deviation, that a companion has to have meanwhile
+MEASURED = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # quantities that noise always changes
+SEEN = 0.99  # probability of a fault that samples show
+ALIKE = 0.1  # largest difference between the leaps of a wrapped channel, as a share of the period
+LEAPS = 0.6  # share of a channel's range from which a step is a leap
+TURN = 16.0  # encoder steps below which a leap is an angle at rest that flickers
+FROZEN = 0.3  # share of a record from which a constant channel is frozen, not at rest
+MOVES = 0.2  # smallest deviation of the moving companion meanwhile, as a share of its usual one
 LONGEST_REST = 100  # samples
-FINE = 200  # levels, from which two equal samples in a row are no rounding
-REPEATED = 0.3  # of a channel's samples
-CLEAN = 0.1  # of its reference's noise, below which a channel is no measured one
-TOPPED, IN_A_ROW = 0.01, 4  # of a channel's samples at its end, and how many of them stand together
+FINE = 200  # levels from which two equal samples in a row are not due to rounding
+REPEATED = 0.3  # share of repeated samples from which a channel is at fault
+CLEAN = 0.1  # noise over that of the reference below which a channel is not a measured one
+TOPPED, IN_A_ROW = 0.01, 4  # share of samples at an end of the range, and fewest consecutive ones, of a clipped channel
 COMPANIONS = {
     "velocity": "angle",
     "angle": "velocity",
@@ -33,23 +33,23 @@ COMPANIONS = {
     "q_axis_current_reference": "q_axis_current",
     "torque": "q_axis_current",
 }
-"""Channels, and what does not move without them."""
+"""Channels, and their companions, which do not move without them."""
 
 
 def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Iterator[tuple[Key, dict[str, Clocked]]]:
-    """Every channel of these quantities with the clocks of the records that have it, by their names."""
+    """Yield every channel of these quantities with the clocks that have it, by record name."""
     clocks = {record.name: record.fast for record in records if record.fast is not None}
     for key in sorted({key for clock in clocks.values() for key in clock.values if key[0] in quantities}):
         yield key, {name: clock for name, clock in clocks.items() if key in clock.values}
 
 
 def share_of(masks: Iterable[Mask]) -> str:
-    """The share of some masks' samples, in percent."""
+    """Return the share of set samples in masks, as text in percent."""
     return f"{100.0 * float(np.mean(np.concatenate(list(masks)))):.0f} %"
 
 
 def wrapped(records: Sequence[Record], _: Model) -> SetUpFault | None:
-    """An angle that leaps by a whole range where it should go on."""
+    """Return the fault of an angle that leaps by a whole range, if there is one."""
     for key, clocks in channels_of(records, ("angle",)):
         period = max(period_of(clock.values[key][clock.all_valid(key)]) for clock in clocks.values())
         if period > 0.0:
@@ -61,25 +61,25 @@ def wrapped(records: Sequence[Record], _: Model) -> SetUpFault | None:
 
 
 def unwrapped(record: Record, key: Key, period: float) -> Record:
-    """A record whose angle goes on where it leapt by a period."""
+    """Return a record with an angle unwrapped by a period."""
     if record.fast is None or key not in record.fast.values:
         return record
     return with_values(record, key, np.unwrap(record.fast.values[key], period=period))
 
 
 def period_of(values: Array) -> float:
-    """The period by which values leap, zero where they do not."""
-    steps, whole = np.diff(values), float(np.ptp(values))
-    leaps = np.abs(steps[np.abs(steps) > LEAPS * whole])
+    """Return the period by which values leap, zero where they do not."""
+    steps, value_range = np.diff(values), float(np.ptp(values))
+    leaps = np.abs(steps[np.abs(steps) > LEAPS * value_range])
     if len(leaps) < 2 or float(np.median(leaps)) < TURN * smallest_step(values):
         return 0.0
     period = float(np.median(leaps)) + float(np.median(np.abs(steps)))
-    near = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < ALIKE else period
-    return near if float(np.ptp(leaps)) < ALIKE * near else 0.0
+    likely_period = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < ALIKE else period
+    return likely_period if float(np.ptp(leaps)) < ALIKE * likely_period else 0.0
 
 
 def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
-    """A channel that stands still for long while what must move with it does."""
+    """Return the fault of a channel that is constant for long while its companion moves, if there is one."""
     mechanical = {record.name: record.mechanical for record in records}
     for key, clocks in channels_of(records, COMPANIONS):
         if all(may_rest(key, mechanical[name]) for name in clocks):
@@ -95,36 +95,39 @@ def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
 
 
 def lasting(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
-    """The rests of runs that rest long enough, over all the stretches that are looked at of each."""
+    """Return the rests, by record, of runs that rest for at least `FROZEN` of all their stretches."""
     by_run: dict[str, Mask] = {}
     for run in {runs[name] for name in rests}:
-        own = {name: rest for name, rest in rests.items() if runs[name] == run}
-        if float(np.mean(np.concatenate(list(own.values())))) >= FROZEN:
-            by_run |= {name: rest for name, rest in own.items() if rest.any()}
+        rests_of_run = {name: mask for name, mask in rests.items() if runs[name] == run}
+        if float(np.mean(np.concatenate(list(rests_of_run.values())))) >= FROZEN:
+            by_run |= {name: mask for name, mask in rests_of_run.items() if mask.any()}
     return by_run
 
 
 def may_rest(key: Key, mechanical: str) -> bool:
-    """Whether a channel may stand still in a set-up while its companion moves."""
+    """Return whether a sound channel may be constant in a set-up while its companion moves."""
     if mechanical in ("locked", "heated"):
         return key[0] in ("angle", "velocity")
     return mechanical == "free" and key[0] == "torque"
 
 
 def rest_of(clock: Clocked, key: Key) -> Mask:
-    """Samples over which a channel stands still too long, its companion moving; all of them in most of a record."""
+    """Return the samples over which a channel is constant too long while its companion moves.
+
+    All samples are returned where these are most of a record.
+    """
     values, resting = where_measured(clock, key), np.zeros(len(clock.time), np.bool_)
     companion = clock.get(COMPANIONS[key[0]], key[1])
     begin, end = longest_run(np.diff(values) == 0.0)
     if companion is None or end - begin < max(LONGEST_REST, FROZEN * len(values)):
         return resting
-    # a speed moves with the change of an angle, and an angle with the size of a speed
+    # the companion of an angle is a speed, whose size counts; of the others its change or deviation does
     moving = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
     if key[0] not in ("angle", "velocity"):
         moving = companion - companion.mean()
     usual, meanwhile = (float(np.sqrt(np.mean(part**2))) for part in (moving, moving[begin : end + 1]))
     if key[0] not in ("angle", "velocity"):
-        meanwhile = float(np.std(moving[begin : end + 1]))  # one that holds another level than usual does not move
+        meanwhile = float(np.std(moving[begin : end + 1]))  # another constant level is no motion
     if usual == 0.0 or meanwhile < MOVES * usual or noise_of(companion) > 0.5 * float(np.std(companion)):
         return resting
     resting[begin : end + 1] = True
@@ -132,12 +135,12 @@ def rest_of(clock: Clocked, key: Key) -> Mask:
 
 
 def where_measured(clock: Clocked, key: Key) -> Array:
-    """A channel with NaN where it was not measured."""
+    """Return a channel with NaN where it was not measured."""
     return np.where(clock.all_valid(key), clock.values[key], np.nan)
 
 
 def longest_run(mask: Mask) -> tuple[int, int]:
-    """Begin and end of the longest run of a mask; an empty one where there is none."""
+    """Return begin and end of the longest run of a mask, (0, 0) for an empty mask."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
     if len(edges) == 0:
         return 0, 0
@@ -146,7 +149,7 @@ def longest_run(mask: Mask) -> tuple[int, int]:
 
 
 def measured_by(model: Model) -> tuple[str, ...]:
-    """Quantities that are measured and no drive works out: a voltage that a servo counts, or a test asks for, rests."""
+    """Return the quantities that are measured: a voltage that a servo computes or a test commands may be constant."""
     return (
         MEASURED
         if model.drive is None and model.feedforward is None
@@ -155,7 +158,7 @@ def measured_by(model: Model) -> tuple[str, ...]:
 
 
 def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
-    """A measured channel of which many samples are the one before them once more."""
+    """Return the fault of a measured channel with many repeated samples, if there is one."""
     for key, clocks in channels_of(records, measured_by(model)):
         shares = [float(again(clock, key).mean()) for clock in clocks.values()]
         if float(np.median(shares)) > REPEATED:
@@ -167,7 +170,7 @@ def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
 
 
 def taken_between(record: Record, key: Key) -> Record:
-    """A record whose channel goes on a straight line from one fresh sample to the next."""
+    """Return a record whose repeated samples of a channel are interpolated."""
     clock = record.fast
     if clock is None or key not in clock.values:
         return record
@@ -176,7 +179,7 @@ def taken_between(record: Record, key: Key) -> Record:
 
 
 def again(clock: Clocked, key: Key) -> Mask:
-    """Samples that are the one before them once more; none in a channel of few levels, or at rest."""
+    """Return the samples that repeat the one before; none in a channel of few levels, or with a long rest."""
     values = clock.values[key]
     repeated = np.concatenate([[False], np.diff(values) == 0.0])
     begin, end = longest_run(repeated)
@@ -186,7 +189,7 @@ def again(clock: Clocked, key: Key) -> Mask:
 
 
 def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
-    """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
+    """Return the fault of a measured channel that stays at an end of its range, if there is one."""
     for key, clocks in channels_of(records, measured_by(model)):
         topped = {
             name: top for name, clock in clocks.items() if noisy(clock, key) and (top := at_ends(clock, key)).any()
@@ -203,19 +206,19 @@ def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
 
 
 def begins_at_rest(values: Array) -> slice:
-    """Samples at zero before a channel first moves: a run to one side begins at an end of its range."""
+    """Return the samples at zero before a channel first changes: a one-sided run begins at an end of its range."""
     return slice(0, int(np.argmax(values != 0.0)))
 
 
 def noisy(clock: Clocked, key: Key) -> bool:
-    """Whether noise moves a channel, as far as its reference tells: a setpoint may well stand at a limit."""
+    """Return whether a channel has noise of its own, compared with its reference: a setpoint may stay at a limit."""
     reference, values = clock.get(f"{key[0]}_reference", key[1]), clock.values[key]
-    moving = values[np.diff(values, prepend=np.nan) != 0.0]  # a channel that mostly stands at its ends shows none
+    moving = values[np.diff(values, prepend=np.nan) != 0.0]  # repeated values would hide the noise
     return reference is None or noise_of(moving, 0.0) >= CLEAN * noise_of(reference, 0.0)
 
 
 def at_ends(clock: Clocked, key: Key) -> Mask:
-    """Samples at which a channel of many levels stands at its largest or smallest value, several in a row."""
+    """Return the samples at which a channel of many levels stays at its largest or smallest value."""
     values = where_measured(clock, key)
     at_limit = np.zeros(len(values), np.bool_)
     if len(np.unique(values[np.isfinite(values)])) < min(FINE, len(values) // 4):
@@ -223,10 +226,10 @@ def at_ends(clock: Clocked, key: Key) -> Mask:
     still = np.concatenate([[False], np.diff(values) == 0.0])
     ends = [values == np.nanmax(values), values == np.nanmin(values)]
     if float(np.mean(still[~(ends[0] | ends[1])])) >= TOPPED:
-        return at_limit  # samples in a row are alike elsewhere as well
-    for there in ends:
-        there[begins_at_rest(values)] = False
-        begin, stop = longest_run(there)
-        if stop - begin >= IN_A_ROW and float(there.mean()) >= TOPPED:
-            at_limit |= there
+        return at_limit  # the channel repeats samples elsewhere as well
+    for end in ends:
+        end[begins_at_rest(values)] = False
+        begin, stop = longest_run(end)
+        if stop - begin >= IN_A_ROW and float(end.mean()) >= TOPPED:
+            at_limit |= end
     return at_limit

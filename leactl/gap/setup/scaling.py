@@ -1,7 +1,7 @@
-"""Channels that are turned or scaled, a time of another unit or rate, a wrong count of an encoder or of poles.
+"""Find channels of wrong scale or sign, a time base of another unit or rate, and wrong counts or pole pairs.
 
-A factor that an effect or a wrong parameter may have is left to these. One of a fault is beyond what sound machines
-show, alike in the runs that have it, and explains nearly all of what a channel is off by.
+A factor that an effect or a wrong parameter may have is no fault. That of a fault is larger than on sound machines, is
+equal in the runs that have it, and explains nearly all of a channel's error.
 """
 
 import math
@@ -18,54 +18,58 @@ from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.model.nominal import Model
 
 SIGN, SCALE, COUNTS, POLES, TIME_BASE = "channel_sign", "channel_scale", "encoder_counts", "pole_pairs", "time_base"
-BETWEEN = 0.25  # of two whole numbers, an error from which on one of them may be meant
-SEEN = 0.99  # probability of what all relations agree on, its class counted together
-ODD = 4.0  # squares of standard deviations, that a factor without a convention counts for less
-CLEARLY = 0.25  # of how far a factor is from a whole number, that it may be from a unit which is meant
-CONSTANTS = {"torque_constant"}  # of the model, that a scaled channel may be taken for
+BETWEEN = 0.25  # error of a factor from which it may be a whole number
+SEEN = 0.99  # probability of a fault that all relations agree on, together with its class
+ODD = 4.0  # squared standard deviations that a factor without a convention loses against one with a convention
+CLEARLY = 0.25  # largest distance of a factor from a unit, over that from a whole number, for the unit to be certain
+CONSTANTS = {"torque_constant"}  # model parameters that look like a scaled channel
 THOUSANDS = ("1000", "1/1000")
 ELECTRICAL = {"q_axis_current", "q_axis_current_reference", "q_axis_voltage"}
 Factors = Mapping[str, Factor]
 
 
 def misscaled(records: Sequence[Record], model: Model) -> SetUpFault | None:
-    """The channel, or the time, that is turned or scaled most clearly, if one is."""
-    told = {record.name: {one.relation: one for one in factors_of(record, model) if one.holds} for record in records}
-    told = {run: factors for run, factors in told.items() if factors}
+    """Return the clearest fault of scale, sign or time base, if there is one."""
+    factors_by_run = {
+        record.name: {factor.relation: factor for factor in factors_of(record, model) if factor.holds}
+        for record in records
+    }
+    factors_by_run = {run: factors for run, factors in factors_by_run.items() if factors}
     keys = {key for record in records if record.fast is not None for key in record.fast.values}
-    odd = {run: factors for run, factors in told.items() if not all(map(usual, factors.values()))}
-    for group in (told, odd):
-        spoken = named(spoken_for(pooled(list(group.values())), keys)) if group else []
-        # what is off in some runs only is another machine or an effect, unless two channels that say the same disagree
-        if spoken and (group is told or (disagreeing(spoken[0]) and usual_convention(spoken[0]))):
-            # a run that tells nothing of the factor is taken to have it as well
-            sound = {run for run, factors in told.items() if run not in group and shows(factors, spoken[0])}
-            return fault_of(spoken, {record.name for record in records} - sound, len(records), model)
+    unusual_runs = {run: factors for run, factors in factors_by_run.items() if not all(map(usual, factors.values()))}
+    for group in (factors_by_run, unusual_runs):
+        shown = named(spoken_for(pooled(list(group.values())), keys)) if group else []
+        # an error in some runs only is another machine or an effect, unless two channels of one quantity disagree
+        if shown and (group is factors_by_run or (disagreeing(shown[0]) and usual_convention(shown[0]))):
+            # a run that does not determine the factor is taken to have the fault as well
+            sound = {run for run, factors in factors_by_run.items() if run not in group and shows(factors, shown[0])}
+            return fault_of(shown, {record.name for record in records} - sound, len(records), model)
     return None
 
 
 def shows(factors: Factors, spoken: Spoken) -> bool:
-    """Whether a run tells a factor that a fault would change."""
+    """Return whether a run determines a factor that a fault would change."""
     return bool({*spoken.signature.powers, *spoken.signature.turns} & factors.keys())
 
 
 def named(spoken: Sequence[Spoken]) -> list[Spoken]:
-    """Faults that factors speak for, best first; none where a wrong parameter would do as well."""
-    if any(one.signature.parameter not in {"", *CONSTANTS} for one in spoken):
+    """Return the faults among the hypotheses, best first; none where a wrong parameter fits as well."""
+    if any(fault.signature.parameter not in {"", *CONSTANTS} for fault in spoken):
         return []
-    faults = [one for one in spoken if one.signature.keys]
+    faults = [fault for fault in spoken if fault.signature.keys]
     return sorted(
-        faults, key=lambda one: (one.misfit + (0.0 if usual_convention(one) else ODD), one.signature.keys == (TIME,))
+        faults,
+        key=lambda fault: (fault.misfit + (0.0 if usual_convention(fault) else ODD), fault.signature.keys == (TIME,)),
     )
 
 
 def disagreeing(spoken: Spoken) -> bool:
-    """Whether a fault makes two channels disagree that say the same, or turns one."""
+    """Return whether a fault reverses a sign, or makes two channels of one quantity disagree."""
     return spoken.sign < 0.0 or any(USUAL[name] <= TIGHT for name in spoken.signature.powers)
 
 
 def usual_convention(spoken: Spoken) -> bool:
-    """Whether a fault's factor is one that its channel is met with."""
+    """Return whether a fault's factor is a usual convention of its channel."""
     size, [key, *_] = math.exp(spoken.size), spoken.signature.keys
     if key == TIME:
         return bool(step_of_time(size, spoken.error))
@@ -75,11 +79,11 @@ def usual_convention(spoken: Spoken) -> bool:
     return name in CURRENTS if key[0] in ELECTRICAL and name not in THOUSANDS else name in UNITS
 
 
-def fault_of(spoken: Sequence[Spoken], runs: set[str], of: int, model: Model) -> SetUpFault:
-    """What factors speak for as a fault, with its convention, its evidence and the line that undoes it."""
+def fault_of(spoken: Sequence[Spoken], runs: set[str], run_count: int, model: Model) -> SetUpFault:
+    """Return the fault of the best hypothesis, with its convention, its evidence and the change that undoes it."""
     best, rivals = spoken[0], spoken[1:]
-    within = "" if len(runs) == of else f" in {len(runs)} of {of} runs"
-    others = [other for other in rivals if other.signature.keys]
+    within = "" if len(runs) == run_count else f" in {len(runs)} of {run_count} runs"
+    other_channels = [rival for rival in rivals if rival.signature.keys]
     if best.signature.keys == (TIME,):
         fault = time_base(best, within, runs)
     elif best.sign < 0.0 and best.size == 0.0:
@@ -88,9 +92,9 @@ def fault_of(spoken: Sequence[Spoken], runs: set[str], of: int, model: Model) ->
         fault = counted(best, within, runs, model)
     else:
         fault = scaled(best, within, runs)
-    peers = [name for other in others for name in names_of(other)]
-    if others:
-        alike = " or ".join(dict.fromkeys(channels_of(other.signature.keys) for other in others))
+    peers = [name for rival in other_channels for name in names_of(rival)]
+    if other_channels:
+        alike = " or ".join(dict.fromkeys(channels_of(rival.signature.keys) for rival in other_channels))
         fault = replace(fault, change=f"{fault.change}; these runs cannot tell it from {alike}")
     constants = {"torque", "resistance", "inertia", "damping", "friction"} & best.signature.powers.keys()
     if best.size and constants and {"current test", "velocity test", "back_emf"}.isdisjoint(best.signature.powers):
@@ -100,7 +104,7 @@ def fault_of(spoken: Sequence[Spoken], runs: set[str], of: int, model: Model) ->
 
 
 def names_of(spoken: Spoken) -> tuple[str, ...]:
-    """Faults of the vocabulary that a rival may be."""
+    """Return the names of the faults that a rival may be."""
     if spoken.signature.keys == (TIME,):
         return (TIME_BASE,)
     if spoken.sign < 0.0 and spoken.size == 0.0:
@@ -111,26 +115,26 @@ def names_of(spoken: Spoken) -> tuple[str, ...]:
 
 
 def channels_of(keys: Sequence[Key]) -> str:
-    """Channels in words."""
+    """Return channels as text."""
     return " and ".join(
         quantity.replace("_", " ") + ("" if role in ("test", "") else f" of {role}") for quantity, role in keys
     )
 
 
 def reads(best: Spoken, within: str) -> str:
-    """The evidence of a factor."""
+    """Return the evidence of a factor as text."""
     name = convention(best.factor, best.error)
-    told = f" ({name})" if best.size and name else ""
-    return f"reads {best.factor:.4g}{told} times what the other channels and the model make of it{within}"
+    convention_text = f" ({name})" if best.size and name else ""
+    return f"reads {best.factor:.4g}{convention_text} times what the other channels and the model make of it{within}"
 
 
 def parameters_of(best: Spoken) -> tuple[EffectParameter, ...]:
-    """The factor with its error."""
+    """Return the factor with its error as a parameter."""
     return (EffectParameter("factor", best.factor, best.error * abs(best.factor), "1"),)
 
 
 def turned(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
-    """A channel, or several that agree with each other, with the other sign."""
+    """Return the fault of channels with reversed sign."""
     keys = best.signature.keys
     change = (
         f"give {' and '.join(name for name, _ in keys)} `sign: -1` in the mapping, or `invert: true` in the bench file"
@@ -140,16 +144,16 @@ def turned(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
 
 
 def scaled(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
-    """A channel, or several that agree with each other, in another unit or convention."""
+    """Return the fault of channels in another unit or convention."""
     keys = best.signature.keys
-    names, by = " and ".join(name for name, _ in keys), f"{1.0 / best.factor:.6g}"
-    change = f"multiply the `scale` of {names} in the mapping, or in the bench file, by {by}"
+    names, multiplier = " and ".join(name for name, _ in keys), f"{1.0 / best.factor:.6g}"
+    change = f"multiply the `scale` of {names} in the mapping, or in the bench file, by {multiplier}"
     mend = partial(divided, keys=keys, by=best.factor, runs=runs)
     return SetUpFault(SCALE, keys[0], SEEN, reads(best, within), change, mend, parameters_of(best))
 
 
 def counted(best: Spoken, within: str, runs: set[str], model: Model) -> SetUpFault:
-    """An angle of another unit, of another count a turn, or an electrical one."""
+    """Return the fault of an angle in another unit, with another count a turn, or of an electrical angle."""
     size, fault = math.exp(best.size), scaled(best, within, runs)
     number, unit = whole(size, best.error), convention(size, best.error)
     if unit in UNITS and not (number and off(size, number) < off(size, UNITS[unit])):
@@ -168,18 +172,18 @@ def counted(best: Spoken, within: str, runs: set[str], model: Model) -> SetUpFau
 
 
 def may_be_whole(spoken: Spoken) -> bool:
-    """Whether a factor equals a whole number, or is not told well enough to say that it does not."""
+    """Return whether a factor may be a whole number within its error."""
     larger = math.exp(abs(spoken.size))
     return bool(whole(larger, spoken.error)) or (larger > 1.5 and spoken.error * larger > BETWEEN)
 
 
 def off(size: float, number: float) -> float:
-    """How far a factor, or its inverse, is from a number, as a logarithm."""
+    """Return the difference of the logarithms of a factor, or its inverse, and a number."""
     return abs(abs(math.log(size)) - abs(math.log(number)))
 
 
 def time_base(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
-    """Stamps of another unit, or of another rate than the samples'."""
+    """Return the fault of stamps in another unit, or at another rate than the samples."""
     size = math.exp(best.size)
     step = step_of_time(size, best.error)
     evidence = f"goes {size:.4g} times as fast as the motion it stamps{f' ({step})' if step else ''}{within}"
@@ -190,7 +194,7 @@ def time_base(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
 
 
 def divided(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> Record:
-    """A record whose channels are divided by a factor."""
+    """Return a record with channels divided by a factor."""
     for key in keys:
         if record.name in runs and record.fast is not None and key in record.fast.values:
             record = with_values(record, key, record.fast.values[key] / by)
@@ -198,7 +202,7 @@ def divided(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> R
 
 
 def retimed(record: Record, by: float, runs: set[str]) -> Record:
-    """A record whose stamps are divided by a factor."""
+    """Return a record with stamps divided by a factor."""
     if record.name not in runs:
         return record
 

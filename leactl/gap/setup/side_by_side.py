@@ -1,4 +1,4 @@
-"""Channels of a run beside what they should read: what another channel says, or the model makes of the others."""
+"""Channels of a run with their expected values, from another channel or from the model and other channels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,19 +20,19 @@ VOLTAGE, LOAD_VELOCITY = ("q_axis_voltage", "test"), ("velocity", "load")
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A channel of a run beside what it should read."""
+    """A channel of a run and its expected value."""
 
     key: Key
     against: str
     reads: Array
     expected: Array
-    keys: tuple[Key, ...]  # that both are made of
-    filtered: float = 0.0  # samples, by which the model says that the channel is late
-    variable: Variable = "velocity"  # what is expected, as a variable to draw it over
+    keys: tuple[Key, ...]  # channels that both are computed from
+    filtered: float = 0.0  # samples by which the channel is late according to the model
+    variable: Variable = "velocity"  # variable of the expected value, for pictures
 
 
 def direct_pairs(record: Record, model: Model) -> Iterator[Pair]:
-    """Channels of a run that say the same as another, or nearly: how late they are can be told."""
+    """Yield channels of a run that nearly equal another, so that their lateness can be measured."""
     clock, bench = record.fast, model.bench
     if clock is None or record.mechanical == "heated":
         return
@@ -55,23 +55,23 @@ def direct_pairs(record: Record, model: Model) -> Iterator[Pair]:
 
 
 def late_by(clock: Clocked, bandwidth: float | None) -> float:
-    """Samples by which a first-order filter of this bandwidth is late."""
+    """Return the delay in samples of a first-order filter with a bandwidth [Hz]."""
     return 0.0 if bandwidth is None else 1.0 / (2.0 * np.pi * bandwidth * clock.interval)
 
 
 def along(moved: SmoothedMotion) -> list[Array]:
-    """What inertia, damping and friction go along with."""
+    """Return the columns of inertia, damping and friction: acceleration, velocity and its sign."""
     return [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), moved.width)]
 
 
 def fitted(values: Array, columns: list[Array]) -> Array:
-    """What columns and an offset make of a channel at best."""
+    """Return the least-squares fit of columns and an offset to a channel."""
     rows = np.stack([*columns, np.ones(len(values))], axis=1)
     return np.asarray(rows @ np.linalg.lstsq(rows, values, rcond=1e-10)[0], np.float64)
 
 
 def modelled_pairs(record: Record, model: Model) -> Iterator[Pair]:
-    """Channels of a run beside what the model makes of the others, with the parameters that it has."""
+    """Yield channels of a run with the values that the model computes from other channels."""
     clock = record.fast
     if clock is None or record.mechanical == "heated":
         return
@@ -100,5 +100,5 @@ def modelled_pairs(record: Record, model: Model) -> Iterator[Pair]:
 
 
 def sum_of(parts: tuple[float, ...], columns: list[Array]) -> Array:
-    """Columns times their parts, together."""
+    """Return the sum of columns times their coefficients."""
     return np.asarray(np.asarray(parts) @ np.stack(columns), np.float64)

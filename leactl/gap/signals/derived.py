@@ -1,8 +1,8 @@
-"""From channels to the signals that equations and effects speak of: what the encoder says of the motion, what the
-model makes of the reference and of the shaft's torque.
+"""Signals of equations and effects from the channels of a run: the motion by the encoder, the model's response to the
+reference, and the model's torque on the shaft.
 
-Current, voltage and torque are taken as means over the interval that ends at a stamp, as the difference of two angles
-is; instants are averaged with the one before. All get one smoothing, so that no equation compares a smooth side with a
+Current, voltage and torque are means over the interval that ends at a stamp, as the difference of two angles is;
+instants are averaged with the one before. All get one smoothing, so that no equation compares a smooth side with a
 sharp one.
 """
 
@@ -27,24 +27,24 @@ from leactl.model.thermal_network import ThermalNetwork
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 SMOOTHED, FEWEST_SMOOTHED = 0.15, 2.0  # of a winding's time constant, and samples: smoothing of temperatures
-REST, FEWEST_OF_REST = 0.87, 6.0  # the same of what no network explains of them; samples where there is no network
-LOOSELY = 1.0  # K that a parameter of the network may cost where a run does not show it, per e-fold
-FARTHEST = 1.5  # e-folds of a parameter
-FOLLOWED = 8  # rounds at most
+REST, FEWEST_OF_REST = 0.87, 6.0  # the same for the part that no network explains; samples without a network
+LOOSELY = 1.0  # K per e-fold, prior cost of a change of a network parameter
+FARTHEST = 1.5  # e-folds, largest change of a network parameter
+FOLLOWED = 8  # most rounds of the network's fit
 CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
-RINGS = 2.4  # time constants of its decay, for which a locked rotor may swing on its shaft
-STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
-STICKY = 0.01  # of the largest torque, friction below which it hardly matters where a rotor sticks
+RINGS = 2.4  # decay time constants for which a locked rotor may swing on its shaft
+STICKS, SLIDES = 0.5, 1.0  # swings, over friction, from which the sticking position, and the sliding, are unknown
+STICKY = 0.01  # share of the largest torque below which friction hardly matters for the sticking position
 DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
 SETTLES = 3.0  # time constants of a current loop
-SUDDEN, AROUND = 4.0, 9  # noise power, over so many samples, from which the motion changes between two of them
-SHORTEST = 1e-6  # time constants of a loop, that a ramp takes; a shorter one is a step
+SUDDEN, AROUND = 4.0, 9  # power over noise, in so many samples, from which the motion changes between samples
+SHORTEST = 1e-6  # loop time constants of the shortest ramp; a shorter one is a step
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
 def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals | None:
-    """Signals on the drive's clock; None where the run has none."""
+    """Return the signals on the drive's clock; None where the run has no such clock."""
     clock = record.fast
     if clock is None:
         return None
@@ -97,10 +97,10 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
 
 
 def resolved(angle: Array, count: float) -> Mask:
-    """Samples around which an angle moves smoothly enough for its samples to tell the motion between them.
+    """Return the samples around which an angle is smooth enough to be interpolated.
 
-    Where fourth differences stand out of their noise, the motion has parts as fast as the sampling. An encoder whose
-    counts do not show tells nothing of that.
+    Where fourth differences exceed their noise, the motion has parts as fast as the sampling. An encoder whose counts
+    do not show is taken as smooth.
     """
     if count == 0.0 or len(angle) < AROUND:
         return np.ones(len(angle), np.bool_)
@@ -112,7 +112,7 @@ def resolved(angle: Array, count: float) -> Mask:
 
 
 def unseen(clock: Clocked, bench: BenchModel) -> Mask:
-    """Samples around which a current changes and settles again before the next sample shows any of it.
+    """Return the samples around which a current may change and settle between two samples.
 
     That is where a drive is switched, and where a servo's target moves if its current loop is that fast.
     """
@@ -129,7 +129,7 @@ def unseen(clock: Clocked, bench: BenchModel) -> Mask:
 
 
 def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
-    """A channel as means over the interval that ends at each stamp."""
+    """Return a channel as means over the interval that ends at each stamp; None where it is missing."""
     values = clock.get(quantity, role)
     if values is None or (quantity, role) in clock.means:
         return values
@@ -137,12 +137,12 @@ def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
 
 
 def moved_by_a_servo(clock: Clocked) -> bool:
-    """Whether a loop inside the drive moves the current reference between samples."""
+    """Return whether a loop inside the drive moves the current reference between samples."""
     return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
 
 
 def led(reference: Array, bench: BenchModel, interval: float) -> Array:
-    """What a drive's current loop follows, as means over the intervals for which each setpoint holds."""
+    """Return the reference after the drive's setpoint lead, as means over the intervals of each setpoint."""
     if not bench.setpoint_lead:
         return reference
     _, caught_up = loop(reference, 1.0 / (2.0 * np.pi * bench.setpoint_lead_time), interval)
@@ -152,40 +152,43 @@ def led(reference: Array, bench: BenchModel, interval: float) -> Array:
 def loop(
     command: Array, bandwidth: float, interval: float, begin: float | None = None, shares: Array | None = None
 ) -> tuple[Array, Array]:
-    """What a first-order loop makes of a command: its values at the ends of intervals, and its means over them.
+    """Return a first-order loop's response to a command: values at the ends of intervals, and means over them.
 
-    command : A; over each interval it holds, or first ramps to its value over a share of the interval.
-    begin : A, at which the command and the loop are before the first interval; by default the first value.
-    shares : of each interval, that a ramp to its value takes, 0 to 1; by default none.
+    command : A; held over each interval, or ramped to its value over a share of the interval first.
+    begin : A, command and response before the first interval; by default the first value.
+    shares : share of each interval that the ramp takes, 0 to 1; by default no ramp.
     """
     constant = 1.0 / (2.0 * np.pi * bandwidth)
     decay = float(np.exp(-interval / constant))
-    before = float(command[0]) if begin is None else begin
+    start = float(command[0]) if begin is None else begin
     driven, means = (1.0 - decay) * command, command
     if shares is not None:
-        change = np.diff(command, prepend=before)
-        lasts = np.maximum(shares * interval / constant, SHORTEST)
-        # what a ramp still lacks of its end, change * (1 - t / lasts), as the loop remembers it when the interval ends
-        driven = driven - change * (np.exp(lasts - interval / constant) - decay * (1.0 + lasts)) / lasts
-        means = ramp_means(command, shares, before)
-    ends: Array = lfilter([1.0], [1.0, -decay], driven, zi=[decay * before])[0]
-    return ends, np.asarray(means - (constant / interval) * np.diff(ends, prepend=before), np.float64)
+        change = np.diff(command, prepend=start)
+        ramp_constants = np.maximum(shares * interval / constant, SHORTEST)
+        # the ramp's distance to its end, change * (1 - t / ramp), filtered by the loop until the interval ends
+        driven = (
+            driven
+            - change * (np.exp(ramp_constants - interval / constant) - decay * (1.0 + ramp_constants)) / ramp_constants
+        )
+        means = ramp_means(command, shares, start)
+    ends: Array = lfilter([1.0], [1.0, -decay], driven, zi=[decay * start])[0]
+    return ends, np.asarray(means - (constant / interval) * np.diff(ends, prepend=start), np.float64)
 
 
 def loop_reading(
     command: Array, shares: Array, begin: float, bandwidth: float, interval: float, as_mean: bool
 ) -> Array:
-    """Of a loop's answer what the current's channel reads: its mean over each interval, or its end."""
+    """Return the part of a loop's response that the current channel reads: its mean over each interval, or its end."""
     ends, means = loop(command, bandwidth, interval, begin, shares)
     return means if as_mean else ends
 
 
 def settled(s: Signals, swing: float) -> Mask:
-    """Samples at which it is known where a locked rotor sticks; all of them in any other set-up.
+    """Return the samples at which the sticking position of a locked rotor is known; all samples in other set-ups.
 
-    A current that leaps sets the rotor swinging on its shaft, by `swing` times its friction or more, and where it
-    sticks after that depends on the last swing. It is known again once the drive's torque has gone on by twice the
-    friction from where it was least or most.
+    A step of the current makes the rotor swing on its shaft, by `swing` times its friction or more, and its sticking
+    position then depends on the last swing. It is known again once the drive's torque has changed by twice the friction
+    from its last extreme.
     """
     model, known = s.model, np.ones(len(s.time), bool)
     stiffness, inertia, friction = model.bench.shaft_stiffness, model.rotor_inertia, model.coulomb_friction or 0.0
@@ -194,22 +197,28 @@ def settled(s: Signals, swing: float) -> Mask:
     force, rate = model.torque_constant * s.extra["sharp_current"], np.sqrt(stiffness / inertia)
     if rate * s.interval > np.pi or friction < STICKY * np.max(np.abs(force)):
         return known
-    above, below, _ = cont2discrete(([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh")
-    swung = lfilter(above[0], below, force, zi=lfilter_zi(above[0], below) * force[0])[0]  # without friction
+    numerator, denominator, _ = cont2discrete(
+        ([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh"
+    )
+    swung = lfilter(numerator[0], denominator, force, zi=lfilter_zi(numerator[0], denominator) * force[0])[
+        0
+    ]  # without friction
     leaps = np.flatnonzero(np.abs(swung - force) > swing * friction)
-    if s.time[0] > 0.0:  # of a stretch of a run nothing says where it stuck before
+    if s.time[0] > 0.0:  # before a stretch of a run the sticking position is unknown
         leaps = np.union1d(0, leaps)
     for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
         rings = leap + round(RINGS / (SWING_DAMPING * rate * s.interval))
-        after = force[rings:following]
-        gone = np.maximum(after - np.minimum.accumulate(after), np.maximum.accumulate(after) - after)
-        again = np.flatnonzero(gone > 2.0 * friction)
-        known[leap : rings + int(again[0]) if len(again) else following] = False
+        later_force = force[rings:following]
+        excursion = np.maximum(
+            later_force - np.minimum.accumulate(later_force), np.maximum.accumulate(later_force) - later_force
+        )
+        settled_at = np.flatnonzero(excursion > 2.0 * friction)
+        known[leap : rings + int(settled_at[0]) if len(settled_at) else following] = False
     return known
 
 
 def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
-    """Put the temperatures of the slow clock on the clock of the signals."""
+    """Interpolate the temperatures of the slow clock at the times of the signals."""
     if slow is None:
         return
     for name in ("winding", "housing", "ambient", "winding_rise", "housing_rise"):
@@ -219,7 +228,7 @@ def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
 
 
 def transmitted(s: Signals) -> Array | None:
-    """Torque onto the shaft as the model has it from current and motion; None where nothing is on the shaft."""
+    """Return the model's torque on the shaft from current and motion; None where nothing is on the shaft."""
     model = s.model
     if s.current is None or model.torque_constant is None or s.mechanical not in ("locked", "coupled"):
         return None
@@ -233,14 +242,14 @@ def transmitted(s: Signals) -> Array | None:
 
 
 def held(s: Signals, drive: float, friction: float) -> Array:
-    """Torque that a locked rotor passes on, with the drive's torque and Coulomb friction scaled."""
+    """Return the torque transmitted by a locked rotor, with the drive's torque and Coulomb friction scaled."""
     model = s.model
     force = drive * (model.torque_constant or 0.0) * s.extra["sharp_current"]
     return smooth(play(force, friction * (model.coulomb_friction or 0.0)))
 
 
 def slow_signals(record: Record, model: Model) -> Signals | None:
-    """Signals on the camera's clock: temperatures, and the heat that goes in; None where the run has none."""
+    """Return the signals on the camera's clock: temperatures and heat; None where the run has no such clock."""
     clock = record.slow
     if clock is None:
         return None
@@ -266,15 +275,18 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         joule(record, s)
         heat = s.extra.get("heat")
         if heat is not None and housing is not None and s.ambient is not None and model.thermal is not None:
-            # what a column is made of must not carry the camera's noise, which is in the left-over as well
+            # columns must not contain the camera's noise, which is in the left-over as well
             measured = np.stack([winding, housing])
             valid = np.stack([clock.all_valid((f"{name}_temperature", "test")) for name in ("winding", "housing")])
             driven = following(model.thermal, clock.interval, heat, s.ambient, measured, valid)
-            rest = np.where(valid, measured - driven, 0.0)
+            residual = np.where(valid, measured - driven, 0.0)
             width = REST * warms
-            shares = [smooth(one.astype(float), width) for one in valid]
+            shares = [smooth(values.astype(float), width) for values in valid]
             s.winding, s.housing = driven + np.stack(
-                [smooth(one, width) / np.maximum(share, 1e-6) for one, share in zip(rest, shares, strict=True)]
+                [
+                    smooth(values, width) / np.maximum(share, 1e-6)
+                    for values, share in zip(residual, shares, strict=True)
+                ]
             )
         s.winding_rise = s.winding - model.reference_temperature
         if clock.fed is not None:
@@ -285,13 +297,13 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
 
 
 def warming(model: Model) -> float:
-    """Time constant [s] with which a winding warms towards its housing; zero without a network."""
+    """Return the time constant [s] of a winding towards its housing; zero without a network."""
     thermal = model.thermal
     return 0.0 if thermal is None else thermal.winding_capacitance * thermal.winding_housing_resistance
 
 
 def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array, valid: Mask) -> Array:
-    """Temperatures [degC] of the network that follows what was measured of a run best, whatever its parameters."""
+    """Return the temperatures [degC] of the network with the parameters that fit a run best."""
     names = list(Thermal.model_fields)
     nominal = np.array([getattr(thermal, name) for name in names])
 
@@ -300,15 +312,15 @@ def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, me
         changed = Thermal(**dict(zip(names, (nominal * factors).tolist(), strict=True)))
         return ThermalNetwork(changed, interval).temperatures(heat, ambient, (float(point[0]), float(point[1])))
 
-    def left(point: Array) -> Array:
+    def residual(point: Array) -> Array:
         return np.concatenate([(driven(point) - measured)[valid], LOOSELY * point[2:]])
 
     begin = np.concatenate([measured[:, 0], np.zeros(len(names))])
-    return driven(least_squares(left, begin, method="lm", max_nfev=FOLLOWED * (len(begin) + 1)).x)
+    return driven(least_squares(residual, begin, method="lm", max_nfev=FOLLOWED * (len(begin) + 1)).x)
 
 
 def motion(record: Record, s: Signals, stamps: Array) -> None:
-    """Mean squares of current and speed over the intervals of the slow clock."""
+    """Set mean squares of current and speed over the intervals of the slow clock."""
     if record.slow is not None and record.slow.driven:
         s.extra |= {name: values for name, values in record.slow.driven.items() if name.startswith("current")}
         if (squared := record.slow.driven.get("speed_squared")) is not None:
@@ -326,7 +338,7 @@ def motion(record: Record, s: Signals, stamps: Array) -> None:
 
 
 def joule(record: Record, s: Signals) -> None:
-    """Joule heat of the winding [W] from the supply of the heated leads, else from the drive's current."""
+    """Set the Joule heat of the winding [W] from the supply of the heated leads, else from the drive's current."""
     model = s.model
     if s.line_current is not None:
         volts = record.slow.get("line_voltage") if record.slow is not None else None
@@ -341,9 +353,9 @@ def joule(record: Record, s: Signals) -> None:
 
 
 def binned(time: Array, values: Array, edges: Array) -> Array:
-    """Mean of values over the interval that begins at each edge."""
+    """Return the means of values over the interval that begins at each edge."""
     total = np.concatenate([[0.0], np.cumsum(values)])
-    at = np.searchsorted(time, np.append(edges, 2 * edges[-1] - edges[-2]))
-    count = np.diff(at)
-    sums = np.diff(total[at])
+    index = np.searchsorted(time, np.append(edges, 2 * edges[-1] - edges[-2]))
+    count = np.diff(index)
+    sums = np.diff(total[index])
     return np.where(count > 0, sums / np.maximum(count, 1), np.interp(edges, time, values))

@@ -1,4 +1,4 @@
-"""The variables that effects act in, from the signals of a run, and functions of one that have no form of their own."""
+"""The variables that effects act in, from the signals of a run, and piecewise linear functions of a variable."""
 
 from collections.abc import Callable
 
@@ -45,22 +45,22 @@ OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
 """Every variable from the signals of one run; None where the run does not show it."""
 CURRENT = ("q_axis_current", "current_rate")
 HOLD_THE_REST = {"free_torque": CURRENT, "reversal_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
-"""Variables of which an equation's rest is a part: beside the motion, a rotor's current says just what is missing."""
+"""Variables that contain an equation's residual: the motion and the current together determine the residual."""
 
 
 def variable_in(variable: Variable, equation: str, signals: Signals) -> Array | None:
-    """A variable of one run, sample by sample; None where the run does not show it or it holds the equation's rest."""
+    """Return a variable of one run by sample; None if the run lacks it or it contains the equation's residual."""
     return None if variable in HOLD_THE_REST.get(equation, ()) else OF_SIGNALS[variable](signals)
 
 
 def state_in(equation: str, signals: Signals) -> dict[Variable, Array]:
-    """The variables that the rest of an equation may be a function of, sample by sample of one run."""
-    shown = {variable: variable_in(variable, equation, signals) for variable in OF_SIGNALS}
-    return {variable: values for variable, values in shown.items() if values is not None}
+    """Return the variables of one run, by sample, that the residual of an equation may be a function of."""
+    variables = {variable: variable_in(variable, equation, signals) for variable in OF_SIGNALS}
+    return {variable: values for variable, values in variables.items() if values is not None}
 
 
 def hats(values: Array, knots: Array, period: float | None = None) -> Array:
-    """Piecewise linear functions, one at each knot, constant beyond the ends or periodic.
+    """Return piecewise linear functions (hats), one at each knot, constant beyond the ends or periodic.
 
     values : (n,) of a variable.
     knots : (k,) in ascending order; within one period where there is one.

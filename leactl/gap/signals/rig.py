@@ -1,8 +1,8 @@
-"""What rigs other than the bench add to the signals: another drive, something that hangs on the shaft, creeping motion.
+"""Signals of rigs other than the bench: another drive, a load that hangs on the shaft, creeping motion.
 
-A motor that is fed with a voltage and logs no current makes the torque of that voltage, less what its back-EMF takes.
+A motor that is fed with a voltage and logs no current has the torque of that voltage, less the back-EMF's.
 
-Most log position and command only. A run's own set-up (`drive_gain`, `load_mass`, ...) replaces the model file's.
+Most rigs log position and command only. A run's own set-up (`drive_gain`, `load_mass`, ...) replaces the model file's.
 """
 
 from typing import NamedTuple
@@ -20,18 +20,18 @@ from leactl.model.nominal import DriveModel, LoadModel, Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque")
-"""Channels that tell what drives a motor better than its voltage does."""
+"""Channels that determine the drive of a motor better than its voltage."""
 VOLTAGE = "voltage"  # kind of all runs of a motor that is fed with a logged voltage
-CREEP_COUNTS = 30.0  # of the encoder a sample, up to which an axis creeps
-FASTEST_CREEP = 0.15  # rad/s, from where on the balance of a rotor that turns takes a run
-CREEP_TRAVEL = 300.0  # counts, below which it stands
-JITTER_COUNTS = 10.0  # by which a hold overshoots and jitters without having turned back
-SLOW_SHARE = 0.02  # of a run's fast speeds, below which it counts as standing
+CREEP_COUNTS = 30.0  # encoder counts a sample up to which an axis creeps
+FASTEST_CREEP = 0.15  # rad/s, speed from which the balance of a turning rotor takes a run
+CREEP_TRAVEL = 300.0  # counts of travel below which an axis is at rest
+JITTER_COUNTS = 10.0  # counts by which a hold overshoots and jitters without a reversal
+SLOW_SHARE = 0.02  # share of a run's fast speeds below which it counts as at rest
 STILL_REACH = 4.0  # samples
 
 
 def drive_of(record: Record, model: Model) -> DriveModel | None:
-    """The servo of a run; None where no position servo drives it or the run lacks its reference."""
+    """Return the servo of a run; None where no position servo drives it or the run lacks its reference."""
     clock = record.fast
     if model.drive is None or clock is None or clock.get("angle_reference") is None or clock.get("angle") is None:
         return None
@@ -39,22 +39,22 @@ def drive_of(record: Record, model: Model) -> DriveModel | None:
 
 
 def load_of(record: Record, model: Model) -> LoadModel:
-    """What hangs on the shaft in a run: the model's load with the run's own numbers."""
-    own = {
+    """Return the load on the shaft in a run: the model's load with the run's own numbers."""
+    run_values = {
         name: record.setup[f"load_{name}"] for name in ("mass", "length", "arm_mass") if f"load_{name}" in record.setup
     }
-    return model.load.model_copy(update=own)
+    return model.load.model_copy(update=run_values)
 
 
 class Fed(NamedTuple):
-    """What a voltage does to a motor whose current no channel shows."""
+    """Torque of a voltage on a motor without a current channel."""
 
-    gain: float  # N*m/V; one where the model tells torques in volts
-    damping: float  # N*m*s/rad, that its back-EMF brakes with
+    gain: float  # N*m/V; one where the model has torques in volts
+    damping: float  # N*m*s/rad, of the back-EMF
 
 
 def fed_by_voltage(record: Record, model: Model) -> Fed | None:
-    """How the logged voltage drives a free motor; None where a current, a torque or a servo's reference is logged."""
+    """Return how a logged voltage drives a free motor; None where a current, torque or servo's reference is logged."""
     clock = record.fast
     if clock is None or record.mechanical != "free" or clock.get("q_axis_voltage") is None:
         return None
@@ -69,55 +69,55 @@ def fed_by_voltage(record: Record, model: Model) -> Fed | None:
 
 
 def complete(record: Record, s: Signals) -> None:
-    """Put a servo's current, the torque that acts on friction, and the sense of creeping motion into the signals."""
+    """Add a servo's current, the torque that acts on friction, and the direction of creeping motion to the signals."""
     clock, model = record.fast, s.model
     if clock is None or s.mechanical == "locked":
         return
     if clock.units.get(("angle", "test")) == "m":
-        s.angle = None  # a carriage does not go round: neither a turn's effects nor bristles in radians make sense
+        s.angle = None  # a carriage does not turn: effects over a turn and bristles in radians do not apply
     servo = drive_of(record, model)
     if servo is not None and s.current is None and s.velocity is not None:
         servo_current(clock, servo, s)
-    if (fed := fed_by_voltage(record, model)) is not None and s.velocity is not None and s.voltage is not None:
-        s.current = None  # of a feedforward nobody knows the torque that a current makes
-        s.extra["fed"] = fed.gain * s.voltage
-        s.extra["fed_emf"] = -fed.damping * s.velocity
+    if (supply := fed_by_voltage(record, model)) is not None and s.velocity is not None and s.voltage is not None:
+        s.current = None  # with a feedforward the torque of a current is unknown
+        s.extra["fed"] = supply.gain * s.voltage
+        s.extra["fed_emf"] = -supply.damping * s.velocity
         if model.load.type != "none":
             s.torque = s.extra["fed"] + s.extra["fed_emf"]
-    elif s.current is None and (told := logged_torque(clock, model)) is not None:
-        s.extra["told"] = told
+    elif s.current is None and (torque := logged_torque(clock, model)) is not None:
+        s.extra["told"] = torque
         if clock.get("torque") is None or clock.get("torque_reference") is not None:
-            s.extra["commanded"] = told  # and not what a sensor says
+            s.extra["commanded"] = torque  # not a sensor's reading
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
-        # a gear rubs with the torque that its motor puts in; let go, a pendulum swings with bearing friction alone
+        # a gear's friction grows with the motor's torque; a released pendulum has bearing friction alone
         s.torque = model.torque_constant * s.current
     if s.angle is not None and s.velocity is not None and s.mechanical == "free" and creeping(clock, s.velocity):
-        # a chain of rests needs no derivatives: its samples stand as they are, so that fine waves keep their height
+        # a chain of rests needs no derivatives: its samples are not smoothed, so that fine waves keep their height
         s.angle, s.current = clock.values["angle", "test"], clock.get("q_axis_current")
         s.sliding = s.extra["creep"] = creep_sense(s.angle, JITTER_COUNTS * clock.counts["angle", "test"])
 
 
 def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:
-    """Current that a servo's voltage drives through the winding against the back-EMF, none while it is disabled."""
+    """Set the current of a servo's voltage against the back-EMF, zero while the servo is disabled."""
     model = s.model
     constant = model.back_emf_constant or model.torque_constant
     if constant is None or model.phase_resistance is None or s.velocity is None:
         return
     reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
-    held = np.concatenate([reference[:1], reference[:-1]])  # what is sent at a stamp holds until the next
-    wanted = servo.gain * (held - 0.5 * (angle + np.concatenate([angle[:1], angle[:-1]])))
+    held_reference = np.concatenate([reference[:1], reference[:-1]])  # a reference holds until the next stamp
+    wanted = servo.gain * (held_reference - 0.5 * (angle + np.concatenate([angle[:1], angle[:-1]])))
     volts = np.clip(wanted, -servo.voltage_limit, servo.voltage_limit)
     enabled = clock.get("drive_enabled")
     share = np.ones_like(volts) if enabled is None else (enabled > 0.5).astype(float)
     s.extra["servo_share"] = smooth(share)
     s.extra["servo_volts"] = smooth(share * volts)
     s.extra["servo_slope"] = smooth(share * (np.abs(wanted) < servo.voltage_limit)) * servo.gain
-    s.extra["servo_reference"] = smooth(held)
+    s.extra["servo_reference"] = smooth(held_reference)
     s.current = (s.extra["servo_volts"] - constant * s.extra["servo_share"] * s.velocity) / model.phase_resistance
 
 
 def logged_torque(clock: Clocked, model: Model) -> Array | None:
-    """Torque or force that a drive was told to make, where it logs that, or a reference alone, instead of a current."""
+    """Return the torque or force that a drive logs, or that of its current reference; None where it logs none."""
     for quantity in ("torque_reference", "torque"):
         values = averaged(clock, quantity)
         if values is not None:
@@ -129,7 +129,7 @@ def logged_torque(clock: Clocked, model: Model) -> Array | None:
 
 
 def creeping(clock: Clocked, velocity: Array) -> bool:
-    """Whether an axis gets on by a few counts of its encoder a sample, too slowly for its speed to tell its sense."""
+    """Return whether an axis moves by a few encoder counts a sample, too slowly for its speed to give its direction."""
     count = clock.counts.get(("angle", "test"), 0.0)
     fast = float(np.quantile(np.abs(velocity), 0.95))
     slow = fast < FASTEST_CREEP and fast * clock.interval < CREEP_COUNTS * count
@@ -137,13 +137,13 @@ def creeping(clock: Clocked, velocity: Array) -> bool:
 
 
 def creep_sense(angle: Array, width: float) -> Array:
-    """-1 or 1 where an angle last moved that way by more than a width, in between after a turn."""
+    """Return the direction of an angle's last move by more than `width`, -1 to 1; in between after a reversal."""
     moved = angle - angle[0]
     return np.asarray(np.clip((moved - play(moved, width)) / width, -1.0, 1.0), np.float64)
 
 
 def in_motion(s: Signals, count: float) -> Mask:
-    """Samples around which the axis moves one way, judged by its encoder and its own speeds."""
+    """Return the samples around which the axis moves in one direction, by its encoder and its own speeds."""
     assert s.velocity is not None
     if "creep" in s.extra:
         return np.asarray(np.abs(s.extra["creep"]) > 0.9)

@@ -1,4 +1,4 @@
-"""A machine's own units: what its model file and its runs say of its torque, current, time, speed and heat."""
+"""A machine's own units of torque, current, time, speed and heat, from its model file and its runs."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,15 +10,15 @@ from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
 
 TOP = 0.999  # quantile of a run's speeds that counts as its highest
-TURNING = 0.1  # of the highest speed, from which on a run counts as turning
+TURNING = 0.1  # share of the highest speed from which a run counts as turning
 
 
 def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """One unit of each kind for a machine and its runs; a kind that they do not tell is left out.
+    """Return one unit of each kind for a machine and its runs, without kinds that they do not determine.
 
-    Torque is the Coulomb friction and current what makes it; time is the finest interval between samples, speed the
-    highest that was reached. A locked rotor swings and does not turn: without another run, speed is what a bus voltage
-    allows without load. Machines that are similar in the sense of dimensional analysis have similar units.
+    The unit of torque is the Coulomb friction, that of current makes this torque; time has the finest interval between
+    samples, speed the highest speed reached. A locked rotor does not turn: without another run, the unit of speed is
+    the no-load speed at the bus voltage. Machines that are similar by dimensional analysis have similar units.
     """
     units = {"1": 1.0, "rad": 1.0, "K": 1.0, "1/K": 1.0, "share of the limit": 1.0}
     clocks = [record.fast for record in records if record.fast is not None]
@@ -46,7 +46,7 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
 
 
 def highest_speed(records: Sequence[Record], model: Model) -> float:
-    """Highest speed of an angle in runs whose shaft turns, else that of a motor without load; zero of neither."""
+    """Return the highest speed of an angle in runs with a turning shaft, else the no-load speed; zero without both."""
     reached = max(
         (
             float(np.quantile(np.abs(np.diff(angle)), TOP)) / record.fast.interval
@@ -62,7 +62,7 @@ def highest_speed(records: Sequence[Record], model: Model) -> float:
 
 
 def worth_knowing(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """The smallest size of each effect that is worth knowing on a machine; without those whose unit nothing tells.
+    """Return the smallest relevant size of each effect on a machine, without effects whose unit is not determined.
 
     It is in the units of `EffectDefinition.worth_knowing`.
     """
@@ -72,10 +72,10 @@ def worth_knowing(records: Sequence[Record], model: Model) -> dict[str, float]:
 
 
 def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """The scales in which forms of effects are told (`leactl.effects.contract.SCALES`), in SI units.
+    """Return the scales of forms of effects (`leactl.effects.contract.SCALES`) in SI units.
 
-    What these runs and this model do not tell is left out; a loop or filter without a bandwidth is taken to be as slow
-    as the finest interval between samples.
+    Scales that these runs and this model do not determine are left out. A loop without a bandwidth has the finest
+    interval between samples as its time constant, a filter without one that of the loop.
     """
     clocks = [record.fast for record in records if record.fast is not None]
     units = {"1": 1.0}
@@ -100,20 +100,20 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     if (top := max(currents)) > 0.0:
         units["highest current"] = top
         units["highest rate"] = top / units["loop"]
-    if model.torque_constant and (asked := max(currents_at_speed(clocks), default=0.0)) > 0.0:
-        units["highest power"] = model.torque_constant * asked
+    if model.torque_constant and (product := max(currents_at_speed(clocks), default=0.0)) > 0.0:
+        units["highest power"] = model.torque_constant * product
     return units
 
 
 def widest(records: Sequence[Record]) -> float:
-    """Angle that the widest of some runs covers [rad]."""
+    """Return the largest angle range of some runs [rad], zero without an angle."""
     clocks = [record.fast for record in records if record.fast is not None]
     angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
     return max((float(np.ptp(angle)) for angle in angles), default=0.0)
 
 
 def visited(records: Sequence[Record]) -> tuple[float, float]:
-    """Lowest and highest angle of some runs [rad]; everywhere where none has an angle."""
+    """Return the lowest and highest angle of some runs [rad]; infinite where none has an angle."""
     clocks = [record.fast for record in records if record.fast is not None]
     angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
     if not angles:
@@ -122,12 +122,12 @@ def visited(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def time_constant(bandwidth: float | None, otherwise: float) -> float:
-    """Of a first-order lag of a bandwidth [Hz]."""
+    """Return the time constant [s] of a first-order lag with a bandwidth [Hz], or `otherwise` without one."""
     return otherwise if bandwidth is None else 1.0 / (2.0 * math.pi * bandwidth)
 
 
 def absolute_speeds(clock: Clocked) -> Iterator[Array]:
-    """Absolute speeds of a run that has them or an angle."""
+    """Yield the absolute speeds of a run from its velocity, else from its angle."""
     if (velocity := clock.get("velocity")) is not None:
         yield np.abs(velocity)
     elif (angle := clock.get("angle")) is not None:
@@ -135,7 +135,7 @@ def absolute_speeds(clock: Clocked) -> Iterator[Array]:
 
 
 def currents_at_speed(clocks: Sequence[Clocked]) -> Iterator[float]:
-    """Largest products of a current that was asked for and the absolute speed [A*rad/s], but for outliers."""
+    """Yield the largest products of reference current and absolute speed [A*rad/s], without outliers."""
     for clock in clocks:
         reference = clock.get("q_axis_current_reference")
         if reference is None:
@@ -145,6 +145,6 @@ def currents_at_speed(clocks: Sequence[Clocked]) -> Iterator[float]:
 
 
 def highest(clock: Clocked, quantity: str) -> float:
-    """Largest absolute value of a channel but for its outliers; zero where it is not there."""
+    """Return the largest absolute value of a channel without outliers; zero where it is missing."""
     values = clock.get(quantity)
     return 0.0 if values is None else float(np.quantile(np.abs(values), TOP))

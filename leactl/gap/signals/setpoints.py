@@ -1,10 +1,10 @@
-"""Whether a drive's setpoints change between the rows of a log, as they do where a log is slower than what sets them.
+"""Detect setpoints that change between the rows of a log, as they do where the log is slower than their source.
 
-A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
-drive's current is then one weighted sum of the reference's rows around it. Where setpoints come into force somewhere
-inside their intervals, that sum fails where the reference leaps. It also fails there where a drive limits the rate of
-its current; but with the right limit, one for the whole log, the sum holds again. And no drive knows the setpoint of
-the next row: where the sum gives that row a weight, it stands in for setpoints between the rows.
+If each row keeps its setpoint over its interval, as `sampling` promises, the rows contain all that the drive follows: a
+linear drive's current is then one weighted sum of the neighbouring rows of the reference. If setpoints change inside
+their intervals, that sum fails where the reference leaps. It also fails there if a drive limits the rate of its
+current, but holds again with the right limit, one for the whole log. No drive knows the setpoint of the next row: a
+weight of that row in the sum replaces setpoints between the rows.
 """
 
 import math
@@ -27,54 +27,61 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 CURRENT, REFERENCE = ("q_axis_current", "test"), ("q_axis_current_reference", "test")
-LEAP, NEAR = 0.7, 3  # of the largest change so many rows near, by which a reference bends where it leaps
-STEP = 0.05  # of a leap, that a reference may change in the rows beside it
-TELLING = 20.0  # standard deviations of what is missed elsewhere, from which on a leap tells
-MISSED, FEWEST = 5.0, 3  # of these deviations, and how many rows have to be missed by more
-DOUBTED = 4.0  # standard deviations of the next row's weight below zero, from which rows are not said to hold
+LEAP, NEAR = 0.7, 3  # bend of a leap, over the largest change within so many rows
+STEP = 0.05  # largest change of a reference in the rows next to a step, as a share of the step
+TELLING = 20.0  # size of a leap that counts, in standard deviations of the current's usual residual
+MISSED, FEWEST = 5.0, 3  # residual of a missed row in the same deviations, and fewest missed rows
+DOUBTED = 4.0  # standard deviations of the next row's weight below zero from which rows are not said to hold
 SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
-BENT = 1.0 / 24.0  # of a reference's bend over four rows, that the mean of a curve lacks between the middle two
-SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
-RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change may take in a drive that limits its rate
-SHORT_RAMP = 2.0  # rows of the longest ramp whose first row still tells when in it the ramp began
-CLOSE = 0.002  # how far from the best rate a search may end, as a share of it
+BENT = 1.0 / 24.0  # share of a bend over four rows by which the mean between the middle two differs from a line
+SETTLES = 8.0  # time constants of a current loop after which a leap has no influence
+RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows of the largest change in a drive that limits its rate, as tried
+SHORT_RAMP = 2.0  # rows of the longest ramp whose first row still shows when the ramp began
+CLOSE = 0.002  # relative tolerance of the search for the best rate
 
 
 class ReferenceFollowing(NamedTuple):
     """How the current of one run follows its reference."""
 
-    missed: Array  # by the best sum of neighbours, in standard deviations of what it misses as a rule
-    leaping: Array  # how far the reference leaps, in the same
-    steps: Mask  # whether it leaps at once
-    foresight: tuple[float, float]  # weight of the next row in those away from leaps, and its standard deviation
-    noise: float  # standard deviation [A] of what it misses as a rule
+    missed: Array  # residual of the best sum of neighbours, in units of `noise`
+    leaping: Array  # size of the reference's leap, in units of `noise`
+    steps: Mask  # whether the reference steps within one row
+    foresight: tuple[float, float]  # weight of the next row, away from leaps, and its standard deviation
+    noise: float  # A, robust standard deviation of the residual
 
 
 class LimitedFollowing(NamedTuple):
-    """How the currents of a log follow at the one rate that fits them best."""
+    """How the currents of a log follow at the common rate limit that fits them best."""
 
     shown: list[ReferenceFollowing]
     ramp: float  # rows that the largest change of a reference takes
 
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
-    """The runs, all marked where one shows that its setpoints change between rows, or hold: they are of one log."""
-    followed = [(record, one) for record in records if (one := follow(record, model)) is not None]
-    shown = [one for _, one in followed]
+    """Mark all runs of a log by whether its setpoints change between rows, or hold over a row.
+
+    One run that shows a change marks all runs.
+    """
+    followed = [(record, following) for record in records if (following := follow(record, model)) is not None]
+    followings = [following for _, following in followed]
     leaping = [pair for pair in followed if (pair[1].leaping > TELLING).any()]
-    leaps_missed = any(changes_between(one.missed, one.leaping) for one in shown)
-    against = against_next([one.foresight for one in shown])
-    between = against > MISSED
-    if not between and (leaps_missed or sum(int(misses(*one[:3]).sum()) for one in shown) >= FEWEST):
-        # only what no rate explains is between rows; whether rows hold, a longer ramp than a short one cannot show
+    leaps_missed = any(changes_between(following.missed, following.leaping) for following in followings)
+    next_row_evidence = against_next([following.foresight for following in followings])
+    changing = next_row_evidence > MISSED
+    if not changing and (leaps_missed or sum(int(misses(*following[:3]).sum()) for following in followings) >= FEWEST):
+        # a rate limit explains misses as well; a long ramp cannot show whether rows hold
         limited = at_one_rate(leaping, model)
-        between = leaps_missed and any(changes_between(one.missed, one.leaping) for one in limited.shown)
+        changing = leaps_missed and any(
+            changes_between(following.missed, following.leaping) for following in limited.shown
+        )
         if limited.ramp <= SHORT_RAMP:
-            shown, leaps_missed = limited.shown, between
-    held = any(holds(*one[:3]) for one in shown) and not any(misses(*one[:3]).any() for one in shown)
-    held &= not leaps_missed and not between and against < DOUBTED
+            followings, leaps_missed = limited.shown, changing
+    holding = any(holds(*following[:3]) for following in followings) and not any(
+        misses(*following[:3]).any() for following in followings
+    )
+    holding &= not leaps_missed and not changing and next_row_evidence < DOUBTED
     return [
-        replace(record, fast=replace(record.fast, setpoints_between=between, setpoints_held=held))
+        replace(record, fast=replace(record.fast, setpoints_between=changing, setpoints_held=holding))
         if record.fast is not None
         else record
         for record in records
@@ -82,7 +89,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
 
 
 def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> LimitedFollowing:
-    """How currents follow if the drive limits their rate, under the one limit that fits all runs best.
+    """Return how the currents follow under the common rate limit that fits all runs best.
 
     followed : each run, and how its current follows without a limit.
     """
@@ -92,49 +99,53 @@ def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Mo
         if record.fast is not None
     )
 
-    def at(log_rows: float) -> list[ReferenceFollowing]:
+    def followings_at(log_rows: float) -> list[ReferenceFollowing]:
         rate = swiftest / math.exp(log_rows)
-        return [again for record, one in followed if (again := follow(record, model, rate, one.noise)) is not None]
+        return [
+            limited
+            for record, following in followed
+            if (limited := follow(record, model, rate, following.noise)) is not None
+        ]
 
     def squares_missed(log_rows: float) -> float:
-        return sum(float(np.sum(one.missed**2)) for one in at(log_rows))
+        return sum(float(np.sum(following.missed**2)) for following in followings_at(log_rows))
 
     grid = np.log(RAMPS)
-    best = int(np.argmin([squares_missed(one) for one in grid]))
+    best = int(np.argmin([squares_missed(following) for following in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     log_rows = float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": CLOSE}).x)
-    return LimitedFollowing(at(log_rows), math.exp(log_rows))
+    return LimitedFollowing(followings_at(log_rows), math.exp(log_rows))
 
 
 def against_next(shares: Sequence[tuple[float, float]]) -> float:
-    """By how many standard deviations the next row's weight in a current, over all runs, is below zero.
+    """Return how many standard deviations the next row's weight in the current, over all runs, is below zero.
 
     A cubic through four rows has a mean between the middle two with -1/24 of each outer one; two setpoints in an
     interval have a mean with -1/32. A current that is stamped too early gives the next row a weight above zero.
 
-    shares : the weight in each run, with its standard deviation.
+    shares : weight in each run, and its standard deviation.
     """
     weights = [error**-2 for _, error in shares]
-    pulled = sum(share * weight for (share, _), weight in zip(shares, weights, strict=True))
-    return -pulled / math.sqrt(sum(weights)) if any(weights) else 0.0
+    weighted_sum = sum(share * weight for (share, _), weight in zip(shares, weights, strict=True))
+    return -weighted_sum / math.sqrt(sum(weights)) if any(weights) else 0.0
 
 
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
-    """Whether every leap that steps at once is met, and there are enough of them; rows as in `ReferenceFollowing`."""
+    """Return whether the current follows every step of the reference, of at least `FEWEST` steps."""
     enough = int(np.sum(steps & (leaping > TELLING))) >= FEWEST
     return enough and not bool(misses(missed, leaping, steps).any())
 
 
 def misses(missed: Array, leaping: Array, steps: Mask) -> Mask:
-    """Rows at which a leap that steps at once is missed by more than noise and what a filter makes of it."""
+    """Return the steps of the reference that the current misses by more than noise and a filter explain."""
     lost = (np.abs(missed) > MISSED) & (missed**2 > SHARE * leaping**2)
     return np.asarray(steps & (leaping > TELLING) & lost, np.bool_)
 
 
 def changes_between(missed: Array, leaping: Array) -> bool:
-    """Whether a current misses its reference at the leaps, in squares, by more than noise and rounding explain.
+    """Return whether a current misses its reference at the leaps by more squares than noise and rounding explain.
 
-    missed, leaping : of each row, in standard deviations of the noise.
+    missed, leaping : by row, in standard deviations of the noise.
     """
     telling = leaping > TELLING
     beyond = int(np.sum(np.abs(missed[telling]) > MISSED))
@@ -144,10 +155,10 @@ def changes_between(missed: Array, leaping: Array) -> bool:
 def follow(
     record: Record, model: Model, rate: float = math.inf, noise: float | None = None
 ) -> ReferenceFollowing | None:
-    """How a run's current follows its reference, in a drive that changes it no faster than a rate [A/s].
+    """Return how a run's current follows its reference in a drive with a rate limit [A/s].
 
-    noise : standard deviation [A] in which to count; by default that of what is missed. Where it is given, the next
-        row's weight is not looked for.
+    noise : A, unit of the residuals; by default their robust standard deviation. Where it is given, the weight of the
+        next row is not fitted.
 
     None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
     say what its stamps mean, and where a servo inside the drive moves the reference between rows.
@@ -158,31 +169,33 @@ def follow(
     if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
         return None
     reference, current = clock.values[REFERENCE], clock.values[CURRENT]
-    asked, most = led(reference, model.bench, clock.interval), rate * clock.interval
-    command, begin = rate_limited(asked, most), float(asked[0])
-    ends, means = loop(command, bandwidth, clock.interval, begin, ramp_shares(command, most, begin))
+    led_reference, largest_change = led(reference, model.bench, clock.interval), rate * clock.interval
+    command, begin = rate_limited(led_reference, largest_change), float(led_reference[0])
+    ends, means = loop(command, bandwidth, clock.interval, begin, ramp_shares(command, largest_change, begin))
     following = means if CURRENT in clock.means else ends
-    use = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
-    use[: TAPS[-1]] = use[TAPS[0] :] = False
-    sums = np.column_stack([np.ones_like(following), following, *(neighbour(following, by) for by in TAPS.tolist())])
-    if int(use.sum()) < 2 * sums.shape[1]:
+    used = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
+    used[: TAPS[-1]] = used[TAPS[0] :] = False
+    sums = np.column_stack(
+        [np.ones_like(following), following, *(neighbour(following, shift) for shift in TAPS.tolist())]
+    )
+    if int(used.sum()) < 2 * sums.shape[1]:
         return None
-    missed = current - sums @ np.linalg.lstsq(sums[use], current[use], rcond=None)[0]
+    missed = current - sums @ np.linalg.lstsq(sums[used], current[used], rcond=None)[0]
     foresight = 0.0, math.inf
     if noise is None:
-        noise = float(np.median(np.abs(missed[use]))) / 0.6745
+        noise = float(np.median(np.abs(missed[used]))) / 0.6745
         if noise == 0.0:
             return None
         leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
-        calm = use & ~leapt
+        calm = used & ~leapt
         foresight = share_of_next(sums[calm], current[calm])
     return ReferenceFollowing(
-        missed[use] / noise, leaps(reference)[use] / noise, steps(reference)[use], foresight, noise
+        missed[used] / noise, leaps(reference)[used] / noise, steps(reference)[used], foresight, noise
     )
 
 
 def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
-    """Weight of the next row in a current, and its standard deviation; infinite where rows do not tell it.
+    """Return the weight of the next row in a current, and its standard deviation; infinite if it is not determined.
 
     sums : the loop's answer to the reference, at each row and at its neighbours (`TAPS`).
     """
@@ -193,27 +206,30 @@ def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
     if rank < count:
         return 0.0, math.inf
     spread = float(np.sqrt(np.mean((current - sums @ weights) ** 2)))
-    at = 2 + TAPS.tolist().index(1)
-    return float(weights[at]), spread * float(np.linalg.norm(np.linalg.pinv(sums)[at])) or math.inf
+    next_row = 2 + TAPS.tolist().index(1)
+    return float(weights[next_row]), spread * float(np.linalg.norm(np.linalg.pinv(sums)[next_row])) or math.inf
 
 
 def leaps(reference: Array) -> Array:
-    """How far a reference bends at each row, zero where that is no more than a wave does that its rows show."""
+    """Return the bend of a reference at each row, zero where a smooth wave would bend as much."""
     change = np.diff(reference)
-    near = maximum_filter1d(np.abs(change), 2 * NEAR)[1:]
+    largest_near = maximum_filter1d(np.abs(change), 2 * NEAR)[1:]
     bends = np.abs(np.diff(change))
-    return np.concatenate([[0.0], np.where(bends > LEAP * near, bends, 0.0), [0.0]])
+    return np.concatenate([[0.0], np.where(bends > LEAP * largest_near, bends, 0.0), [0.0]])
 
 
 def steps(reference: Array) -> Mask:
-    """Rows at which a reference steps or begins to ramp at once: a setpoint between rows makes two changes of one."""
+    """Return the rows at which a reference steps, or begins to ramp, within one row.
+
+    A setpoint that changes between two rows spreads a step over two changes.
+    """
     change = np.diff(reference, prepend=reference[0])
     bend = np.diff(change, append=change[-1])
     return isolated(change) | isolated(bend)
 
 
 def isolated(values: Array) -> Mask:
-    """Values that dwarf those before and after."""
+    """Return the mask of values far larger than their neighbours (by more than 1 / `STEP`)."""
     size = np.abs(values)
     around = np.maximum(np.roll(size, 1), np.roll(size, -1))
     around[[0, -1]] = math.inf
@@ -221,28 +237,28 @@ def isolated(values: Array) -> Mask:
 
 
 def bend(values: Array) -> Array:
-    """By how much the two rows around an interval's ends lie above these, as a curve through all four bends."""
+    """Return, for the interval before each row, the outer two of the four rows around it less the inner two."""
     return neighbour(values, 1) + neighbour(values, -2) - values - neighbour(values, -1)
 
 
 def unknown_between(reference: Array, noise: float, settles: float, interval: float) -> Mask:
-    """Rows whose current depends on when inside its interval a leap came into force, or on how a curve bends there.
+    """Return the rows whose current depends on the course of the setpoint inside an interval: at leaps and bends.
 
-    A loop settles afterwards. A curve between rows lacks up to `BENT` of its bend; what is less than the noise is no
-    matter.
+    The rows while the loop settles are included. A curve between rows differs from a line by up to `BENT` of its bend;
+    bends below the noise do not count.
     """
     changing = (leaps(reference) > TELLING * noise) | (np.abs(bend(reference)) > noise / BENT)
     return settling(changing, settles, interval)
 
 
 def settling(changing: Mask, settles: float, interval: float) -> Mask:
-    """Rows from the one before a change on, until a loop of this time constant [s] has forgotten when it came."""
+    """Return the rows from one before each change until a loop with time constant `settles` [s] has settled."""
     rows = 3 + math.ceil(SETTLES * settles / interval)
     return np.asarray(np.convolve(changing, np.ones(rows))[1 : len(changing) + 1] > 0.5, np.bool_)
 
 
 def setpoint_notes(records: Sequence[Record]) -> tuple[str, ...]:
-    """What a log that is slower than its setpoints leaves open; nothing where it keeps up with them."""
+    """Return a note if setpoints change between the rows of the log, else nothing."""
     if not any(record.fast is not None and record.fast.setpoints_between for record in records):
         return ()
     return ("setpoints change between the rows of the log: a delay of less than an interval of it cannot be told",)

@@ -1,8 +1,8 @@
 """Stamps of a log that does not say what they mean: each is known to within one sample.
 
-Two such channels of one equation stand up to two samples off each other, an input may be held where the model takes it
-for a straight line, and one channel may be a mean where the other is an instant. Neighbouring samples of one, weighted,
-cover all of that.
+Two such channels of one equation differ by up to two samples, an input may be held where the model interpolates it, and
+one channel may be a mean where the other is an instant. Weighted neighbouring samples of one channel describe all of
+these.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,59 +20,61 @@ BETWEEN_SAMPLES = "reference_sampling_s"  # nuisance: when a drive's own servo m
 
 
 def stamp_columns(equation: str, clock: Clocked, keys: Sequence[Key], column: Array) -> dict[str, tuple[Array, float]]:
-    """Nuisances of an equation whose channels' stamps are not told: what its column's neighbours add, and priors."""
+    """Return the nuisances for unknown stamps in an equation: columns of neighbouring samples, and priors."""
     if not any(key in clock.unstamped for key in keys):
         return {}
     return {
-        tap_name(equation, by): (neighbour(column, by / clock.decimation) - column, TAP_PRIOR) for by in TAPS.tolist()
+        tap_name(equation, shift): (neighbour(column, shift / clock.decimation) - column, TAP_PRIOR)
+        for shift in TAPS.tolist()
     }
 
 
-def tap_name(equation: str, by: int) -> str:
-    """Name of the nuisance that weighs the sample so many later."""
-    return f"{equation}_stamp{by:+d}"
+def tap_name(equation: str, shift: int) -> str:
+    """Return the name of the nuisance that weights the sample `shift` later."""
+    return f"{equation}_stamp{shift:+d}"
 
 
-def neighbour(values: Array, by: float) -> Array:
-    """The value so many samples later, on a straight line between two; the last or first one beyond the ends."""
-    at = np.arange(len(values))
-    return np.asarray(np.interp(at + by, at, values), np.float64)
+def neighbour(values: Array, shift: float) -> Array:
+    """Return the values `shift` samples later, linear between samples, constant beyond the ends."""
+    samples = np.arange(len(values))
+    return np.asarray(np.interp(samples + shift, samples, values), np.float64)
 
 
 def restamped(values: Array, weights: Array | None, parts: int = 1) -> Array:
-    """Values as a log with such weights of neighbours stamps them; a sample has so many of these values."""
+    """Return values as a log stamps them, given the weights of neighbouring samples; `parts` values make a sample."""
     if weights is None:
         return values
-    moved = (
-        weight * (neighbour(values, by * parts) - values) for by, weight in zip(TAPS.tolist(), weights, strict=True)
+    corrections = (
+        weight * (neighbour(values, shift * parts) - values)
+        for shift, weight in zip(TAPS.tolist(), weights, strict=True)
     )
-    return np.asarray(values + sum(moved), np.float64)
+    return np.asarray(values + sum(corrections), np.float64)
 
 
 def lateness(weights: Array) -> float:
-    """Samples by which one side of an equation is later than the other."""
+    """Return the samples by which one side of an equation is later than the other."""
     return -float(TAPS @ weights)
 
 
 def stamped(record: Record, weights: Mapping[str, Array]) -> Record:
-    """A run whose replay gets its stamps as the log has them."""
+    """Return a run whose replay is stamped with these weights, by equation."""
     if record.fast is None or not record.fast.unstamped:
         return record
     return replace(record, fast=replace(record.fast, stamping=dict(weights)))
 
 
 def stamp_notes(weights: Mapping[str, Array], overdue: Sequence[str], latest: float) -> tuple[str, ...]:
-    """Of each equation, by how many samples one side of it is later than the other; nothing where stamps are told.
+    """Return notes on the delay between the sides of each equation in samples; none where stamps are known.
 
-    overdue : equations in which stamps alone, which may be late by the `latest` samples, cannot be the reason.
+    overdue : equations whose delay exceeds `latest`, the most samples that stamps alone explain.
     """
     if not weights:
         return ()
-    late = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
-    told = f"; samples by which one side of an equation is late: {late}" if late else ""
-    theirs = f"up to {latest:g} samples of its delay may be theirs all the same"
+    listed = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
+    calibrated_lateness = f"; samples by which one side of an equation is late: {listed}" if listed else ""
+    excuse = f"up to {latest:g} samples of its delay may be theirs all the same"
     return (
         "the files do not say what their stamps mean (no `sampling`): up to one sample of each channel is"
-        f" calibrated{told}",
-        *(f"one side of {name} is later than stamps can be; {theirs}" for name in overdue),
+        f" calibrated{calibrated_lateness}",
+        *(f"one side of {name} is later than stamps can be; {excuse}" for name in overdue),
     )

@@ -1,4 +1,4 @@
-"""Real runs against a simulator's: what they have beyond it, and what the simulator itself contains."""
+"""Diagnose real runs against a simulator's runs, and the simulator itself against the plain model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from leactl.gap.simulated.pairing import paired
 
 @dataclass
 class SimulatedCase:
-    """Real runs, and the simulated ones that stand for the model."""
+    """Real runs, and the simulated runs that replace the model."""
 
     real: Case
     pairs: tuple[SimulatedRun, ...]
@@ -37,7 +37,7 @@ class SimulatedCase:
 def read_simulated_case(
     runs: Sequence[Path], held_out: Sequence[Path], model: Path, simulated: Sequence[Path]
 ) -> SimulatedCase:
-    """Read both sides at the door, and hold the inputs of every real run against those of its simulated one.
+    """Read both sides, and check that every real run has the inputs of its simulated one.
 
     Raises
     ------
@@ -58,8 +58,8 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
     """Diagnose what real runs have beyond a simulator.
 
     The simulated runs are diagnosed first, against the model without effects. Their parameters and effects make the
-    nominal, and what it leaves of them is added to the floors. An effect that both sides have is not named, unless its
-    sizes differ beyond both errors: then the real runs are diagnosed again without it in the nominal.
+    nominal, and its residual on the simulated runs is added to the floors. An effect that both sides have is not named,
+    unless its sizes differ beyond both errors: then the real runs are diagnosed again without it in the nominal.
 
     Raises
     ------
@@ -70,26 +70,26 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
     progress("looking for faults of the set-up")
     faults, mended = without_faults(replace(case.real, model=nominal.plain))
     known = {(fault.name, fault.key) for fault in nominal.faults}
-    fresh = [fault for fault in faults if (fault.name, fault.key) not in known]
-    answer = _beyond(mended, nominal, (), fresh, progress)
+    real_faults = [fault for fault in faults if (fault.name, fault.key) not in known]
+    answer = _beyond(mended, nominal, (), real_faults, progress)
     if nominal.by_free_runs and nominal.causes:
         progress("looking without the simulator's effects")
-        alone = _beyond(mended, nominal, [cause.effect for cause in nominal.causes], (), progress)
-        both = side_by_side_in_free_runs(nominal, alone)
+        answer_without_effects = _beyond(mended, nominal, [cause.effect for cause in nominal.causes], (), progress)
+        comparison = side_by_side_in_free_runs(nominal, answer_without_effects)
     else:
-        both = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
-    if other := both.differing:
-        progress(f"looking again without the simulator's {', '.join(other)}")
-        answer = _beyond(mended, nominal, other, fresh, progress)
-    beside = compared_parameters(nominal, answer.calibration)
-    answer = without_shared_causes(answer, both, any(item.differs for item in beside))
+        comparison = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
+    if differing := comparison.differing:
+        progress(f"looking again without the simulator's {', '.join(differing)}")
+        answer = _beyond(mended, nominal, differing, real_faults, progress)
+    parameters = compared_parameters(nominal, answer.calibration)
+    answer = without_shared_causes(answer, comparison, any(item.differs for item in parameters))
     notes = (*case.notes, *of_another_machine(answer.calibration), *shared_faults(nominal, faults))
     simulator = SimulatorAnswer(
         nominal.answer.verdict,
         nominal.answer.unexplained_probability,
         case.pairs,
-        beside,
-        simulator_effects(nominal, both, faults),
+        parameters,
+        simulator_effects(nominal, comparison, faults),
         nominal.floors,
         nominal.answer.notes,
     )
@@ -101,14 +101,14 @@ def _labelled(label: str, progress: Progress) -> Progress:
 
 
 def _beyond(
-    mended: Case, nominal: NominalOfSimulator, other: Sequence[str], faults: Sequence[SetUpFault], progress: Progress
+    mended: Case, nominal: NominalOfSimulator, removed: Sequence[str], faults: Sequence[SetUpFault], progress: Progress
 ) -> DiagnosisResult:
     """Diagnose real runs against the nominal without some of its effects."""
-    kept = [effect for effect in nominal.effects if effect.name not in other]
+    effects_in_nominal = [effect for effect in nominal.effects if effect.name not in removed]
     case = Case(
-        nominal.without(other),
-        records_without(mended.fitted, kept),
-        records_without(mended.held_out, kept),
+        nominal.without(removed),
+        records_without(mended.fitted, effects_in_nominal),
+        records_without(mended.held_out, effects_in_nominal),
         records_without(nominal.records, nominal.effects),
         nominal.unexplained,
         nominal.model,

@@ -1,4 +1,4 @@
-"""A simulator and real runs side by side: parameters, effects of the simulator, and what both show."""
+"""Compare a simulator with real runs: parameters, effects of the simulator, and effects that both show."""
 
 import math
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ from leactl.gap.simulated.known import KnownEffect, known_effects, records_witho
 from leactl.gap.simulated.nominal import NominalOfSimulator
 from leactl.gap.verdict.decision import NAMED, verdict_of
 
-MOST_PRIORS_OFF = 3.0  # of a prior; a parameter that is farther off is that of another machine
-LEAST_DIFFERENCE = 0.02  # of a parameter; the freedom of an effect's form moves it by less
+MOST_PRIORS_OFF = 3.0  # prior widths beyond which a parameter is that of another machine
+LEAST_DIFFERENCE = 0.02  # smallest relative difference of a parameter; the freedom of an effect's form makes less
 
 
 @dataclass(frozen=True, eq=False)
 class SizeInReal:
-    """An effect of the simulator, as the real runs have it in the same form."""
+    """Size of a simulator's effect in the real runs, in the same form."""
 
     parameters: tuple[EffectParameter, ...]
     differs: bool
@@ -41,21 +41,21 @@ class SideBySide:
     """Effects of both sides, fitted to the real runs together."""
 
     of_simulator: dict[str, SizeInReal]
-    shown_too: tuple[str, ...]  # named beyond the simulator, which shows them as well, too small to be named there
+    shown_too: tuple[str, ...]  # effects named beyond the simulator, which has them as well, too small to be named
 
     @property
     def differing(self) -> list[str]:
-        """Effects of the simulator that have another size in the real runs."""
+        """Effects of the simulator with a different size in the real runs."""
         return [name for name, size in self.of_simulator.items() if size.differs]
 
     @property
     def alike(self) -> set[str]:
-        """Effects that are no gap between the two."""
+        """Effects of equal size in both, which are no gap."""
         return {name for name, size in self.of_simulator.items() if not size.differs}.union(self.shown_too)
 
 
 def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: Sequence[Candidate]) -> SideBySide:
-    """Fit the simulator's effects to real runs, together with what was named beyond them."""
+    """Fit the simulator's effects to real runs, together with the effects named beyond them."""
     known = [effect.candidate for effect in nominal.effects]
     names = {name for name, _ in known}
     beyond = [candidate for candidate in named if candidate[0] not in names]
@@ -64,17 +64,21 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
     if not hypothesis or not evidence.stack.rows:
         return SideBySide({}, ())
     fit = evidence.settle(hypothesis)
-    here = {effect.name: effect for effect in known_effects(evidence, fit, hypothesis)}
+    in_real = {effect.name: effect for effect in known_effects(evidence, fit, hypothesis)}
     sizes = {
         effect.name: SizeInReal(
             effect_parameters(evidence, fit, effect.candidate), effect.differs_from(real), real.shows
         )
         for effect in nominal.effects
-        if (real := here.get(effect.name)) is not None and real.coefficients == effect.coefficients
+        if (real := in_real.get(effect.name)) is not None and real.coefficients == effect.coefficients
     }
-    there = in_simulator(nominal, beyond)
-    shown = [name for name, _ in beyond if name in here and name in there and not outgrows(here[name], there[name])]
-    return SideBySide(sizes, tuple(shown))
+    in_simulated = in_simulator(nominal, beyond)
+    shown_in_both = [
+        name
+        for name, _ in beyond
+        if name in in_real and name in in_simulated and not outgrows(in_real[name], in_simulated[name])
+    ]
+    return SideBySide(sizes, tuple(shown_in_both))
 
 
 def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideBySide:
@@ -85,17 +89,20 @@ def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResul
     real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED}
     sizes = {}
     for cause in nominal.causes:
-        ours, theirs = cause.parameters, real.get(cause.effect, ())
-        differs = not theirs
-        if ours and theirs:
-            doubt = max(ENTRY * math.hypot(ours[0].std, theirs[0].std), math.sqrt(FORM_ERROR) * abs(ours[0].value))
-            differs = abs(theirs[0].value - ours[0].value) > doubt
-        sizes[cause.effect] = SizeInReal(theirs, differs, bool(theirs))
+        simulated_parameters, real_parameters = cause.parameters, real.get(cause.effect, ())
+        differs = not real_parameters
+        if simulated_parameters and real_parameters:
+            tolerance = max(
+                ENTRY * math.hypot(simulated_parameters[0].std, real_parameters[0].std),
+                math.sqrt(FORM_ERROR) * abs(simulated_parameters[0].value),
+            )
+            differs = abs(real_parameters[0].value - simulated_parameters[0].value) > tolerance
+        sizes[cause.effect] = SizeInReal(real_parameters, differs, bool(real_parameters))
     return SideBySide(sizes, ())
 
 
 def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -> dict[str, KnownEffect]:
-    """What the simulated runs make of some forms of effects beyond those that the simulator is known to contain."""
+    """Fit further forms of effects to the simulated runs, less the simulator's known effects; return them by name."""
     if not candidates:
         return {}
     evidence = Evidence(records_without(nominal.records, nominal.effects), nominal.model, only=candidates)
@@ -104,7 +111,7 @@ def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -
 
 
 def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
-    """Whether an effect is as much larger in real runs than in simulated ones as it has to be over any floor."""
+    """Return whether an effect is larger in real runs than in simulated ones by the factor it needs over a floor."""
     return not simulated.shows or real.size > ENTRY * simulated.size
 
 
@@ -134,8 +141,8 @@ def _parameter(
     start = nominal_value(nominal.start, simulated.parameter)
     differs = False
     if real is not None and not (real.not_told_by_these_runs or simulated.not_told_by_these_runs):
-        doubt = max(ENTRY * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
-        differs = abs(real.fitted - simulated.fitted) > doubt
+        tolerance = max(ENTRY * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
+        differs = abs(real.fitted - simulated.fitted) > tolerance
     return EffectiveParameter(
         simulated.parameter,
         simulated.nominal if start is None else start,
@@ -151,7 +158,7 @@ def _parameter(
 def simulator_effects(
     nominal: NominalOfSimulator, both: SideBySide, faults: Sequence[SetUpFault]
 ) -> tuple[SimulatorEffect, ...]:
-    """What the simulator contains, and how the real runs have it; faults of its set-up first."""
+    """Return the simulator's faults of the set-up and its effects, and how the real runs have them."""
     keys = {(fault.name, fault.key) for fault in faults}
     effects = [
         SimulatorEffect(
@@ -175,17 +182,17 @@ def _presence(size: SizeInReal | None) -> Presence:
 
 
 def _sizes(simulated: Sequence[EffectParameter], real: Sequence[EffectParameter] = ()) -> tuple[SizeInBoth, ...]:
-    others = {item.name: item for item in real}
-    return tuple(_beside(item, others.get(item.name)) for item in simulated)
+    real_by_name = {item.name: item for item in real}
+    return tuple(_size_in_both(item, real_by_name.get(item.name)) for item in simulated)
 
 
-def _beside(item: EffectParameter, other: EffectParameter | None) -> SizeInBoth:
-    real, std = (None, None) if other is None else (other.value, other.std)
+def _size_in_both(item: EffectParameter, in_real: EffectParameter | None) -> SizeInBoth:
+    real, std = (None, None) if in_real is None else (in_real.value, in_real.std)
     return SizeInBoth(item.name, item.value, item.std, real, std, item.units)
 
 
 def shared_faults(nominal: NominalOfSimulator, faults: Sequence[SetUpFault]) -> tuple[str, ...]:
-    """Notes on faults of the set-up that both sides have."""
+    """Return notes on faults of the set-up that both sides have."""
     known = {(fault.name, fault.key) for fault in nominal.faults}
     return tuple(
         f"both sides have it, so it is not named: {fault.note()}"
@@ -195,7 +202,7 @@ def shared_faults(nominal: NominalOfSimulator, faults: Sequence[SetUpFault]) -> 
 
 
 def of_another_machine(calibration: Sequence[CalibratedParameter]) -> tuple[str, ...]:
-    """A note where real runs ask for parameters that no machine of the simulator's kind has."""
+    """Return a note if fitted parameters of the real runs are far from the simulator's."""
     far = [
         f"{item.parameter} is {item.fitted / item.nominal:.3g} times the simulator's"
         for item in calibration

@@ -1,7 +1,7 @@
-"""Whether a simulated run has the commands of a real one, sample by sample, and where it first has not.
+"""Compare the commands of a simulated run with those of a real one, and find the first difference.
 
-Logs stamp a setpoint at the beginning of its interval or at its end, and two clocks need not have one rate. So a value
-is held against the range that the other run has within a few samples of the same time since its start.
+Logs stamp a setpoint at the beginning or the end of its interval, and two clocks may have different rates. So a value
+is compared with the range of the other run within a few samples of the same time since the start.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ NOISE_STDS = 6.0  # of both runs' noise, beyond which no sample of a long run li
 MOST_TOLERANCE = 0.05  # of a command's range
 MEASURED_TOLERANCE = 0.02  # of a measured input's range: the simulator may be driven by the setpoint instead
 ROUNDING = 1e-5  # of a command's range: single precision in a file
-OFFSETS = 61  # times within the reach, at which the other run is looked at
+OFFSETS = 61  # times within the reach at which the other run is compared
 LEAST_DURATION = 0.98  # of the real run's
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """Where two runs first differ in a command."""
+    """First difference of two runs in a command."""
 
     share: float  # of the samples
     text: str
@@ -69,50 +69,53 @@ def commands_of(run: Run) -> dict[tuple[str, str], RunCommand]:
 
 def _command(channels: Sequence[Channel], begin: float) -> RunCommand | None:
     for channel in channels:
-        good = np.isfinite(channel.values)
-        if good.sum() >= FEWEST_SAMPLES:
-            return RunCommand(channel.time[good] - begin, channel.values[good], channel.units)
+        finite = np.isfinite(channel.values)
+        if finite.sum() >= FEWEST_SAMPLES:
+            return RunCommand(channel.time[finite] - begin, channel.values[finite], channel.units)
     return None
 
 
 def mismatch(real: Run, simulated: Run) -> Mismatch | None:
-    """Where a simulated run first has other commands than a real one; None where all are the same.
+    """Return the first difference between the commands of two runs; None where all are equal.
 
     Only commands that both runs log are compared.
     """
-    ours, theirs = commands_of(real), commands_of(simulated)
-    common = [key for key in ours if key in theirs]
+    real_commands, simulated_commands = commands_of(real), commands_of(simulated)
+    common = [key for key in real_commands if key in simulated_commands]
     if not common:
-        names = [", ".join(f"{quantity} of {role}" for quantity, role in some) or "none" for some in (ours, theirs)]
+        names = [
+            ", ".join(f"{quantity} of {role}" for quantity, role in commands) or "none"
+            for commands in (real_commands, simulated_commands)
+        ]
         return Mismatch(1.0, f"logs other commands ({names[1]}) than {real.path} ({names[0]})")
     for key in common:
-        if (difference := _difference(key, ours[key], theirs[key], real)) is not None:
+        if (difference := _difference(key, real_commands[key], simulated_commands[key], real)) is not None:
             return difference
     return None
 
 
-def _difference(key: tuple[str, str], ours: RunCommand, theirs: RunCommand, real: Run) -> Mismatch | None:
+def _difference(key: tuple[str, str], command: RunCommand, simulated: RunCommand, real: Run) -> Mismatch | None:
     name = f"{key[0]} of {key[1]}"
-    if ours.units != theirs.units:
-        return Mismatch(1.0, f"{name} is in {theirs.units}, {real.path} has it in {ours.units}")
-    lasts, needed = float(theirs.time[-1]), float(ours.time[-1])
-    if lasts < LEAST_DURATION * needed:
-        return Mismatch(1.0, f"{name} ends after {lasts:.6g} s; {real.path} takes {needed:.6g} s")
-    tolerance = tolerance_of(ours.values, theirs.values)
+    if command.units != simulated.units:
+        return Mismatch(1.0, f"{name} is in {simulated.units}, {real.path} has it in {command.units}")
+    duration, needed = float(simulated.time[-1]), float(command.time[-1])
+    if duration < LEAST_DURATION * needed:
+        return Mismatch(1.0, f"{name} ends after {duration:.6g} s; {real.path} takes {needed:.6g} s")
+    tolerance = tolerance_of(command.values, simulated.values)
     if key[0] in MEASURED:
-        tolerance = max(tolerance, MEASURED_TOLERANCE * float(np.ptp(ours.values)))
-    reach = LATEST * max(ours.interval, theirs.interval)
-    inside = ours.time <= lasts
-    beyond = outside(ours.time[inside], ours.values[inside], theirs, reach) > tolerance
+        tolerance = max(tolerance, MEASURED_TOLERANCE * float(np.ptp(command.values)))
+    reach = LATEST * max(command.interval, simulated.interval)
+    inside = command.time <= duration
+    beyond = outside(command.time[inside], command.values[inside], simulated, reach) > tolerance
     if not beyond.any():
         return None
-    at = int(np.argmax(beyond))
-    time, value = float(ours.time[at]), float(ours.values[at])
-    other = float(np.interp(time, theirs.time, theirs.values))
+    first_beyond = int(np.argmax(beyond))
+    time, value = float(command.time[first_beyond]), float(command.values[first_beyond])
+    simulated_value = float(np.interp(time, simulated.time, simulated.values))
     return Mismatch(
         float(np.mean(beyond)),
-        f"{name} is {other:.6g} {theirs.units} at {time:.6g} s; {real.path} has {value:.6g} {ours.units} there,"
-        f" and the same within {tolerance:.3g} {ours.units} was expected",
+        f"{name} is {simulated_value:.6g} {simulated.units} at {time:.6g} s; {real.path} has {value:.6g}"
+        f" {command.units} there, and the same within {tolerance:.3g} {command.units} was expected",
     )
 
 
@@ -130,6 +133,6 @@ def outside(time: Array, values: Array, other: RunCommand, reach: float) -> Arra
     """Return how far values lie outside the range of another command within `reach` [s] of the same time."""
     low, high = np.full(len(time), np.inf), np.full(len(time), -np.inf)
     for offset in np.linspace(-reach, reach, OFFSETS):
-        seen = np.interp(time + offset, other.time, other.values)
-        low, high = np.minimum(low, seen), np.maximum(high, seen)
+        other_values = np.interp(time + offset, other.time, other.values)
+        low, high = np.minimum(low, other_values), np.maximum(high, other_values)
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0), np.float64)

@@ -1,7 +1,7 @@
-"""Effects that a simulator contains, taken from the equations of a run: what is left is beyond the simulator.
+"""Subtract effects that a simulator contains from the equations of a run: the remainder is beyond the simulator.
 
-Each is taken at the size that the simulated runs give it, in the form in which they show it. Its coefficients stay free
-by their own errors and by what two authors' forms of one law differ by.
+Each effect has the size and form fitted to the simulated runs. Its coefficients stay free within their errors and the
+usual difference between two authors' forms of one law.
 """
 
 import math
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class KnownEffect:
-    """An effect with the coefficients that runs give it."""
+    """An effect with its fitted coefficients."""
 
     candidate: Candidate
     coefficients: tuple[str, ...]
@@ -36,11 +36,11 @@ class KnownEffect:
         return self.candidate[0]
 
     def differs_from(self, other: "KnownEffect") -> bool:
-        """Whether two sets of runs give an effect sizes that differ beyond both errors and beyond its form's."""
-        apart = self.values - other.values
-        if float(np.linalg.norm(apart)) <= math.sqrt(FORM_ERROR) * self.size:
+        """Return whether the sizes of an effect in two sets of runs differ beyond both errors and that of its form."""
+        difference = self.values - other.values
+        if float(np.linalg.norm(difference)) <= math.sqrt(FORM_ERROR) * self.size:
             return False
-        squares = float(apart @ np.linalg.pinv(self.covariance + other.covariance) @ apart)
+        squares = float(difference @ np.linalg.pinv(self.covariance + other.covariance) @ difference)
         return squares > ENTRY**2
 
     @property
@@ -55,32 +55,32 @@ class KnownEffect:
 
 
 def known_effects(evidence: Evidence, fit: Fit, candidates: Sequence[Candidate]) -> tuple[KnownEffect, ...]:
-    """Effects of a fitted hypothesis with their coefficients; those that no run shows are left out.
+    """Return the effects of a fitted hypothesis with their coefficients, without those that no run shows.
 
     Covariances are widened by how far runs and equations disagree.
     """
     normal, effects = evidence.normal(), []
     for candidate in candidates:
         columns = evidence.columns(candidate)
-        at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
-        if not at:
+        positions = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
+        if not positions:
             continue
-        wider = np.array([disagreement(normal, fit, index) for index in at])
-        covariance = fit.covariance[np.ix_(at, at)] * np.outer(wider, wider)
+        widening = np.array([disagreement(normal, fit, index) for index in positions])
+        covariance = fit.covariance[np.ix_(positions, positions)] * np.outer(widening, widening)
         names = tuple(evidence.coefficient(column) for column in columns)
         if np.isfinite(covariance).all():
-            effects.append(KnownEffect(candidate, names, fit.values[at], covariance))
+            effects.append(KnownEffect(candidate, names, fit.values[positions], covariance))
     return tuple(effects)
 
 
 @dataclass(frozen=True)
 class Subtraction:
-    """Takes known effects from the equations of a run."""
+    """Subtraction of known effects from the equations of a run."""
 
     effects: tuple[KnownEffect, ...]
 
     def __call__(self, equations: list[Equation]) -> list[Equation]:
-        """The equations without what the effects do; their coefficients become nuisances that all runs share."""
+        """Return the equations less the effects; the effects' coefficients become nuisances that all runs share."""
         return [self._without(equation) for equation in equations]
 
     def _without(self, equation: Equation) -> Equation:
@@ -98,5 +98,5 @@ class Subtraction:
 
 def records_without(records: Sequence[Record], effects: Sequence[KnownEffect]) -> list[Record]:
     """Return the runs, with these effects subtracted from their equations."""
-    taken = Subtraction(tuple(effects)) if effects else None
-    return [replace(record, nominal_effects=taken) for record in records]
+    subtraction = Subtraction(tuple(effects)) if effects else None
+    return [replace(record, nominal_effects=subtraction) for record in records]

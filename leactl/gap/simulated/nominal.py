@@ -1,4 +1,4 @@
-"""The nominal that simulated runs stand for: the model's parameters fitted again on them, and the effects they show."""
+"""Nominal model of a simulator: the model's parameters and effects fitted to the simulated runs."""
 
 import math
 from collections.abc import Sequence
@@ -23,27 +23,27 @@ from leactl.gap.simulated.known import KnownEffect, known_effects
 from leactl.gap.verdict.decision import NAMED
 from leactl.model.nominal import Model
 
-MOST_FITS = 4  # from a start that is far off; three fits reach a parameter that is off by ten times
+MOST_FITS = 4  # most fits from a far start; three fits reach a parameter that is off by a factor of ten
 
 
 @dataclass(frozen=True, eq=False)
 class NominalOfSimulator:
-    """A simulator's runs as a nominal."""
+    """Nominal model from a simulator's runs, with the diagnosis of these runs."""
 
-    start: Model  # that the fits began with
+    start: Model  # start of the fits
     plain: Model  # with fitted parameters, without effects
     model: Model  # with effects
     answer: DiagnosisResult  # of the simulated runs against the plain form
     faults: tuple[SetUpFault, ...]  # of the simulated runs' set-up
     parameters: tuple[CalibratedParameter, ...]  # of the plain form, as the simulated runs have them
-    effects: tuple[KnownEffect, ...]  # that can be taken from equations
+    effects: tuple[KnownEffect, ...]  # effects that can be subtracted from equations
     causes: tuple[Cause, ...]  # effects of the model, in the form of an answer
     records: tuple[Record, ...]  # simulated runs that were fitted
-    by_free_runs: bool  # of a position servo, whose effects are fitted by simulation and not in equations
+    by_free_runs: bool  # whether effects were fitted by simulating a position servo, not in equations
 
     @property
     def floors(self) -> tuple[SimulatorFloor, ...]:
-        """What the simulator leaves of each channel against its fitted form."""
+        """Residual of the simulator's runs in each channel against the nominal."""
         return tuple(
             SimulatorFloor(
                 line.quantity,
@@ -58,21 +58,21 @@ class NominalOfSimulator:
 
     @property
     def unexplained(self) -> dict[Channel, float]:
-        """The same by channel."""
+        """Residual of the simulator's runs beyond their floor, by channel."""
         return {(line.quantity, line.role, line.mechanical): line.left_rms for line in self.floors}
 
     def without(self, names: Sequence[str]) -> Model:
-        """The nominal without some of its effects."""
-        kept = [entry for entry in self.model.effects if entry.effect not in names]
-        return self.model.model_copy(update={"effects": kept})
+        """Return the nominal without some of its effects."""
+        remaining = [entry for entry in self.model.effects if entry.effect not in names]
+        return self.model.model_copy(update={"effects": remaining})
 
 
 def nominal_of(
     fitted: Sequence[Record], held_out: Sequence[Record], model: Model, progress: Progress
 ) -> NominalOfSimulator:
-    """Fit a model's own parameters to simulated runs, and look for effects there as in real ones.
+    """Fit a model's parameters to simulated runs, and diagnose their effects as those of real runs.
 
-    Effects that the model file has are not taken over: the simulated runs show what the simulator does.
+    Effects of the model file are dropped: the simulated runs show the simulator's.
 
     Raises
     ------
@@ -81,28 +81,28 @@ def nominal_of(
     plain = model.model_copy(update={"effects": []})
     faults, mended = without_faults(Case(plain, list(fitted), list(held_out)))
     by_free_runs = judged_by_runs(plain, mended.fitted)
-    near = plain if by_free_runs else near_start(mended.fitted, plain)
-    answer = diagnose_mended(replace(mended, model=near), faults, progress)
-    with_them: Model = answer.extra["augmented"]
-    base = with_them.model_copy(update={"effects": []})
-    present = {entry.effect for entry in with_them.effects}
+    start = plain if by_free_runs else near_start(mended.fitted, plain)
+    answer = diagnose_mended(replace(mended, model=start), faults, progress)
+    augmented: Model = answer.extra["augmented"]
+    base = augmented.model_copy(update={"effects": []})
+    present = {entry.effect for entry in augmented.effects}
     causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= NAMED)
-    standing = () if by_free_runs else answer.extra.get("standing", ())
-    candidates = [candidate for candidate in standing if candidate[0] in present]
+    applied_forms = () if by_free_runs else answer.extra.get("standing", ())
+    candidates = [candidate for candidate in applied_forms if candidate[0] in present]
     evidence = Evidence(mended.fitted, base, only=candidates)
     fit = evidence.settle(candidates)
     effects = known_effects(evidence, fit, candidates)
     sizes = {effect.name: effect_parameters(evidence, fit, effect.candidate) for effect in effects}
     causes = tuple(replace(c, parameters=sizes.get(c.effect, c.parameters)) for c in causes)
     entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in causes]
-    kept = (replace(item, fitted=item.nominal) for item in calibrated(evidence, fit))
+    nominal_parameters = (replace(item, fitted=item.nominal) for item in calibrated(evidence, fit))
     return NominalOfSimulator(
         model,
         base,
         with_effects(base, entries),
         answer,
         tuple(faults),
-        answer.calibration or tuple(kept),
+        answer.calibration or tuple(nominal_parameters),
         effects,
         causes,
         tuple(mended.fitted),
@@ -111,9 +111,9 @@ def nominal_of(
 
 
 def near_start(records: Sequence[Record], model: Model) -> Model:
-    """The model as it was given where the runs are near it, else with parameters fitted until they move no farther.
+    """Return the given model if the runs are near it, else with parameters fitted until they stay within their priors.
 
-    Priors are those of a data sheet: a start that is farther off than these would hold the fit back.
+    Priors are those of a data sheet: a start farther off would bias the fit.
 
     Raises
     ------
@@ -139,6 +139,6 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
 
 
 def is_far(item: CalibratedParameter) -> bool:
-    """Whether a fit moved a parameter by more than its prior."""
+    """Return whether a fit moved a parameter by more than its prior."""
     prior = PRIORS.get(item.parameter)
     return prior is not None and item.has_ratio and abs(item.fitted / item.nominal - 1.0) > prior

@@ -1,4 +1,4 @@
-"""What a diagnosis could not answer, plainly: questions whose channels or set-ups the runs lack."""
+"""Notes on what a diagnosis could not answer: questions whose channels or set-ups the runs lack."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,10 @@ NEEDS = {
 
 
 def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_runs: bool) -> tuple[str, ...]:
-    """Notes on what these runs cannot show; free runs show what belongs to a servo."""
+    """Return notes on what these runs cannot show.
+
+    by_runs : whether free runs judge the effects of a servo, which are then not invisible.
+    """
     notes = []
     for quantity, (question, need) in NEEDS.items():
         role = "bench" if quantity == "bus_voltage" else "test"
@@ -44,7 +47,7 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
 
 
 def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
-    """Notes on parameters that sound machines move by themselves, and on equations that none could be simulated for."""
+    """Return notes on parameters that the runs do not determine, and on equations without a simulated sound run."""
     notes = []
     if null.unidentifiable:
         named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.unidentifiable)
@@ -59,21 +62,21 @@ def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
 
 
 def gathered(records: Sequence[Record]) -> tuple[str, ...]:
-    """What was noted of each run as it was read; of several runs alike, once."""
+    """Return the notes made while runs were read; a note on several runs occurs once."""
     runs: dict[str, list[str]] = {}
     for record in records:
         for note in record.notes:
             run, _, text = note.partition(": ")
-            told = runs.setdefault(text, [])
-            if run not in told:  # a run may be there twice, in parts
-                told.append(run)
+            runs_with_note = runs.setdefault(text, [])
+            if run not in runs_with_note:  # a run may occur twice, in parts
+                runs_with_note.append(run)
     return tuple(
         f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}" for text, names in runs.items()
     )
 
 
 def unlike(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, ...]:
-    """Notes on held-out runs of a kind that was fitted in other conditions or set-ups only."""
+    """Return notes on held-out runs of a kind that was fitted in other conditions or set-ups only."""
     notes = []
     for name in ("condition", "mechanical"):
         for kind in sorted({record.kind for record in fitted} & {record.kind for record in held_out}):
@@ -86,11 +89,11 @@ def unlike(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, .
 
 
 def has(record: Record, quantity: str, role: str) -> bool:
-    """Whether a run has a channel on either clock."""
+    """Return whether a run has a channel on either clock."""
     return any(clock is not None and clock.get(quantity, role) is not None for clock in (record.fast, record.slow))
 
 
 def invisible(model: Model, evidence: Evidence) -> list[str]:
-    """Effects that no equation of these runs has a column for."""
-    seen = {name[1] for name in evidence.stack.names if name[0] == "effect"}
-    return [name for name, effect in library().items() if effect.applies(model) and name not in seen]
+    """Return the effects that no equation of these runs has a column for."""
+    visible = {name[1] for name in evidence.stack.names if name[0] == "effect"}
+    return [name for name, effect in library().items() if effect.applies(model) and name not in visible]

@@ -1,9 +1,9 @@
-"""The picture of an effect: what equations leave over on held-out runs, over the variable that the effect acts in.
+"""Pictures of effects: residuals of equations on held-out runs, binned over the variable that the effect acts in.
 
-Before: everything else fitted without the effect. After: with it. Both are fitted on the fitted runs alone; what
-belongs to a held-out run by itself, such as where its lock stands, is fitted there in both. Where what is fitted
-without the effect stands in for it, as a filter for a lag, what is left follows nothing of it: before is then the
-effect alone taken out of what is fitted with it, which is the partial residual of regression.
+`before` is the residual of a fit without the effect, `after` that of a fit with it. Both are fitted on the fitted runs
+alone, except for nuisances of a held-out run itself, such as the position of its lock. Where other parameters absorb
+the effect in the fit without it, as a filter does a lag, `before` is the partial residual of regression: the residual
+of the fit with the effect, plus the effect.
 """
 
 from collections.abc import Sequence
@@ -41,19 +41,19 @@ from leactl.vocabulary.variable import VARIABLES, Variable
 
 Array = npt.NDArray[np.float64]
 Groups = npt.NDArray[np.intp]
-LEAST_EDGES = 3  # of two bins: one says nothing of a variable
-FEWEST_OFF, CLOSED = 2, 0.4  # bins off zero before, and share of their means left after, of an effect that shows
-STILL = 1e-3  # of the largest value, below which a variable has no sign
+LEAST_EDGES = 3  # fewest bin edges: two bins, since one says nothing of a variable
+FEWEST_OFF, CLOSED = 2, 0.4  # of a visible effect: bins off zero before, and largest share of their mean left after
+STILL = 1e-3  # share of the largest value below which a variable has no sign
 
 
 SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
-"""Variables along whose sign a residual may be counted: what turns round with them would cancel in a bin."""
+"""Variables whose sign a residual may be multiplied by: a residual that reverses with them would cancel in a bin."""
 EPSILON = float(np.finfo(np.float64).eps)
-SQUARED = 1e-150  # whose square is a number still
+SQUARED = 1e-150  # about the smallest number whose square does not underflow
 
 
 class ResidualChannel(NamedTuple):
-    """What a residual is of."""
+    """Channel and equation of a residual."""
 
     quantity: str
     role: str
@@ -63,27 +63,27 @@ class ResidualChannel(NamedTuple):
 
 
 def channel_of(rows: Rows) -> ResidualChannel:
-    """The channel of an equation's rows."""
+    """Return the channel of an equation's rows."""
     return ResidualChannel(rows.quantity, rows.role, rows.mechanical, rows.equation, rows.units)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A channel in one set-up on all held-out runs, where the effect acts."""
+    """Residuals of one channel in one set-up on all held-out runs, where the effect acts."""
 
     channel: ResidualChannel
     before: Array
     after: Array
-    effect: Array  # what the effect explains, row by row
-    groups: Groups  # the stretch of a run that each row lies in
+    effect: Array  # part of the residual that the effect explains, by row
+    groups: Groups  # stretch of a run that each row lies in
     values: dict[Variable, Array]
-    independent: float  # how many rows carry information of their own
-    gain: float  # weighted squares that the effect takes away
+    independent: float  # number of independent rows
+    gain: float  # weighted squares that the effect explains
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A part over one variable."""
+    """A part with bins over one variable."""
 
     part: Part
     variable: Variable
@@ -100,58 +100,62 @@ def pictured(
     alternatives: Sequence[Candidate],
     held_out: Sequence[Record],
 ) -> tuple[Cause, ...]:
-    """Causes, each of them that is fitted with its picture, and each that cannot be told from such a one.
+    """Return the causes with pictures of each fitted cause and of each cause indistinguishable from a fitted one.
 
     Parameters
     ----------
-    evidence : of the fitted runs.
-    hypothesis : forms of the effects that stand in the augmented model.
-    alternatives : forms of effects that may be named in the place of one of these.
+    evidence : evidence of the fitted runs.
+    hypothesis : forms of the effects in the augmented model.
+    alternatives : forms of effects that may be named instead of one of these.
     """
     sets = {cause.effect: in_place(cause, hypothesis, alternatives) for cause in causes}
-    wanted = list(dict.fromkeys(candidate for several in sets.values() for candidate in several))
-    if not wanted or not held_out:
+    all_candidates = list(dict.fromkeys(candidate for candidates in sets.values() for candidate in candidates))
+    if not all_candidates or not held_out:
         return tuple(causes)
-    others = evidence.on(held_out, wanted)
-    if not others.stack.rows:
+    held_out_evidence = evidence.on(held_out, all_candidates)
+    if not held_out_evidence.stack.rows:
         return tuple(causes)
-    others.settle(hypothesis)
-    normal, answered = others.normal(), []
+    held_out_evidence.settle(hypothesis)
+    normal, with_pictures = held_out_evidence.normal(), []
     for cause in causes:
-        drawn = None
-        if several := sets[cause.effect]:
-            rest = [candidate for candidate in several if candidate[0] != cause.effect]
-            [form] = [candidate for candidate in several if candidate[0] == cause.effect]
-            before, after = (transferred(normal, evidence, evidence.settle(tried)) for tried in (rest, several))
-            parts = parts_of(others, form, before, after)
-            if (drawn := picture(cause, parts)) is not None:
-                drawn = replace(drawn, refitted=True)
-                if not shows(drawn):
-                    alone = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
-                    drawn = replace(alone, refitted=False) if alone is not None and shows(alone) else drawn
-        answered.append(replace(cause, picture=drawn))
-    return tuple(answered)
+        drawing = None
+        if candidates := sets[cause.effect]:
+            without_cause = [candidate for candidate in candidates if candidate[0] != cause.effect]
+            [form] = [candidate for candidate in candidates if candidate[0] == cause.effect]
+            before, after = (
+                transferred(normal, evidence, evidence.settle(chosen)) for chosen in (without_cause, candidates)
+            )
+            parts = parts_of(held_out_evidence, form, before, after)
+            if (drawing := picture(cause, parts)) is not None:
+                drawing = replace(drawing, refitted=True)
+                if not shows(drawing):
+                    partial = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
+                    drawing = replace(partial, refitted=False) if partial is not None and shows(partial) else drawing
+        with_pictures.append(replace(cause, picture=drawing))
+    return tuple(with_pictures)
 
 
-def shows(drawn: Picture) -> bool:
-    """Whether the means follow the variable before, and far less after."""
-    return drawn.off_zero_before >= FEWEST_OFF and drawn.after_rms < CLOSED * drawn.before_rms
+def shows(drawing: Picture) -> bool:
+    """Return whether the bin means follow the variable before the effect is added, and far less after."""
+    return drawing.off_zero_before >= FEWEST_OFF and drawing.after_rms < CLOSED * drawing.before_rms
 
 
 def pictured_by_replays(
-    causes: Sequence[Cause], standing: Sequence[Cause], records: Sequence[Record], channels: Sequence[Compared]
+    causes: Sequence[Cause], applied: Sequence[Cause], records: Sequence[Record], channels: Sequence[Compared]
 ) -> tuple[Cause, ...]:
-    """Causes, each that stands in the augmented model and touches no equation with a picture of what replays miss.
+    """Return the causes; those of the augmented model without a picture get one from the residuals of replays.
 
-    Before: the calibrated model without any effect. After: the augmented one.
+    `before` is the replay of the calibrated model without any effect, `after` that of the augmented model.
     """
-    names = {cause.effect for cause in standing}
+    names = {cause.effect for cause in applied}
     if all(cause.picture is not None for cause in causes if cause.effect in names):
         return tuple(causes)
     by_name = {record.name: record for record in records}
     grouped: dict[tuple[str, str, str], list[tuple[Record, Compared]]] = {}
-    for one in channels:
-        grouped.setdefault((one.quantity, one.role, one.mechanical), []).append((by_name[one.run], one))
+    for channel in channels:
+        grouped.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(
+            (by_name[channel.run], channel)
+        )
     parts = [replayed_part(group) for group in grouped.values()]
     return tuple(
         replace(cause, picture=picture(cause, parts)) if cause.effect in names and cause.picture is None else cause
@@ -160,89 +164,108 @@ def pictured_by_replays(
 
 
 def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
-    """What replays of one channel miss on several runs, weighted by its noise."""
-    first = group[0][1]
-    before, after = (np.concatenate([one.measured - one.replayed[k] for _, one in group]) for k in (1, 2))
-    groups = np.concatenate([one.block + (run << 32) for run, (_, one) in enumerate(group)])
+    """Return the residuals of the replays of one channel on several runs, weighted by its noise."""
+    first_channel = group[0][1]
+    before, after = (
+        np.concatenate([compared.measured - compared.replayed[k] for _, compared in group]) for k in (1, 2)
+    )
+    groups = np.concatenate([compared.block + (run << 32) for run, (_, compared) in enumerate(group)])
     values: dict[Variable, Array] = {}
     for name in OF_SIGNALS:
-        series = [variable_of(record, one, name) for record, one in group if VARIABLES[name].quantity == name]
-        known = [one for one in series if one is not None]
+        series = [variable_of(record, compared, name) for record, compared in group if VARIABLES[name].quantity == name]
+        known = [compared for compared in series if compared is not None]
         if len(known) == len(group):
-            # a sign that is taken in between samples is neither
-            whole = np.concatenate(known)
-            values[name] = np.asarray(np.round(whole) if name == "direction" else whole, np.float64)
-    # a channel without noise, as of a log that was computed, is known to as many digits as its numbers have
-    digits = EPSILON * float(np.max(np.abs(np.concatenate([one.measured for _, one in group]))))
-    noise = max(float(np.sqrt(np.mean([one.noise**2 for _, one in group]))), digits, SQUARED)
+            # interpolation between samples gives values between -1 and 1
+            joined = np.concatenate(known)
+            values[name] = np.asarray(np.round(joined) if name == "direction" else joined, np.float64)
+    # a channel without noise, as of a computed log, is known to the precision of its numbers
+    digits = EPSILON * float(np.max(np.abs(np.concatenate([compared.measured for _, compared in group]))))
+    noise = max(float(np.sqrt(np.mean([compared.noise**2 for _, compared in group]))), digits, SQUARED)
     gain = float(np.sum(before**2 - after**2)) / noise**2
-    channel = ResidualChannel(first.quantity, first.role, first.mechanical, "replay", UNITS[first.quantity])
+    channel = ResidualChannel(
+        first_channel.quantity, first_channel.role, first_channel.mechanical, "replay", UNITS[first_channel.quantity]
+    )
     return Part(channel, before, after, before - after, groups, values, float(len(np.unique(groups))), gain)
 
 
 def in_place(cause: Cause, hypothesis: Sequence[Candidate], alternatives: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """The set that a cause is drawn in: its own, or that in which it stands for one that it cannot be told from."""
+    """Return the set to fit for a cause: the hypothesis, with an indistinguishable effect replaced where needed."""
     if any(candidate[0] == cause.effect for candidate in hypothesis):
         return tuple(hypothesis)
     form = next((candidate for candidate in alternatives if candidate[0] == cause.effect), None)
-    stood_for = next((c for c in hypothesis if c[0] in cause.indistinguishable_from), None)
-    if form is None or stood_for is None:
+    replaced = next((c for c in hypothesis if c[0] in cause.indistinguishable_from), None)
+    if form is None or replaced is None:
         return ()
-    return (*(candidate for candidate in hypothesis if candidate != stood_for), form)
+    return (*(candidate for candidate in hypothesis if candidate != replaced), form)
 
 
-def parts_of(others: Evidence, candidate: Candidate, before: Fit, after: Fit) -> list[Part]:
-    """Every equation and set-up that an effect touches, on the runs that were not fitted."""
+def parts_of(evidence: Evidence, candidate: Candidate, before: Fit, after: Fit) -> list[Part]:
+    """Return a part for each equation and set-up that has a column of the effect."""
     touched: dict[tuple[str, str], list[int]] = {}
-    for index, rows in enumerate(others.stack.rows):
+    for index, rows in enumerate(evidence.stack.rows):
         if any(belongs(name, candidate) for name in rows.columns):
             touched.setdefault((rows.equation, rows.mechanical), []).append(index)
-    return [part_of(others, candidate, indices, before, after) for indices in touched.values()]
+    return [part_of(evidence, candidate, indices, before, after) for indices in touched.values()]
 
 
-def part_of(others: Evidence, candidate: Candidate, indices: Sequence[int], before: Fit, after: Fit) -> Part:
-    """One equation in one set-up, of several runs."""
-    stacked, several = others.stack, [others.stack.rows[index] for index in indices]
-    known = dict(zip((stacked.names[k] for k in after.columns), after.values.tolist(), strict=True))
-    left = [np.concatenate([residuals(stacked, fit, index) for index in indices]) for fit in (before, after)]
+def part_of(evidence: Evidence, candidate: Candidate, indices: Sequence[int], before: Fit, after: Fit) -> Part:
+    """Return the part of one equation in one set-up over several runs.
+
+    indices : groups of rows of that equation in `evidence`.
+    """
+    stacked, rows_of_runs = evidence.stack, [evidence.stack.rows[index] for index in indices]
+    coefficients = dict(zip((stacked.names[k] for k in after.columns), after.values.tolist(), strict=True))
+    residual = [np.concatenate([residuals(stacked, fit, index) for index in indices]) for fit in (before, after)]
     effect = np.concatenate(
-        [np.sum([known[n] * c for n, c in rows.columns.items() if belongs(n, candidate)], axis=0) for rows in several]
+        [
+            np.sum([coefficients[name] * c for name, c in rows.columns.items() if belongs(name, candidate)], axis=0)
+            for rows in rows_of_runs
+        ]
     )
-    weight = np.concatenate([np.full(len(others.stack.rows[k].left_over), others.weights[k]) for k in indices])
-    blocks = np.concatenate([rows.block for rows in several])
-    runs = np.repeat(np.arange(len(several)), [len(rows.block) for rows in several])
+    weight = np.concatenate([np.full(len(evidence.stack.rows[k].left_over), evidence.weights[k]) for k in indices])
+    blocks = np.concatenate([rows.block for rows in rows_of_runs])
+    runs = np.repeat(np.arange(len(rows_of_runs)), [len(rows.block) for rows in rows_of_runs])
     _, groups = np.unique(np.stack([runs, blocks]), axis=1, return_inverse=True)
     acts = where_it_acts(effect, groups)
     values: dict[Variable, Array] = {}
     for variable, of_signals in OF_SIGNALS.items():
-        series = [of_signals(rows.signals) for rows in several]
-        if all(one is not None for one in series):
-            pairs = zip(series, several, strict=True)
-            values[variable] = np.concatenate([one[rows.index] for one, rows in pairs if one is not None])[acts]
-    gain = float(np.sum(weight * (left[0] ** 2 - left[1] ** 2)))
-    independent = int(acts.sum()) / float(np.mean([rows.dependence for rows in several]))
+        series = [of_signals(rows.signals) for rows in rows_of_runs]
+        if all(signal is not None for signal in series):
+            pairs = zip(series, rows_of_runs, strict=True)
+            values[variable] = np.concatenate([signal[rows.index] for signal, rows in pairs if signal is not None])[
+                acts
+            ]
+    gain = float(np.sum(weight * (residual[0] ** 2 - residual[1] ** 2)))
+    independent = int(acts.sum()) / float(np.mean([rows.dependence for rows in rows_of_runs]))
     return Part(
-        channel_of(several[0]), left[0][acts], left[1][acts], effect[acts], groups[acts], values, independent, gain
+        channel_of(rows_of_runs[0]),
+        residual[0][acts],
+        residual[1][acts],
+        effect[acts],
+        groups[acts],
+        values,
+        independent,
+        gain,
     )
 
 
 def belongs(name: Sequence[str], candidate: Candidate) -> bool:
-    """Whether a column is one of a form of an effect."""
+    """Return whether a column belongs to one form of an effect."""
     return name[0] == "effect" and (name[1], name[2]) == (candidate[0], repr(candidate[1]))
 
 
 def where_it_acts(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
-    """Rows of the stretches that hold nearly all of what an effect explains: elsewhere nothing of it is to be seen."""
+    """Return the mask of the rows in the stretches that hold nearly all (`ACTS`) of the squares of an effect."""
     power = np.bincount(groups, weights=effect**2)
     order = np.argsort(-power, kind="stable")
     needed = int(np.searchsorted(np.cumsum(power[order]), ACTS * float(power.sum()))) + 1
-    kept = np.zeros(len(power), np.bool_)
-    kept[order[:needed]] = True
-    return kept[groups]
+    chosen = np.zeros(len(power), np.bool_)
+    chosen[order[:needed]] = True
+    return chosen[groups]
 
 
 def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
-    """Of the equations in which the effect's own part follows a variable of its, the one that gains most."""
+    """Return the picture of the equation in which the effect follows one of its variables and gains most."""
     periods = periods_of(cause)
     views = [view for part in parts if (view := view_of(part, effect_definition(cause.effect).acts_over, periods))]
     if not views:
@@ -252,16 +275,16 @@ def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
 
 
 def picture_of(best: View) -> Picture:
-    """Means in bins with intervals, before and after."""
+    """Return the bin means of a view with their intervals, before and after the effect is added."""
     part, bins = best.part, len(best.edges) - 1
     sign = signs(part).get(best.along.name, np.ones_like(part.before))
-    before, after = (means(sign * left, best.place, part.groups, bins) for left in (part.before, part.after))
+    before, after = (means(sign * residual, best.place, part.groups, bins) for residual in (part.before, part.after))
     counts = np.bincount(best.place[best.place >= 0], minlength=bins)
     columns = zip(
         best.edges[:-1].tolist(),
         best.edges[1:].tolist(),
         counts.tolist(),
-        *(row.tolist() for own in (before, after) for row in (own.mean, own.low, own.high)),
+        *(row.tolist() for binned in (before, after) for row in (binned.mean, binned.low, binned.high)),
         strict=True,
     )
     return Picture(
@@ -279,29 +302,32 @@ def picture_of(best: View) -> Picture:
 
 
 def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View | None:
-    """A part over that of an effect's variables which it follows."""
+    """Return a part over the first of an effect's variables that it follows; None without bins enough.
+
+    periods : parts of a turn that an angle is folded by, if the effect repeats with them.
+    """
     views = []
     for variable in variables:
         if variable not in part.values:
             continue
-        values, folds = part.values[variable], None
+        values, view_periods = part.values[variable], None
         if variable == "angle" and repeats(values, periods, lambda angle: bins_over(part, angle)[2].explained):
-            values, folds = turned(values, periods), periods
+            values, view_periods = turned(values, periods), periods
         edges, place, along = bins_over(part, values)
         if len(edges) >= LEAST_EDGES:
-            views.append(View(part, variable, folds, edges, place, along))
+            views.append(View(part, variable, view_periods, edges, place, along))
     return first_that_follows(views, lambda view: view.along.explained)
 
 
 def bins_over(part: Part, values: Array) -> tuple[Array, Groups, Along]:
-    """Edges of a part's bins over a variable, the bin of each row, and the sign along which its effect follows them."""
+    """Return the edges of a part's bins over a variable, the bin of each row, and the sign its effect goes along."""
     edges = bin_edges(values, part.effect, bin_count(part.independent))
-    place = bin_of(values, edges)
-    return edges, place, best_sign(part.effect, place, signs(part))
+    bins = bin_of(values, edges)
+    return edges, bins, best_sign(part.effect, bins, signs(part))
 
 
 def signs(part: Part) -> dict[str, Array]:
-    """Signs of variables that a part has, zero where these stand still."""
+    """Return the signs of a part's variables (`SIGNS`), zero where a variable is almost zero."""
     by_variable: dict[str, Array] = {}
     for name in SIGNS:
         if name in part.values:

@@ -15,14 +15,14 @@ Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
 
 
 class RuledOut(NamedTuple):
-    """An effect that held-out runs tell from another one of its class."""
+    """An effect that held-out runs rule out in favour of another one of its class."""
 
     effect: str
-    by: str  # the effect that comes nearer
-    times: float  # squared gap with it, over that with the nearer one
+    by: str  # effect that fits better
+    times: float  # squared gap with the ruled-out effect, over that with the better one
 
     def note(self) -> str:
-        """What an answer says of it."""
+        """Return the note on the effect that is ruled out."""
         return (
             f"{self.effect} is ruled out beside {self.by}: simulated again with it, the squared gap of held-out runs is"
             f" {self.times:.3g} times as large"
@@ -32,27 +32,27 @@ class RuledOut(NamedTuple):
 def nearest_of_classes(
     hypothesis: Sequence[Candidate], judged: Sequence[Judged], compare: Compare
 ) -> tuple[list[Candidate], list[RuledOut]]:
-    """Put the effect of each class into a set that comes nearest to held-out runs; those clearly farther are ruled out.
+    """Choose the effect of each class that fits held-out runs best in replays; rule out the clearly worse ones.
 
-    Equations look at each instant by itself and leave out what they cannot resolve; a replay has to follow the whole
-    course. Neither of two effects is ruled out where the difference is unclear, or where even the nearer replay misses
-    a channel by more than `REPLAY_MISS`: what else is wrong there may favour either.
+    Equations judge each instant separately and leave out what they cannot resolve; a replay has to follow the whole
+    course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay misses
+    a channel by more than `REPLAY_MISS`: another error there may favour either.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:
-        first = item.finding.candidate
+        member = item.finding.candidate
         for rival, _ in item.rivals:
             if rival.effect not in item.peers or rival.effect in {effect for effect, _ in nearest}:
                 continue
-            with_rival = [rival.candidate if candidate == first else candidate for candidate in nearest]
+            with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest]
             ratio = compare(nearest, with_rival)
             if ratio.worst_miss > REPLAY_MISS:
                 continue
             if ratio.low > 1.0 and ratio.value > FARTHER:
-                ruled_out.append(RuledOut(rival.effect, first[0], ratio.value))
+                ruled_out.append(RuledOut(rival.effect, member[0], ratio.value))
             elif ratio.high < 1.0 and ratio.value < 1.0 / FARTHER:
-                ruled_out.append(RuledOut(first[0], rival.effect, 1.0 / ratio.value))
-                nearest, first = with_rival, rival.candidate
+                ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / ratio.value))
+                nearest, member = with_rival, rival.candidate
     return nearest, ruled_out
 
 

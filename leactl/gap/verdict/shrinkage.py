@@ -1,4 +1,4 @@
-"""How far the gap shrinks on held-out runs: measured minus simulated again, before and after, against the floor."""
+"""Measure how far the gap shrinks on held-out runs: residuals of replays before and after, against the floor."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,15 +22,15 @@ from leactl.quantities import UNITS
 Array = npt.NDArray[np.float64]
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 NEAR = math.log(NEAR_FLOOR)
-SAME = 1.001  # of a channel's squared gap, up to which two models follow it alike
-FEWEST_BLOCKS = 8  # of a channel, below which resampling says little of an interval's ends
+SAME = 1.001  # ratio of squared gaps of a channel up to which two models follow it alike
+FEWEST_BLOCKS = 8  # blocks of a channel below which resampling says little of an interval's ends
 TRACE_POINTS = 1500
-SLOW = 0.05  # s between samples, from which on a trace shows the whole run: thinned out, a faster channel would alias
+SLOW = 0.05  # s between samples from which a trace shows the whole run: thinned out, a faster channel would alias
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One channel of one run over time: slow ones whole, of fast ones the stretch where the model is farthest off."""
+    """One channel of one run over time; of a fast channel the stretch with the largest residual."""
 
     run: str
     quantity: str
@@ -46,20 +46,20 @@ class Trace:
 
 @dataclass(frozen=True)
 class Growth:
-    """By how much the gap of all channels grows from one model to another; below zero where it shrinks.
+    """Growth of the gap of all channels from one model to another; negative where the gap shrinks.
 
-    Each is the sum over channels of the logarithm of the gap's ratio, a gap being counted in floors and from
-    `NEAR_FLOOR` on, with the lower end of its 95 % interval.
+    Each value is the sum over channels of the logarithm of the gap's ratio, with the lower end of its 95 % interval. A
+    gap is counted in floors, at least `NEAR_FLOOR`.
     """
 
     by_calibration: tuple[float, float]  # from the nominal model to the calibrated one
     by_effects: tuple[float, float]  # to the augmented model, from the better of the two others
-    closed: bool | None  # whether effects shrink some channel's gap beyond chance; None where no channel has the blocks
-    closed_alike: bool | None  # whether they do so over all its blocks together and block by block as well
+    closed: bool | None  # whether effects shrink some channel's gap beyond chance; None if no channel has enough blocks
+    closed_alike: bool | None  # whether they do so both over all its blocks together and block by block
 
     @property
     def effects_worse(self) -> bool:
-        """Whether the effects make the gap grow beyond what chance explains."""
+        """Whether the effects make the gap grow beyond chance."""
         return self.by_effects[1] > 0.0
 
 
@@ -74,7 +74,7 @@ class SquaresRatio(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shrunk:
-    """The answer: a table, traces, and the channels behind them."""
+    """Shrinkage of every channel, traces, and the compared channels behind them."""
 
     shrinkage: tuple[Shrinkage, ...]
     traces: tuple[Trace, ...]
@@ -91,16 +91,16 @@ def shrinkage(
     seed: int = 0,
     unexplained: Mapping[tuple[str, str, str], float] | None = None,
 ) -> Shrunk:
-    """Simulate held-out runs again with three models and compare.
+    """Simulate held-out runs again with three models and compare their gaps.
 
-    The floor is the augmented model against its own output, the channels' noise, quantisation and the noise of its
-    start and inputs added. Intervals come from resampling blocks of one second (a twentieth of the run for
+    The floor is the gap of the augmented model to its own output with the channels' noise, quantisation, and the noise
+    of its start and inputs added. Intervals come from resampling blocks of one second (a twentieth of the run for
     temperatures).
 
     Parameters
     ----------
-    unexplained : by quantity, role and set-up: root mean square that a simulator leaves over its own floor, in the
-        channel's units; it joins the floor.
+    unexplained : by quantity, role and set-up: root mean square of a simulator's residual beyond its own floor, in the
+        channel's units; it is added to the floor in quadrature.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def simulated_again(
     random: np.random.Generator,
     unexplained: Mapping[tuple[str, str, str], float] | None = None,
 ) -> tuple[list[Job], list[Compared]]:
-    """Simulate runs again with three models; return the replays, and each channel of each run beside them.
+    """Simulate runs again with three models; return the replays, and each channel of each run with its replays.
 
     The parameters are those of `shrinkage`; the floor is that of the last model.
     """
@@ -134,38 +134,46 @@ def simulated_again(
         plant.give = give
     sets = []
     for record in records:
-        own: list[Job] = []
+        replays: list[Job] = []
         for index, plant in enumerate(plants):
             # a model that adds nothing to the one before it is not simulated twice
-            own.append(own[-1] if index and models[index] == models[index - 1] else Job(record, plant))
-        sets.append((record, own, Job(record, own[-1].plant, random)))
-    jobs = [job for _, own, noisy in sets for job in (*{id(job): job for job in own}.values(), noisy)]
+            replays.append(replays[-1] if index and models[index] == models[index - 1] else Job(record, plant))
+        sets.append((record, replays, Job(record, replays[-1].plant, random)))
+    jobs = [
+        job for _, replays, noisy_replay in sets for job in (*{id(job): job for job in replays}.values(), noisy_replay)
+    ]
     replay_all(jobs)
-    channels = [one for record, own, noisy in sets for one in compare(record, own, noisy)]
+    channels = [channel for record, replays, noisy_replay in sets for channel in compare(record, replays, noisy_replay)]
     if unexplained:
         channels = [
-            replace(one, noise=math.hypot(one.noise, unexplained.get((one.quantity, one.role, one.mechanical), 0.0)))
-            for one in channels
+            replace(
+                channel,
+                noise=math.hypot(
+                    channel.noise, unexplained.get((channel.quantity, channel.role, channel.mechanical), 0.0)
+                ),
+            )
+            for channel in channels
         ]
     return jobs, channels
 
 
 def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
-    """The runs of each channel."""
+    """Group compared channels by quantity, role and set-up."""
     groups: dict[tuple[str, str, str], list[Compared]] = {}
-    for one in channels:
-        groups.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    for channel in channels:
+        groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
     return list(groups.values())
 
 
 def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> SquaresRatio:
-    """Squared gap with the last of three models over that with the second one, from blocks that are drawn again.
+    """Return the ratio of squared gaps of the third to the second model, with an interval from resampled blocks.
 
-    The squares of all channels are added up in floors, each from `NEAR_FLOOR` on; a channel without a floor does not
-    count. NaN where none does, and where a channel on which the two differ has fewer than `FEWEST_BLOCKS` blocks.
+    The squares of all channels are added in units of their floors, each at least `NEAR_FLOOR` squared; a channel
+    without a floor does not count. NaN where no channel counts, and where a channel on which the two models differ has
+    fewer than `FEWEST_BLOCKS` blocks.
     """
     unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
-    observed, again, differing = np.zeros(2), np.zeros((RESAMPLED, 2)), list[Array]()
+    observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLED, 2)), list[Array]()
     for counts, sums in map(_blocks, grouped(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
@@ -178,131 +186,142 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
                 return unknown
             differing.append(squares)
         observed += squares
-        again += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
+        resampled += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
     if not observed.all():
         return unknown
-    low, high = np.quantile(again[:, 1] / again[:, 0], (CHANCE, 1.0 - CHANCE))
+    low, high = np.quantile(resampled[:, 1] / resampled[:, 0], (CHANCE, 1.0 - CHANCE))
     nearer = int(np.argmin(observed))
     worst_miss = math.sqrt(max((squares[nearer] for squares in differing), default=0.0))
     return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), worst_miss)
 
 
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
-    """Resample every channel's blocks and add up the logarithms of its gaps, in floors."""
-    whole, again = np.zeros(3), np.zeros((RESAMPLED, 3))
+    """Return the growth of the gap from resampled blocks of every channel."""
+    log_gaps, resampled = np.zeros(3), np.zeros((RESAMPLED, 3))
     channels = [_blocks(group) for group in groups]
     for counts, sums in channels:
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
-        whole += np.maximum(_log_gaps(sums.sum(axis=0)), NEAR)
-        again += np.maximum(_log_gaps(sums[picked].sum(axis=1)), NEAR)
-    best = 1 if whole[1] < whole[0] else 0
-    pairs = ((0, 1), (best, 2))
-    first, second = (
-        (float(whole[b] - whole[a]), float(np.quantile(again[:, b] - again[:, a], CHANCE))) for a, b in pairs
+        log_gaps += np.maximum(_log_gaps(sums.sum(axis=0)), NEAR)
+        resampled += np.maximum(_log_gaps(sums[picked].sum(axis=1)), NEAR)
+    nearer = 1 if log_gaps[1] < log_gaps[0] else 0
+    pairs = ((0, 1), (nearer, 2))
+    by_calibration, by_effects = (
+        (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], CHANCE)))
+        for a, b in pairs
     )
-    return Growth(first, second, *closes(channels, random))
+    return Growth(by_calibration, by_effects, *closes(channels, random))
 
 
 def closes(
     channels: Sequence[tuple[Array, Array]], random: np.random.Generator
 ) -> tuple[bool, bool] | tuple[None, None]:
-    """Whether effects shrink the gap of some channel against the better of the models without them.
+    """Return whether effects shrink the gap of some channel by either of two tests, and whether by both.
 
-    Judged twice: over all blocks together, where the largest gaps count most, and block by block, where each counts
-    by its ratio. By either, and by both; None where no channel has the blocks.
+    The gap is compared with that of the better model without effects. One test takes all blocks together, where the
+    largest gaps count most; the other takes the ratio of each block. None where no channel has `FEWEST_BLOCKS` blocks.
 
-    channels : samples (blocks,) and sums of squares (blocks, 4: three models and the floor) of each.
+    channels : samples (blocks,) and sums of squares (blocks, 4: three models and the floor) of each channel.
     """
-    long = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
+    with_blocks = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
     shrinking = []
-    for counts, sums in long:
+    for counts, sums in with_blocks:
         observed, gaps = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
-        before = int(np.argmin(observed[:2]))
-        if observed[before] > max(observed[2], NEAR):
+        nearer = int(np.argmin(observed[:2]))
+        if observed[nearer] > max(observed[2], NEAR):
             picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
-            together = _log_gaps(sums[picked].sum(axis=1))
-            by_block = (counts * (gaps[:, before] - gaps[:, 2]))[picked].sum(axis=1)
-            shrinking.append((together[:, before] - together[:, 2], by_block))
-    if not long:
+            resampled = _log_gaps(sums[picked].sum(axis=1))
+            by_block = (counts * (gaps[:, nearer] - gaps[:, 2]))[picked].sum(axis=1)
+            shrinking.append((resampled[:, nearer] - resampled[:, 2], by_block))
+    if not with_blocks:
         return None, None
-    # of many that are judged one shrinks by chance: each is asked for as much less of it
+    # Bonferroni: one of many channels shrinks by chance
     chance = CHANCE / max(2 * len(shrinking), 1)
-    passed = [[float(np.quantile(by, chance)) > 0.0 for by in both] for both in shrinking]
+    passed = [[float(np.quantile(falls, chance)) > 0.0 for falls in pair] for pair in shrinking]
     return any(map(any, passed)), any(map(all, passed))
 
 
 def _log_gaps(sums: Array) -> Array:
-    """Logarithms of the gaps of three models, in floors, of sums of squares whose last column is the floor's."""
+    """Return the logarithms of the gaps of three models in floors; the last column of the sums is the floor's."""
     tiny = np.finfo(np.float64).tiny
     logs = np.log(np.maximum(sums, tiny))
     return np.asarray(0.5 * (logs[..., :3] - logs[..., 3:]), np.float64)
 
 
 def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
-    first = group[0]
+    channel = group[0]
     counts, sums = _blocks(group)
     nominal, calibrated, augmented, floor = (float(v) for v in np.sqrt(sums.sum(axis=0) / counts.sum()))
     closed = low = high = None
     if calibrated > NEAR_FLOOR * floor:
         closed = (calibrated - augmented) / (calibrated - floor)
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
-        again = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
-        low, high = closed_between(again)
-    units = UNITS[first.quantity]
+        resampled = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
+        low, high = closed_between(resampled)
+    units = UNITS[channel.quantity]
     return Shrinkage(
-        first.quantity, first.role, first.mechanical, units, nominal, calibrated, augmented, floor, closed, low, high
+        channel.quantity,
+        channel.role,
+        channel.mechanical,
+        units,
+        nominal,
+        calibrated,
+        augmented,
+        floor,
+        closed,
+        low,
+        high,
     )
 
 
-def closed_between(again: Array) -> tuple[float, float] | tuple[None, None]:
-    """Interval of the share that is closed, from resampled gaps of the three models and the floor, a row each.
+def closed_between(resampled: Array) -> tuple[float, float] | tuple[None, None]:
+    """Return the interval of the closed share of the gap; None where chance may leave no gap to close.
 
-    A sample without a gap says nothing of its share; where chance may bring up one, there is no interval.
+    resampled : (samples, 4), gaps of the three models and the floor.
     """
-    open_gap = again[:, 1] > again[:, 3]
+    open_gap = resampled[:, 1] > resampled[:, 3]
     if np.mean(~open_gap) > CHANCE:
         return None, None
-    gaps = again[open_gap]
+    gaps = resampled[open_gap]
     shares = (gaps[:, 1] - gaps[:, 2]) / (gaps[:, 1] - gaps[:, 3])
     low, high = np.quantile(shares, (CHANCE, 1.0 - CHANCE))
     return float(low), float(high)
 
 
 def _blocks(group: list[Compared]) -> tuple[Array, Array]:
-    """Samples in each block, and sums of squares of the three models and the floor."""
+    """Return the samples of each block, and the sums of squares of the three models and the floor."""
     counts, sums = [], []
-    for one in group:
-        size = int(one.block[-1]) + 1
-        count = np.bincount(one.block, minlength=size).astype(float)
-        squares = [*(one.squares(model) for model in range(3)), one.floor_squares()]
-        table = np.stack([np.bincount(one.block, weights=s, minlength=size) for s in squares], axis=1)
+    for channel in group:
+        size = int(channel.block[-1]) + 1
+        count = np.bincount(channel.block, minlength=size).astype(float)
+        squares = [*(channel.squares(model) for model in range(3)), channel.floor_squares()]
+        table = np.stack([np.bincount(channel.block, weights=s, minlength=size) for s in squares], axis=1)
         counts.append(count[count > 0])
         sums.append(table[count > 0])
     return np.concatenate(counts), np.concatenate(sums)
 
 
 def _trace(group: list[Compared]) -> Trace:
-    """The run in which the calibrated model is farthest off."""
-    one = max(group, key=lambda c: float(np.mean(c.squares(1))))
-    keep = _shown(one)
+    """Return the trace of the run in which the calibrated model is farthest off."""
+    worst = max(group, key=lambda c: float(np.mean(c.squares(1))))
+    keep = _trace_window(worst)
     return Trace(
-        one.run,
-        one.quantity,
-        one.role,
-        one.mechanical,
-        UNITS[one.quantity],
-        one.time[keep],
-        one.measured[keep],
-        *(replayed[keep] for replayed in one.replayed),
+        worst.run,
+        worst.quantity,
+        worst.role,
+        worst.mechanical,
+        UNITS[worst.quantity],
+        worst.time[keep],
+        worst.measured[keep],
+        *(replayed[keep] for replayed in worst.replayed),
     )
 
 
-def _shown(one: Compared) -> slice:
-    if len(one.time) <= TRACE_POINTS:
+def _trace_window(channel: Compared) -> slice:
+    if len(channel.time) <= TRACE_POINTS:
         return slice(None)
-    if float(np.median(np.diff(one.time))) >= SLOW:
-        return slice(None, None, -(-len(one.time) // TRACE_POINTS))
-    sums = np.concatenate([[0.0], np.cumsum(one.squares(1))])
+    if float(np.median(np.diff(channel.time))) >= SLOW:
+        return slice(None, None, -(-len(channel.time) // TRACE_POINTS))
+    sums = np.concatenate([[0.0], np.cumsum(channel.squares(1))])
     start = int(np.argmax(sums[TRACE_POINTS:] - sums[:-TRACE_POINTS]))
     return slice(start, start + TRACE_POINTS)
 
@@ -317,8 +336,8 @@ def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]
     for file, counts in limited.items():
         total = sum(counts.values())
         notes.append(f"{file}: {total} samples at the voltage ceiling; the measured current drives the replay there")
-    again = sorted({run_of[one.run] for one in channels if one.restarts})
-    if again:
-        runs = ", ".join(again)
+    restarted = sorted({run_of[channel.run] for channel in channels if channel.restarts})
+    if restarted:
+        runs = ", ".join(restarted)
         notes.append(f"the replay of {runs} starts again every second from the measured state: an angle is an integral")
     return tuple(dict.fromkeys(notes))

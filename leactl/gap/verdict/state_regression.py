@@ -1,7 +1,7 @@
-"""What a residual depends on: a free additive function of the logged state, learnt on some runs and tried on others.
+"""Regression of a residual on the logged state: a free additive function, learnt on some runs and tested on others.
 
-Each variable has a piecewise linear function with knots at quantiles of the samples, and one more that turns round
-with the motion; an angle has waves; speed and current have one of both together. Ridge and choice of variables come
+Each variable has a piecewise linear function with knots at quantiles of the samples, and a second one that changes sign
+with the velocity; an angle has waves; pairs of variables have products. Ridge and choice of variables come
 from cross-validation over stretches of the fitted runs (Hastie, Tibshirani, 1990), so that no size or unit matters.
 """
 
@@ -31,21 +31,21 @@ STATE: tuple[Key, ...] = (
     ("velocity", "q_axis_current"),
     ("angle", "q_axis_current"),
 )
-"""What a function may be of, simple ones first."""
+"""Variables that a function may depend on, simple ones first."""
 KNOTS, PAIR_KNOTS = 10, 6
 FOLDS = 5
-RIDGES = (1e-4, 1e-3, 1e-2, 0.1)  # of a column's power
-LEAST_GAIN = 0.02  # of the gap, that a further variable must close in cross-validation
-SURE = 0.975  # one-sided probability, from which on a gain on other runs is no chance
+RIDGES = (1e-4, 1e-3, 1e-2, 0.1)  # ridge penalties tried, relative to a column's power
+LEAST_GAIN = 0.02  # share of the gap that a further variable closes at least in cross-validation
+SURE = 0.975  # one-sided probability from which a gain on other runs is no chance
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What one equation leaves over on some runs, with the state it was left over in."""
+    """Residual of one equation on some runs, with the logged state at each row."""
 
     left: Array
     state: Mapping[Variable, Array]
-    stretch: Groups  # of runs, each cut into equal ones
+    stretch: Groups  # stretch of each row; runs are cut into equal stretches
 
     def __len__(self) -> int:
         return len(self.left)
@@ -53,13 +53,13 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Columns of one variable or of two, as the fitted runs have them."""
+    """Basis functions of one variable or of two, with knots from the fitted runs."""
 
     key: Key
-    knots: tuple[Array, ...]  # of each variable; orders of the waves of an angle
+    knots: tuple[Array, ...]  # by variable; for an angle the orders of its waves
 
     def columns(self, sample: Sample) -> Array:
-        """One row for each sample."""
+        """Return the columns of the basis, one row for each sample."""
         parts = [
             waves(sample.state[name], knots) if name == "angle" else hats(sample.state[name], knots)
             for name, knots in zip(self.key, self.knots, strict=True)
@@ -73,13 +73,13 @@ class Basis:
 
 
 def waves(angle: Array, orders: Array) -> Array:
-    """Sine and cosine of some orders."""
-    turned = angle[:, None] * orders[None, :]
-    return np.concatenate([np.sin(turned), np.cos(turned)], axis=1)
+    """Return sine and cosine of an angle at some orders."""
+    phase = angle[:, None] * orders[None, :]
+    return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
 
 
 def bases(sample: Sample, orders: Sequence[float]) -> list[Basis]:
-    """Every basis that the state of some runs has; a variable that stands still has none."""
+    """Return every basis that the state of some runs allows; a constant variable has none."""
     built = []
     for key in STATE:
         if any(name not in sample.state for name in key):
@@ -91,48 +91,48 @@ def bases(sample: Sample, orders: Sequence[float]) -> list[Basis]:
             else np.unique(np.quantile(sample.state[name], np.linspace(0.0, 1.0, count)))
             for name in key
         )
-        if all(len(own) > 1 for own in knots):
+        if all(len(knots_of_variable) > 1 for knots_of_variable in knots):
             built.append(Basis(key, knots))
     return built
 
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """An additive function of some variables."""
+    """Additive function of some variables with fitted coefficients."""
 
     bases: tuple[Basis, ...]
-    widths: tuple[int, ...]  # columns of each
+    widths: tuple[int, ...]  # number of columns by basis
     values: Array
     scale: Array
 
     def of(self, sample: Sample) -> Array:
-        """What it says of each sample."""
+        """Return the value of the function at each sample."""
         return design(self.bases, sample) / self.scale @ self.values
 
     def strongest_order(self) -> float:
-        """Of the waves of an angle by itself, the order with the largest coefficients; once where there are none."""
-        first = 1
+        """Return the order with the largest coefficients among the waves of the angle alone; 1 without such waves."""
+        begin = 1
         for basis, width in zip(self.bases, self.widths, strict=True):
             orders = basis.knots[0]
             if basis.key == ("angle",):
-                size = np.sum(self.values[first : first + width].reshape(-1, len(orders)) ** 2, axis=0)
+                size = np.sum(self.values[begin : begin + width].reshape(-1, len(orders)) ** 2, axis=0)
                 return float(orders[np.argmax(size)])
-            first += width
+            begin += width
         return 1.0
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """All variables, each once."""
+        """All variables of the function, each once."""
         return tuple(dict.fromkeys(name for basis in self.bases for name in basis.key))
 
 
 def design(chosen: Sequence[Basis], sample: Sample) -> Array:
-    """A constant, then the columns of each basis."""
+    """Return the design matrix: a constant, then the columns of each basis."""
     return np.concatenate([np.ones((len(sample), 1)), *(basis.columns(sample) for basis in chosen)], axis=1)
 
 
 class Trial:
-    """Cross-validation over stretches: every fold's products of all columns, so that any choice is a small solve."""
+    """Cross-validation over stretches from the Gram matrix of every fold, so that any choice is a small system."""
 
     def __init__(self, sample: Sample, every: Sequence[Basis]) -> None:
         self.every = list(every)
@@ -146,28 +146,28 @@ class Trial:
         self.places = {b.key: np.arange(a, c) for b, a, c in zip(every, ends[:-1], ends[1:], strict=True)}
 
     def columns(self, keys: Sequence[Key]) -> Groups:
-        """Where the constant and the columns of some bases stand."""
+        """Return the positions of the constant and the columns of some bases."""
         return np.concatenate([[0], *(self.places[key] for key in keys)]).astype(np.intp)
 
     def solve(self, gram: Array, rows: float, keys: Sequence[Key], ridge: float) -> Array:
-        """Coefficients; the constant is free."""
+        """Return the ridge coefficients of some bases; the constant is not penalised."""
         keep = self.columns(keys) + 1
         penalty = np.full(len(keep), ridge * rows)
         penalty[0] = 1e-9 * rows
         return np.asarray(np.linalg.solve(gram[np.ix_(keep, keep)] + np.diag(penalty), gram[keep, 0]), np.float64)
 
     def missed(self, keys: Sequence[Key], ridge: float) -> Array:
-        """Squares that are left of each fold by what the others say."""
-        whole, rows, keep = sum(self.grams), float(self.counts.sum()), self.columns(keys) + 1
+        """Return the squared residual of each fold under the function learnt on the others."""
+        gram_of_all, rows, keep = sum(self.grams), float(self.counts.sum()), self.columns(keys) + 1
         by_fold = []
         for gram, count in zip(self.grams, self.counts.tolist(), strict=True):
-            values = self.solve(whole - gram, rows - count, keys, ridge)
+            values = self.solve(gram_of_all - gram, rows - count, keys, ridge)
             squares = gram[0, 0] - 2.0 * values @ gram[keep, 0] + values @ gram[np.ix_(keep, keep)] @ values
             by_fold.append(float(squares))
         return np.asarray(by_fold)
 
     def function(self, keys: Sequence[Key], ridge: float) -> Function:
-        """The function of some bases, learnt on all folds."""
+        """Return the function of some bases, learnt on all folds."""
         values = self.solve(sum(self.grams), float(self.counts.sum()), keys, ridge)
         by_key = {basis.key: basis for basis in self.every}
         widths = tuple(len(self.places[key]) for key in keys)
@@ -179,7 +179,7 @@ def _few(sample: Sample) -> Sample:
 
 
 def learn(sample: Sample, orders: Sequence[float], gap: float) -> tuple[Trial, list[Key], float]:
-    """Choose variables one by one, each for what it closes of the gap in cross-validation, and the ridge.
+    """Choose the ridge, and variables one by one by the share of the gap they close in cross-validation.
 
     gap : squares beyond noise.
     """
@@ -198,41 +198,45 @@ def learn(sample: Sample, orders: Sequence[float], gap: float) -> tuple[Trial, l
     return trial, chosen, ridge
 
 
-def borne_out(trial: Trial, chosen: Sequence[Key], ridge: float, others: Sample) -> list[Key]:
-    """Those variables without which the function is worse on other runs, by more than chance."""
-    kept = list(chosen)
-    while kept:
-        whole = (others.left - trial.function(kept, ridge).of(others)) ** 2
+def borne_out(trial: Trial, chosen: Sequence[Key], ridge: float, held_out: Sample) -> list[Key]:
+    """Return the chosen variables without which the function is worse on held-out runs beyond chance."""
+    confirmed = list(chosen)
+    while confirmed:
+        squares_of_all = (held_out.left - trial.function(confirmed, ridge).of(held_out)) ** 2
         chances = {}
-        for key in kept:
-            rest = trial.function([other for other in kept if other != key], ridge)
-            chances[key] = certainty((others.left - rest.of(others)) ** 2 - whole, others.stretch)
-        weakest = min(kept, key=lambda key: chances[key])
+        for key in confirmed:
+            function_without = trial.function(
+                [confirmed_key for confirmed_key in confirmed if confirmed_key != key], ridge
+            )
+            chances[key] = certainty(
+                (held_out.left - function_without.of(held_out)) ** 2 - squares_of_all, held_out.stretch
+            )
+        weakest = min(confirmed, key=lambda key: chances[key])
         if chances[weakest] >= SURE:
             break
-        kept.remove(weakest)
-    return kept
+        confirmed.remove(weakest)
+    return confirmed
 
 
 def certainty(gains: Array, stretch: Groups) -> float:
-    """Probability that gains are above zero on the whole, a stretch counted once; even odds where there is only one."""
-    _, place = np.unique(stretch, return_inverse=True)
-    sums = np.bincount(place, weights=gains)
+    """Return the probability that the mean gain is above zero, from sums over stretches; 0.5 for a single stretch."""
+    _, group = np.unique(stretch, return_inverse=True)
+    sums = np.bincount(group, weights=gains)
     spread = float(np.std(sums, ddof=1)) if len(sums) > 1 else 0.0
     if spread == 0.0:
         return 0.5
     return float(stats.t.cdf(np.sqrt(len(sums)) * float(np.mean(sums)) / spread, len(sums) - 1))
 
 
-def slow_gain(left: Array, stretch: Groups) -> Array:
-    """Squares of each row that the stretches before and after its own explain: of what changes slowly with time."""
-    gained = np.zeros(len(left))
+def slow_gain(residual: Array, stretch: Groups) -> Array:
+    """Return the squares of each row that the mean of the two neighbouring stretches explains: a slow change."""
+    gained = np.zeros(len(residual))
     counts = np.bincount(stretch)
-    mean = np.bincount(stretch, weights=left) / np.maximum(counts, 1)
-    there = counts > 0
+    mean = np.bincount(stretch, weights=residual) / np.maximum(counts, 1)
+    present = counts > 0
     for k in range(1, len(mean) - 1):
-        if there[k - 1] and there[k] and there[k + 1]:
+        if present[k - 1] and present[k] and present[k + 1]:
             inside = stretch == k
             expected = 0.5 * (mean[k - 1] + mean[k + 1])
-            gained[inside] = left[inside] ** 2 - (left[inside] - expected) ** 2
+            gained[inside] = residual[inside] ** 2 - (residual[inside] - expected) ** 2
     return gained

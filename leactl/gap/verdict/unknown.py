@@ -1,8 +1,8 @@
-"""What is not explained, described: what it depends on, how much of it a function of state closes, what comes nearest.
+"""Describe an unexplained residual: its variables, the share a function of state explains, and the nearest effects.
 
-The equation that is farthest from what a sound machine leaves is looked at. A free additive function of the logged
-state is learnt on the fitted runs and tried on the held-out ones; what it leaves is tried for a slow change with time,
-and for a frequency by which it repeats.
+The residual is that of the equation farthest from a sound machine's. A free additive function of the logged state is
+learnt on the fitted runs and tried on the held-out ones; its residual is tested for a slow change with time and for a
+frequency.
 """
 
 from collections.abc import Collection, Sequence
@@ -30,59 +30,63 @@ from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
 STRETCHES = 24  # of a run
-FEWEST = 4  # rows in a stretch, below which a run says nothing
-LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # of an angle: the first few, the strongest, and the last one tried
-LEAST_CLOSED = 0.05  # of the gap, below which nothing is said to depend
-VISIBLE = 1.0  # times its uncertainty and floor, from which on an effect is near at all
-NEAREST = 4  # effects that are listed
-LEAST_SLOW = 0.2  # of the gap, that neighbouring stretches or one sine must explain for it to be one of time
+FEWEST = 4  # rows in a stretch below which a run says nothing
+LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # orders over the angle: the first, the strongest, the highest tried
+LEAST_CLOSED = 0.05  # closed share of the gap below which no dependence is reported
+VISIBLE = 1.0  # size over uncertainty and floor above which an effect is near at all
+NEAREST = 4  # most effects listed
+LEAST_SLOW = 0.2  # share of the gap that neighbouring stretches or one sine must explain for it to depend on time
 
 
 def describe(
     evidence: Evidence,
-    standing: Sequence[Candidate],
+    hypothesis: Sequence[Candidate],
     channel: Channel | None,
     held_out: Sequence[Record],
     nearest: Sequence[Near],
 ) -> Rest | None:
-    """Describe what a set leaves over of one channel; None where no equation of the held-out runs has it.
+    """Describe the residual of one channel under a set; None where no equation of the held-out runs has the channel.
 
     Parameters
     ----------
-    evidence : of the fitted runs.
-    standing : effects of the augmented model.
-    channel : equation, quantity and set-up that are farthest from a sound machine's.
+    evidence : evidence of the fitted runs.
+    hypothesis : effects of the augmented model.
+    channel : equation, quantity and set-up whose residual is farthest from a sound machine's.
     """
-    others = evidence.on(held_out, standing)
-    fit = evidence.settle(standing)
-    here = of_channel(evidence.stack, channel)
-    there = of_channel(others.stack, channel)
-    if not here or not there:
+    held_out_evidence = evidence.on(held_out, hypothesis)
+    fit = evidence.settle(hypothesis)
+    fitted_rows = of_channel(evidence.stack, channel)
+    held_out_rows = of_channel(held_out_evidence.stack, channel)
+    if not fitted_rows or not held_out_rows:
         return None
-    others.settle(standing)
-    fitted = sample_of(evidence.stack, fit, here)
-    tried = sample_of(others.stack, transferred(others.normal(), evidence, fit), there)
-    common = fitted.state.keys() & tried.state.keys()
-    fitted, tried = (
-        Sample(one.left, {name: one.state[name] for name in common}, one.stretch) for one in (fitted, tried)
+    held_out_evidence.settle(hypothesis)
+    fitted = sample_of(evidence.stack, fit, fitted_rows)
+    judged = sample_of(held_out_evidence.stack, transferred(held_out_evidence.normal(), evidence, fit), held_out_rows)
+    common = fitted.state.keys() & judged.state.keys()
+    fitted, judged = (
+        Sample(item.left, {name: item.state[name] for name in common}, item.stretch) for item in (fitted, judged)
     )
-    orders = orders_of(evidence.stack, fit, here)
-    trial, chosen, ridge = learn(fitted, orders, beyond_noise(evidence.stack, here, fitted))
-    kept = borne_out(trial, chosen, ridge, tried)
-    free = trial.function(kept, ridge)
-    gap = beyond_noise(others.stack, there, tried)
-    closable, after = closed_share(tried, free, trial.function([], ridge), gap)
+    orders = orders_of(evidence.stack, fit, fitted_rows)
+    trial, chosen, ridge = learn(fitted, orders, beyond_noise(evidence.stack, fitted_rows, fitted))
+    confirmed = borne_out(trial, chosen, ridge, judged)
+    free = trial.function(confirmed, ridge)
+    gap = beyond_noise(held_out_evidence.stack, held_out_rows, judged)
+    closable, residual_after = closed_share(judged, free, trial.function([], ridge), gap)
     variables = free.variables if closable is not None and closable >= LEAST_CLOSED else ()
-    rest = after if variables else tried.left
-    known = free.of(fitted) if variables else 0.0
-    slow = is_slow(rest, tried, gap)
-    learnt = courses(evidence.stack, here, fitted.left - known, fitted.stretch)
-    tone = None if slow else tone_of(learnt, courses(others.stack, there, rest, tried.stretch), gap)
-    depends_on = (*variables, "time") if slow or tone else variables
-    rows = others.stack.rows[there[0]]
-    touching = {name[1] for index in here for name in evidence.stack.rows[index].columns if name[0] == "effect"}
-    near = tuple(one for one in nearest if one.effect in touching)[:NEAREST]
-    shapes = [shape(rows, tried, free, name) for name in variables if name in tried.state]
+    residual = residual_after if variables else judged.left
+    explained = free.of(fitted) if variables else 0.0
+    slow_change = is_slow(residual, judged, gap)
+    fitted_courses = courses(evidence.stack, fitted_rows, fitted.left - explained, fitted.stretch)
+    tone = (
+        None
+        if slow_change
+        else tone_of(fitted_courses, courses(held_out_evidence.stack, held_out_rows, residual, judged.stretch), gap)
+    )
+    depends_on = (*variables, "time") if slow_change or tone else variables
+    rows = held_out_evidence.stack.rows[held_out_rows[0]]
+    touching = {name[1] for index in fitted_rows for name in evidence.stack.rows[index].columns if name[0] == "effect"}
+    nearest_touching = tuple(item for item in nearest if item.effect in touching)[:NEAREST]
+    shapes = [shape(rows, judged, free, name) for name in variables if name in judged.state]
     return Rest(
         depends_on,
         tone,
@@ -91,14 +95,14 @@ def describe(
         rows.role,
         rows.mechanical,
         rows.equation,
-        tuple(one for one in shapes if one is not None),
-        near,
-        deciding(depends_on, near, touching),
+        tuple(item for item in shapes if item is not None),
+        nearest_touching,
+        deciding(depends_on, nearest_touching, touching),
     )
 
 
 def of_channel(stacked: Stack, channel: Channel | None) -> list[int]:
-    """Rows of an equation in a set-up."""
+    """Return the indices of the row groups of a channel that have enough rows."""
     keys = [(rows.equation, rows.quantity, rows.mechanical) for rows in stacked.rows]
     return [
         index
@@ -108,30 +112,32 @@ def of_channel(stacked: Stack, channel: Channel | None) -> list[int]:
 
 
 def sample_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> Sample:
-    """What a fit leaves over of some rows, with the state; stretches of two runs are no neighbours."""
-    several = [stacked.rows[index] for index in indices]
-    states = [state_in(rows.equation, rows.signals) for rows in several]
+    """Return the residuals of some row groups under a fit, with the state; stretches of two runs are no neighbours."""
+    rows_of_runs = [stacked.rows[index] for index in indices]
+    states = [state_in(rows.equation, rows.signals) for rows in rows_of_runs]
     state = {
-        name: np.concatenate([one[name][rows.index] for one, rows in zip(states, several, strict=True)])
+        name: np.concatenate(
+            [state_of_run[name][rows.index] for state_of_run, rows in zip(states, rows_of_runs, strict=True)]
+        )
         for name in states[0]
-        if all(name in one for one in states)
+        if all(name in state_of_run for state_of_run in states)
     }
     stretch = [
         run * (STRETCHES + 1) + np.arange(len(rows.index)) * STRETCHES // len(rows.index)
-        for run, rows in enumerate(several)
+        for run, rows in enumerate(rows_of_runs)
     ]
-    left = np.concatenate([residuals(stacked, fit, index) for index in indices])
-    return Sample(left, state, np.concatenate(stretch))
+    residual = np.concatenate([residuals(stacked, fit, index) for index in indices])
+    return Sample(residual, state, np.concatenate(stretch))
 
 
 def beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample) -> float:
-    """Squares beyond what changes from one row to the next by noise."""
+    """Return the squares of a sample beyond the noise from row to row, at least zero."""
     white = sum(len(stacked.rows[index].left_over) * stacked.rows[index].white ** 2 for index in indices)
     return max(float(np.sum(sample.left**2)) - white, 0.0)
 
 
 def orders_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> list[float]:
-    """Orders of the angle that a function may have: the first few, and the strongest of a periodogram."""
+    """Return the orders over the angle for a free function: the first few, and the strongest of a periodogram."""
     power = np.zeros(HIGHEST + 1)
     for index in indices:
         rows = stacked.rows[index]
@@ -142,30 +148,32 @@ def orders_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> list[float]:
 
 
 def closed_share(sample: Sample, free: Function, constant: Function, gap: float) -> tuple[float | None, Array]:
-    """Share of a gap that a function closes on runs that it was not learnt on, and what it leaves over."""
-    after = sample.left - free.of(sample)
+    """Return the share of a gap that a function closes on runs that it was not learnt on, and its residual there."""
+    residual = sample.left - free.of(sample)
     if gap <= 0.0:
-        return None, after
-    gained = float(np.sum((sample.left - constant.of(sample)) ** 2 - after**2))
-    return min(max(gained / gap, 0.0), 1.0), after
+        return None, residual
+    gained = float(np.sum((sample.left - constant.of(sample)) ** 2 - residual**2))
+    return min(max(gained / gap, 0.0), 1.0), residual
 
 
-def is_slow(left: Array, sample: Sample, gap: float) -> bool:
-    """Whether stretches of a run are like their neighbours beyond what the state explains."""
-    gained = slow_gain(left, sample.stretch)
+def is_slow(residual: Array, sample: Sample, gap: float) -> bool:
+    """Return whether a residual changes slowly with time: whether stretches are like their neighbours."""
+    gained = slow_gain(residual, sample.stretch)
     return float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, sample.stretch) >= SURE
 
 
-def courses(stacked: Stack, indices: Sequence[int], left: Array, stretch: Groups) -> list[ResidualCourse]:
-    """What is left over of some rows, run by run over time."""
-    several = [stacked.rows[index] for index in indices]
-    ends = np.cumsum([len(rows.index) for rows in several])[:-1]
-    parts = zip(several, np.split(left, ends), np.split(stretch, ends), strict=True)
-    return [ResidualCourse(rows.signals.time[rows.index], own, place) for rows, own, place in parts]
+def courses(stacked: Stack, indices: Sequence[int], residual: Array, stretch: Groups) -> list[ResidualCourse]:
+    """Split the residual of some row groups into courses over time, one for each run."""
+    rows_of_runs = [stacked.rows[index] for index in indices]
+    ends = np.cumsum([len(rows.index) for rows in rows_of_runs])[:-1]
+    parts = zip(rows_of_runs, np.split(residual, ends), np.split(stretch, ends), strict=True)
+    return [
+        ResidualCourse(rows.signals.time[rows.index], part, stretch_of_rows) for rows, part, stretch_of_rows in parts
+    ]
 
 
 def tone_of(fitted: Sequence[ResidualCourse], held_out: Sequence[ResidualCourse], gap: float) -> float | None:
-    """The frequency by which what is left over repeats, on held-out runs too [Hz]; None where it does not."""
+    """Return the frequency [Hz] at which the residual repeats in fitted and held-out runs; None where it does not."""
     frequency = strongest_frequency(fitted)
     if frequency is None:
         return None
@@ -176,49 +184,51 @@ def tone_of(fitted: Sequence[ResidualCourse], held_out: Sequence[ResidualCourse]
 
 
 def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture | None:
-    """The rest over one variable, before and after the whole function."""
-    part = free.of(sample)
+    """Return the picture of the residual over one variable, before and after the whole function."""
+    values = free.of(sample)
     independent = len(sample) / rows.dependence
-    after = sample.left - part
-    gain = float(np.sum(sample.left**2 - after**2))
+    residual = sample.left - values
+    gain = float(np.sum(sample.left**2 - residual**2))
     periods = free.strongest_order() if name == "angle" else 1.0
-    whole = Part(channel_of(rows), sample.left, after, part, sample.stretch, dict(sample.state), independent, gain)
-    view = view_of(whole, [name], periods)
+    whole_part = Part(
+        channel_of(rows), sample.left, residual, values, sample.stretch, dict(sample.state), independent, gain
+    )
+    view = view_of(whole_part, [name], periods)
     return None if view is None else picture_of(view)
 
 
 def deciding(depends_on: Sequence[str], nearest: Sequence[Near], touching: Collection[str]) -> str | None:
-    """The shipped protocol that separates most of what comes into question, the shortest of several.
+    """Return the name of the shipped protocol that separates most of the possible effects, the shortest of equals.
 
-    In question are the nearest effects and those of the channel that act in what it depends on.
+    Possible are the nearest effects, and effects on the channel that act over a variable the residual depends on.
     """
-    near = {one.effect for one in nearest}
+    near_effects = {effect.effect for effect in nearest}
     acting = {name for name in touching if set(effect_definition(name).acts_over) & set(depends_on)}
     plans = [protocolfile.load(name) for name in shipped.names()]
     best = max(
         plans,
         key=lambda plan: (
-            *(len(among.intersection(plan.separates)) for among in (near | acting, near)),
+            *(len(effects.intersection(plan.separates)) for effects in (near_effects | acting, near_effects)),
             -plan.duration_s,
         ),
     )
-    return best.name if (near | acting).intersection(best.separates) else None
+    return best.name if (near_effects | acting).intersection(best.separates) else None
 
 
 def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequence[Near]) -> tuple[Near, ...]:
-    """Effects that were refused, the nearest first: fitted and taken back, fitted and doubted, not entered."""
-    near = {one.effect: one for one in refused}
+    """Return the refused effects: first the withdrawn ones, then the improbable ones, then those not in the set."""
+    near = {effect.effect: effect for effect in refused}
     for item in judged:
         if item.probability < NAMED and item.finding.effect not in near:
             near[item.finding.effect] = Near(item.finding.effect, doubt(item))
-    for further in sorted(result.rest, key=lambda one: -one.height):
+    for further in sorted(result.rest, key=lambda effect: -effect.height):
         if further.effect not in near and further.height > VISIBLE:
             near[further.effect] = Near(further.effect, kept_out(further))
     return tuple(near.values())
 
 
 def doubt(item: Judged) -> str:
-    """Why an effect that was fitted is not named."""
+    """Return why an effect that was fitted is not named."""
     needed = library()[item.finding.effect].explains
     if item.explained < needed:
         shares = f"{100 * item.explained:.0f} % of the gap where it acts; a form of it explains {100 * needed:.0f} %"
@@ -231,7 +241,7 @@ def doubt(item: Judged) -> str:
 
 
 def kept_out(item: FurtherEffect) -> str:
-    """Why an effect did not enter the set."""
+    """Return why an effect did not enter the set."""
     if item.height <= ENTRY:
         return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY:g} are needed"
     return "what it takes away is no more than the set's own forms may miss"

@@ -1,4 +1,4 @@
-"""Where the gap sits: channel by channel the distance of the model, and the smallest region that holds most of it."""
+"""Localise the gap: the distance of the model in each channel, and the smallest region that holds most of it."""
 
 import math
 from collections.abc import Sequence
@@ -27,15 +27,15 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES
 
 Array = npt.NDArray[np.float64]
-MOST = 0.8  # of the squared residual that a region is to hold
+MOST = 0.8  # share of the squared residual that a region holds
 BINS = 12
-NARROW = 0.75  # of the data, above which a region says nothing
-NEAR_FLOOR = 1.1
+NARROW = 0.75  # share of the data above which a region says nothing
+NEAR_FLOOR = 1.1  # floors below which a channel has no gap
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
-PROFILES = 5  # entries that come with a profile
+PROFILES = 5  # number of first entries that get a profile
 PROFILE_BINS = 24
 FEWEST_IN_BIN = 8
-RARE = 0.002  # of the data at either end, that a profile leaves out
+RARE = 0.002  # share of the data at either end that a profile leaves out
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +55,21 @@ class Profile:
 
 
 def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequence[Cause] = ()) -> tuple[Where, ...]:
-    """A line for each quantity, role and set-up, the largest gap over its floor first.
+    """Return one entry for each quantity, role and set-up, the largest ratio of gap to floor first.
 
-    effects : those of the last model; where they close a gap, its region is of a variable that they act in.
+    effects : effects of the augmented model; where they close a gap, its region is in a variable that they act in.
     """
     by_name = {record.name: record for record in records}
     grouped: dict[tuple[str, str, str], list[Compared]] = {}
-    for one in channels:
-        grouped.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    for channel in channels:
+        grouped.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
     lines = []
     for (quantity, role, mechanical), group in grouped.items():
-        nominal, calibrated = (rms([one.squares(k) for one in group]) for k in (0, 1))
+        nominal, calibrated = (rms([channel.squares(k) for channel in group]) for k in (0, 1))
         floor = practical_floor(group)
         region, share = None, 0.0
         if calibrated > NEAR_FLOOR * floor:
-            pairs = [(by_name[one.run], one) for one in group]
+            pairs = [(by_name[channel.run], channel) for channel in group]
             acting = effects if closes(group, floor) else ()
             region, share = region_of_effects(pairs, acting) or smallest_region(pairs)
         units = UNITS.get(quantity, "")
@@ -78,87 +78,93 @@ def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequ
 
 
 def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:
-    """Of the first entries with a gap: residuals over the variable of the region, over time where there is none."""
+    """Return the profiles of the first entries with a gap, over the variable of their region, else over time."""
     by_name = {record.name: record for record in records}
     curves = []
     for entry in entries[:PROFILES]:
         if entry.calibrated_rms <= NEAR_FLOOR * entry.floor_rms:
             continue
         key = (entry.quantity, entry.role, entry.mechanical)
-        group = [one for one in channels if (one.quantity, one.role, one.mechanical) == key]
+        group = [channel for channel in channels if (channel.quantity, channel.role, channel.mechanical) == key]
         variable = entry.region.variable if entry.region else "time"
         units = OTHER_UNITS.get(variable, UNITS.get(variable, ""))
-        values, left = [], []
-        for one in group:
-            series = variable_of(by_name[one.run], one, variable)
+        values, residuals = [], []
+        for channel in group:
+            series = variable_of(by_name[channel.run], channel, variable)
             if series is not None:
-                # a sign that is taken in between samples is neither: back to -1, 0, 1
+                # interpolated signs are rounded back to -1, 0, 1
                 series = np.round(series) if variable == "direction" else series
                 values.append(turned(series, 1.0) if entry.region and entry.region.within_turn else series)
-                left.append(one.measured - np.stack(one.replayed))
-        low, high, mean, std = binned(np.concatenate(values), np.concatenate(left, axis=1))
+                residuals.append(channel.measured - np.stack(channel.replayed))
+        low, high, mean, std = binned(np.concatenate(values), np.concatenate(residuals, axis=1))
         curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
     return tuple(curves)
 
 
-def binned(values: Array, left: Array) -> tuple[Array, Array, Array, Array]:
-    """Edges of even bins with samples enough, and mean and standard deviation of each row in them."""
+def binned(values: Array, residuals: Array) -> tuple[Array, Array, Array, Array]:
+    """Return lower and upper edges of even bins with enough samples, and mean and standard deviation of each row there.
+
+    residuals : (models, samples).
+    """
     levels = np.unique(values)
     if len(levels) <= PROFILE_BINS // 2:
         half = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
         low, high = levels - half, levels + half
     else:
-        first, last = np.quantile(values, (RARE, 1.0 - RARE))
-        edges = np.linspace(first, last, PROFILE_BINS + 1)
+        lowest, highest = np.quantile(values, (RARE, 1.0 - RARE))
+        edges = np.linspace(lowest, highest, PROFILE_BINS + 1)
         low, high = edges[:-1], edges[1:]
     inside = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
     full = np.asarray([int(mask.sum()) >= FEWEST_IN_BIN for mask in inside])
-    rows = [left[:, mask] for mask, enough in zip(inside, full, strict=True) if enough]
-    shape = (len(rows), len(left))  # no bin at all keeps a row for each model
+    rows = [residuals[:, mask] for mask, enough in zip(inside, full, strict=True) if enough]
+    shape = (len(rows), len(residuals))  # without any bin there is still a row for each model
     mean = np.asarray([part.mean(axis=1) for part in rows]).reshape(shape).T
     std = np.asarray([part.std(axis=1) for part in rows]).reshape(shape).T
     return low[full], high[full], mean, std
 
 
 def practical_floor(group: Sequence[Compared]) -> float:
-    """The noise, raised where a replay of the right model would miss by more, so that the ratio counts only the excess.
+    """Return the noise floor of a channel, raised by the error that a replay of the right model would have.
 
-    Sticking and restarts make such a replay miss by a few times the noise: where the last model misses as well, that
-    much of the calibrated distance is no gap. What lies beyond it, in squares, counts in units of the noise.
+    Sticking and restarts make such a replay miss by a few times the noise: the part of the calibrated distance that
+    the augmented model misses as well is no gap. Only the squares beyond it count, in units of the noise.
     """
-    floor = rms([one.floor_squares() for one in group])
-    calibrated, last = (rms([one.squares(model) for one in group]) for model in (1, 2))
-    missed = min(max(floor, min(calibrated, last)), REPLAY_MISS * floor)
+    floor = rms([channel.floor_squares() for channel in group])
+    calibrated, augmented = (rms([channel.squares(model) for channel in group]) for model in (1, 2))
+    missed = min(max(floor, min(calibrated, augmented)), REPLAY_MISS * floor)
     beyond = floor**2 + calibrated**2 - missed**2
     return calibrated * floor / math.sqrt(beyond) if beyond > 0.0 else floor
 
 
 def rms(squares: Sequence[Array]) -> float:
-    """Root of the mean of several runs' squares."""
+    """Return the root of the mean of several runs' squares."""
     return float(np.sqrt(np.mean(np.concatenate(list(squares)))))
 
 
 def closes(group: Sequence[Compared], floor: float) -> bool:
-    """Whether the last model takes away most of what the calibrated one leaves beyond the floor, in squares."""
-    calibrated, last = (rms([one.squares(model) for one in group]) ** 2 for model in (1, 2))
-    return calibrated - last > 0.5 * (calibrated - floor**2)
+    """Return whether the augmented model explains most of the calibrated model's squares beyond the floor."""
+    calibrated, augmented = (rms([channel.squares(model) for channel in group]) ** 2 for model in (1, 2))
+    return calibrated - augmented > 0.5 * (calibrated - floor**2)
 
 
 @dataclass(frozen=True, eq=False)
 class Over:
-    """A gap over a variable that an effect acts in."""
+    """Gap of a channel over a variable that an effect acts in."""
 
     quantity: str
     values: Array
     within_turn: bool  # of an angle: whole turns are taken off
-    squares: Array  # of what the calibrated model leaves over
-    explained: float  # share of the last model's departure from the calibrated one that follows the variable
+    squares: Array  # squared residuals of the calibrated model
+    explained: float  # share of the augmented model's difference from the calibrated one that follows the variable
 
 
 def region_of_effects(
     group: Sequence[tuple[Record, Compared]], effects: Sequence[Cause]
 ) -> tuple[Region | None, float] | None:
-    """The interval that holds most of the gap, of a variable that an effect acts in, however much of the data it is."""
+    """Return the interval of an effect's variable that holds most of the gap, and its share; None without one.
+
+    The interval may hold any share of the data.
+    """
     wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in regions_of(cause.effect)]
     views = [view for quantity, periods in wanted if (view := over_quantity(group, quantity, periods)) is not None]
     best = first_that_follows(views, lambda view: view.explained)
@@ -169,48 +175,51 @@ def region_of_effects(
 
 
 def regions_of(effect: str) -> list[str]:
-    """Quantities by which a region of an effect's gap is given."""
-    shown = [VARIABLES[variable].quantity for variable in effect_definition(effect).acts_over]
-    return [quantity for quantity in shown if quantity is not None]
+    """Return the quantities in which the region of an effect's gap is given."""
+    quantities = [VARIABLES[variable].quantity for variable in effect_definition(effect).acts_over]
+    return [quantity for quantity in quantities if quantity is not None]
 
 
 def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> Over | None:
-    """The gap of a channel over a quantity, an angle within a turn where it repeats; None where no run has it."""
+    """Return the gap of a channel over a quantity, folded within a turn if it repeats; None where no run has it."""
     values, parts, squares, signs, blocks = [], [], [], [], 0
-    for record, one in group:
-        series = variable_of(record, one, quantity)
+    for record, channel in group:
+        series = variable_of(record, channel, quantity)
         if series is None:
             continue
-        direction = variable_of(record, one, "direction")
+        direction = variable_of(record, channel, "direction")
         values.append(series)
-        parts.append(one.replayed[2] - one.replayed[1])
-        squares.append(one.squares(1))
+        parts.append(channel.replayed[2] - channel.replayed[1])
+        squares.append(channel.squares(1))
         signs.append(np.sign(direction) if direction is not None else np.zeros_like(series))
-        blocks += len(np.unique(one.block))
+        blocks += len(np.unique(channel.block))
     if not values:
         return None
     series, part, sign = (np.concatenate(rows) for rows in (values, parts, signs))
 
-    def explained(over: Array) -> float:
-        place = bin_of(over, bin_edges(over, part, bin_count(blocks)))
-        return best_sign(part, place, {"velocity": sign}).explained
+    def explained(folded_values: Array) -> float:
+        bins = bin_of(folded_values, bin_edges(folded_values, part, bin_count(blocks)))
+        return best_sign(part, bins, {"velocity": sign}).explained
 
     within_turn = quantity == "angle" and repeats(series, periods, explained)
-    shown = turned(series, 1.0) if within_turn else series
-    over = turned(series, periods) if within_turn else series
-    return Over(quantity, shown, within_turn, np.concatenate(squares), explained(over))
+    shown_values = turned(series, 1.0) if within_turn else series
+    folded_values = turned(series, periods) if within_turn else series
+    return Over(quantity, shown_values, within_turn, np.concatenate(squares), explained(folded_values))
 
 
 def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:
-    """Over all variables, the interval with the least data that holds most of the squared calibrated residual."""
+    """Return the interval of any variable with the least data that holds most of the squared residual, and its share.
+
+    The residual is that of the calibrated model; None and zero where no interval is narrow enough.
+    """
     best: tuple[float, Region, float] | None = None
     for variable in variables(group):
         values, squares = [], []
-        for record, one in group:
-            series = variable_of(record, one, variable)
+        for record, channel in group:
+            series = variable_of(record, channel, variable)
             if series is not None:
                 values.append(series)
-                squares.append(one.squares(1))
+                squares.append(channel.squares(1))
         if not values:
             continue
         interval = narrowest(np.concatenate(values), np.concatenate(squares))
@@ -224,7 +233,7 @@ def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | 
 
 
 def variables(group: Sequence[tuple[Record, Compared]]) -> list[str]:
-    """What a region may be a stretch of in these runs."""
+    """Return the variables that a region may be given in for these runs."""
     names = ["time"]
     for record, _ in group:
         for clock in (record.fast, record.slow):
@@ -235,54 +244,54 @@ def variables(group: Sequence[tuple[Record, Compared]]) -> list[str]:
     return names
 
 
-def variable_of(record: Record, one: Compared, variable: str) -> Array | None:
-    """A variable at the samples of a compared channel."""
+def variable_of(record: Record, channel: Compared, variable: str) -> Array | None:
+    """Return a variable at the samples of a compared channel; None where the run lacks it."""
     if variable == "time":
-        return one.time
+        return channel.time
     clock = record.fast
     if variable in ("direction", "time_since_reversal"):
         if clock is None or (speed := speed_of(clock)) is None:
             return None
         series = np.sign(speed) if variable == "direction" else since_reversal(speed, clock.interval)
-        return np.interp(one.time, clock.since_begin, series)
-    for at in (record.fast, record.slow):
-        if at is not None and (values := at.get(variable)) is not None:
-            return np.interp(one.time, at.since_begin, values)
+        return np.interp(channel.time, clock.since_begin, series)
+    for source in (record.fast, record.slow):
+        if source is not None and (values := source.get(variable)) is not None:
+            return np.interp(channel.time, source.since_begin, values)
     if variable == "velocity" and clock is not None and (speed := speed_of(clock)) is not None:
-        return np.interp(one.time, clock.since_begin, speed)
+        return np.interp(channel.time, clock.since_begin, speed)
     return None
 
 
 def speed_of(clock: Clocked) -> Array | None:
-    """Speed from the angle."""
+    """Return the smoothed speed of the angle; None where the clock has no angle."""
     angle = clock.get("angle")
     return smooth(speeds(angle, clock.interval), 4.0) if angle is not None else None
 
 
 def since_reversal(speed: Array, interval: float) -> Array:
-    """Time since the sign of the speed last changed."""
+    """Return the time [s] since the sign of the speed last changed."""
     return np.asarray((np.arange(len(speed)) - last_reversal(speed)) * interval, np.float64)
 
 
 def narrowest(values: Array, squares: Array) -> tuple[float, float, float, float] | None:
-    """Interval with the least data that holds most of the squares: low, high, share held and part of the data."""
+    """Return low, high, share of squares and share of data of the shortest interval with most of the squares."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
-    held = np.concatenate([[0.0], np.cumsum(squares[order])])
-    if held[-1] <= 0.0 or ordered[0] == ordered[-1]:
+    cumulative = np.concatenate([[0.0], np.cumsum(squares[order])])
+    if cumulative[-1] <= 0.0 or ordered[0] == ordered[-1]:
         return None
     cuts = np.linspace(0, len(order), BINS + 1).astype(np.intp)[:-1]
-    # a cut within a level, such as one direction, moves to where the level begins
+    # a cut within a level, such as one direction, moves to the beginning of the level
     edges = np.append(np.unique(np.searchsorted(ordered, ordered[cuts])), len(order))
     best: tuple[int, int] | None = None
-    for first in range(len(edges) - 1):
-        for last in range(first + 1, len(edges)):
-            if held[edges[last]] - held[edges[first]] >= MOST * held[-1]:
-                if best is None or edges[last] - edges[first] < best[1] - best[0]:
-                    best = (int(edges[first]), int(edges[last]))
+    for begin in range(len(edges) - 1):
+        for end in range(begin + 1, len(edges)):
+            if cumulative[edges[end]] - cumulative[edges[begin]] >= MOST * cumulative[-1]:
+                if best is None or edges[end] - edges[begin] < best[1] - best[0]:
+                    best = (int(edges[begin]), int(edges[end]))
                 break
     if best is None:
         return None
     start, stop = best
-    share = float((held[stop] - held[start]) / held[-1])
+    share = float((cumulative[stop] - cumulative[start]) / cumulative[-1])
     return float(ordered[start]), float(ordered[stop - 1]), share, (stop - start) / len(order)
