@@ -250,7 +250,7 @@ def _follow(
     from leactl.cli.run import ending_line, finish, warn_overdue
     from leactl.errors import Stopped
     from leactl.protocol.by_hand import endless_steps, reading_steps
-    from leactl.report.follow import Follower, Looks
+    from leactl.report.follow import Follower, ReadingSampler
     from leactl.runner.dry_run import streams_of
     from leactl.runner.operators import keyboard
     from leactl.runner.request import prepare_by_hand
@@ -260,20 +260,21 @@ def _follow(
     steps = endless_steps() if hold_s is None else reading_steps(hold_s)
     request = prepare_by_hand("read", steps, bench, setup, out, realtime, served, bus, everything=True)
     request = replace(request, realtime=realtime or request.in_process, record_every_s=every_s)
-    follower = Follower(Looks(request.bench.name, streams_of(request), channels), every_s, as_json)
+    follower = Follower(ReadingSampler(request.bench.name, streams_of(request), channels), every_s, as_json)
     warn_overdue(request)
     with to_the_end():
         with traced_to(trace) as traced, keyboard(shown=sys.stderr.isatty()) as keys:
             request = replace(request, trace=traced)
             outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
-        unread = follower.unread
+        unread = follower.stdout_error
         if as_json and unread is None:
             unread = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
         if not as_json:
             typer.echo(ending_line(outcome), err=True)
-    if follower.unread is not None and isinstance(outcome.error, Stopped):
+    if follower.stdout_error is not None and isinstance(outcome.error, Stopped):
         outcome = replace(outcome, error=None)  # what stopped it is raised as the unread answer
-    finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [], unread)
+    new_notes = [note for note in outcome.notes if note not in follower.printed_warnings]
+    finish(replace(outcome, notes=new_notes), [], unread)
 
 
 def _never_answered(_question: str) -> "Callable[[], bool]":
