@@ -47,15 +47,15 @@ def stop(
 
     runs, faults = runs_underway.running()
     runs = _runs_on(bench, runs, faults)
-    asked = []
+    reached_runs = []
     for run in runs:  # every run is asked before the first is waited for
         try:
             run.ask_to_stop()
-            asked.append(run)
+            reached_runs.append(run)
         except DeviceError as fault:
             faults.append(str(fault))
     deadline = time.monotonic() + wait_s
-    ends = [_ending_json(run, run.wait(deadline), wait_s) for run in asked]
+    ends = [_ending_json(run, run.wait(deadline), wait_s) for run in reached_runs]
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
     lines = [] if runs else [f"nothing runs on {bench}" if bench else "nothing runs"]
     for end in ends:
@@ -104,18 +104,19 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", a
 
     runs, faults = runs_underway.running()
     runs = _runs_on(bench, runs, faults)
-    asked = []
+    reached_runs = []
     for run in runs:
         try:
             ask(run)
-            asked.append(run)
+            reached_runs.append(run)
         except DeviceError as fault:
             faults.append(str(fault))
         finally:
             run.close()
-    asked_runs = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
+    runs_json = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in reached_runs]
     typer.echo(
-        json.dumps({"runs": asked_runs}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked)
+        json.dumps({"runs": runs_json}) if as_json else "\n".join(f"{run} {answer}" for run in reached_runs),
+        nl=bool(reached_runs),
     )
     if not runs:
         faults.append(f"nothing runs on {bench}" if bench else "nothing runs")

@@ -175,10 +175,10 @@ def _run_at_end(words: list[str], outcome: "Outcome") -> str:
         return ""
     try:
         # its output goes to stderr: stdout is for --json and --events
-        done = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
+        process = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
     except OSError as error:
         return f"--at-end {words[0]}: {error.strerror}"
-    return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
+    return f"--at-end {words[0]}: ended with status {process.returncode}" if process.returncode else ""
 
 
 def print_dry_run(request: "Request", as_json: bool) -> None:

@@ -169,7 +169,7 @@ def scale_ends(channels: Sequence[Shrinkage]) -> tuple[float, float]:
 
 
 def bar_unit(channel: Shrinkage) -> float:
-    """Return the RMS that a channel's bars are multiples of: its floor, or its smallest RMS where it has no floor."""
+    """Return the unit of the bars of a channel: the RMS of its floor, or its smallest RMS if it has no floor."""
     positive = [value for value in rms_by_model(channel) if math.isfinite(value) and value > 0.0]
     return channel.floor_rms if channel.floor_rms in positive else min(positive, default=1.0)
 

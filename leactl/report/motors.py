@@ -46,7 +46,7 @@ class ComparedMotor:
 
 @dataclass(frozen=True)
 class FigureRow:
-    """One figure of several motors; None where it is not known."""
+    """One figure of several motors; a value is None if it is not known."""
 
     name: str
     units: str

@@ -36,7 +36,7 @@ def examine() -> HostFinding:
 
 
 def installed() -> str | None:
-    """Return the path of the first installed browser; None where there is none."""
+    """Return the path of the first installed browser; None if none is installed."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 

@@ -46,7 +46,7 @@ def searches(plan: "Plan") -> list[str]:
 
 
 def peaks(plan: "Plan", limits: "Limits | None" = None) -> list[dict[str, Any]]:
-    """Return the largest setpoint of each role and quantity with its unit, and the bench's limits where it has any."""
+    """Return the largest setpoint of each role and quantity with its unit, and with the limits of a bench if given."""
     return [
         {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
         | ({} if limits is None else {"limits": limits.of(quantity)})

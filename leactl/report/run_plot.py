@@ -65,7 +65,7 @@ def panels(
 
 
 def value_axis(trace: ChannelTrace) -> PlotAxis | None:
-    """Return the axis over a trace's finite values; None where it has none."""
+    """Return the value axis of a trace over its finite values; None without finite values."""
     finite = trace.values[np.isfinite(trace.values)]
     return PlotAxis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
 
