@@ -16,8 +16,8 @@ import typer
 if TYPE_CHECKING:
     from leactl.bench.wire_trace import WireTrace
 
-# Matrix products here are small: threads of theirs that wait for a core which another process has cost as much time as
-# the work. Read when NumPy is first imported; whoever sets it otherwise is heeded.
+# The matrix products are small: where other processes hold the cores, waiting threads of OpenBLAS cost as much time as
+# the work. NumPy reads the variable at its first import; a value that the user has set stays.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TRACE = typer.Option(
@@ -27,7 +27,7 @@ TRACE = typer.Option(
 
 @contextmanager
 def traced_to(path: Path | None) -> "Iterator[WireTrace | None]":
-    """Open the trace that `--trace` names, close it after the block, and warn on stderr if lines are missing in it.
+    """Open the trace file of `--trace`, close it after the block, and warn on stderr if lines are missing in it.
 
     Raises
     ------
@@ -48,7 +48,10 @@ def traced_to(path: Path | None) -> "Iterator[WireTrace | None]":
 
 
 def finite(value: float | list[float] | None) -> float | list[float] | None:
-    """Raise `typer.BadParameter` for an option that is NaN or infinite: the ranges of click before 8.2 accept NaN."""
+    """Return the value of an option; raise `typer.BadParameter` if it is NaN or infinite.
+
+    Ranges of click before 8.2 accept NaN.
+    """
     for number in value if isinstance(value, list) else [value]:
         if number is not None and not math.isfinite(number):
             raise typer.BadParameter(f"{number} is not a finite number")
@@ -56,9 +59,10 @@ def finite(value: float | list[float] | None) -> float | list[float] | None:
 
 
 def print_answer(text: str) -> OSError | None:
-    """Print what a run has given; where stdout takes nothing, return the error, which is raised when all else is told.
+    """Print the answer of a command on stdout, and return the error if stdout cannot be written.
 
-    Nobody may read stdout any more, or its disk be full: how the run ended is told on stderr all the same.
+    Stdout may have no reader any more, or its disk may be full. The caller raises the error after it has printed on
+    stderr how the run ended.
     """
     try:
         typer.echo(text)
@@ -68,7 +72,10 @@ def print_answer(text: str) -> OSError | None:
 
 
 def confirmed(question: str) -> bool:
-    """Ask the user on stderr only: `typer.confirm` writes a space to stdout, where JSON may follow."""
+    """Ask the user on stderr, and return whether the answer is yes.
+
+    `typer.confirm` writes a space to stdout, where JSON may follow.
+    """
     typer.echo(f"{question} [y/N]: ", err=True, nl=False)
     answer = sys.stdin.readline()
     if not answer.endswith("\n"):

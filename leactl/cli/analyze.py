@@ -49,13 +49,13 @@ def analyze(
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    given_values = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
-    asked = GENERIC if experiment == "generic" else experiment
+    options = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    experiment_name = GENERIC if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
     with workers_of(processes, scheduler) as workers:
-        results, faults = analyze_each(files, asked, workers, channel=channel or None, **given_values)
-    if faults and not (results and folders):  # of files that were named, all count or none
+        results, faults = analyze_each(files, experiment_name, workers, channel=channel or None, **options)
+    if faults and not (results and folders):  # without folders, one faulty file refuses all
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:
         typer.echo(json.dumps(results[0].as_json(), allow_nan=False))

@@ -11,7 +11,7 @@ from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import AcceptanceFailed, DeviceError, SafetyTrip
 
 app = group_of_commands()
-RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
+RUNS = Path("runs")  # default folder of the run files of `leactl run`
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 SHIPPED = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 
@@ -29,7 +29,7 @@ def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
     from leactl.bench.benchfile import names, shipped_file
 
-    if bench in names():  # and so without a fault: no driver need be loaded to check its settings
+    if bench in names():  # a shipped bench has no faults, so that no driver has to be loaded to check its settings
         document = shipped_file(bench)
     else:
         from leactl.runner.checked_bench import load_checked
@@ -72,8 +72,8 @@ def reset(
 
     is_file = Path(bench).suffix in (".yaml", ".yml")
     name = load(bench)[0].name if is_file else bench
-    held = bench_reset.held_by(bench, name)
-    trips = held.trips
+    latches = bench_reset.held_by(bench, name)
+    trips = latches.trips
     if not trips:
         name = load(bench)[0].name
         typer.echo(json.dumps({"bench": name, "tripped": False}) if as_json else f"{name}: not tripped")
@@ -82,7 +82,7 @@ def reset(
         typer.echo(f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})", err=True)
     if not (yes or confirmed("The cause is mended and the bench may move again?")):
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
-    bench_reset.release(bench, name, held)
+    bench_reset.release(bench, name, latches)
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in trips]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")
@@ -122,8 +122,8 @@ def serve(
         for text in emulated.not_served:
             typer.echo(text, err=True)
         typer.echo("serving; Ctrl-C ends it")
-        every = [chip for served in chips.values() for chip in served]
-        serve_until(emulated.time, list(bridges.values()), every, lambda: bool(stop.cause))
+        all_chips = [chip for served in chips.values() for chip in served]
+        serve_until(emulated.time, list(bridges.values()), all_chips, lambda: bool(stop.cause))
 
 
 @app.command(epilog=examples("bench faults", "bench faults frozen_drive"))

@@ -1,4 +1,4 @@
-"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: operations at a bench outside a protocol."""
+"""`leactl bench stop`, `pause`, `resume`, `remark`, `read`, `zero`, `jog` and `recording`: work at a bench by hand."""
 
 import json
 import sys
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from leactl.runner.runs_underway import RunUnderway
 
 LONGEST_REMARK = 1000  # characters
-READ_S = 2.0
-EVERY_S = 1.0  # between two lines that are followed
-END_S = 20.0  # three devices confirm within a second each; the rest is for the file
+READ_S = 2.0  # duration of `bench read`
+EVERY_S = 1.0  # between two lines of `bench read --follow`
+END_S = 20.0  # wait for the end of a run: up to a second for each of three devices, the remainder for its file
 
 BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 RUNNING = typer.Argument(
@@ -47,28 +47,28 @@ def stop(
 
     runs, faults = runs_underway.running()
     runs = _runs_on(bench, runs, faults)
-    asked = []
-    for run in runs:  # every one is asked before any is waited for
+    reached_runs = []
+    for run in runs:  # every run is asked before the first is waited for
         try:
             run.ask_to_stop()
-            asked.append(run)
+            reached_runs.append(run)
         except DeviceError as fault:
             faults.append(str(fault))
     deadline = time.monotonic() + wait_s
-    ends = [_end(run, run.wait(deadline), wait_s) for run in asked]
+    ends = [_ending_json(run, run.wait(deadline), wait_s) for run in reached_runs]
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
     lines = [] if runs else [f"nothing runs on {bench}" if bench else "nothing runs"]
     for end in ends:
         if not end["doubt"]:
-            where = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
-            lines.append(f"{end['bench']}: every device confirmed safe; {where}")
-    unread = None
+            ending = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
+            lines.append(f"{end['bench']}: every device confirmed safe; {ending}")
+    stdout_error = None
     if as_json or lines:
-        unread = print_answer(json.dumps({"runs": ends}) if as_json else "\n".join(lines))
+        stdout_error = print_answer(json.dumps({"runs": ends}) if as_json else "\n".join(lines))
     if faults:
         raise DeviceError("; ".join(faults))
-    if unread is not None:
-        raise unread
+    if stdout_error is not None:
+        raise stdout_error
 
 
 def pause(bench: str = RUNNING, as_json: bool = AS_JSON) -> None:
@@ -93,7 +93,7 @@ def remark(
 
 
 def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", answer: str) -> None:
-    """Call `ask` with every run on a bench, and print the runs that were asked.
+    """Call `ask` with every run on a bench, and print the runs that were reached, each followed by `answer`.
 
     Raises
     ------
@@ -104,18 +104,19 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", a
 
     runs, faults = runs_underway.running()
     runs = _runs_on(bench, runs, faults)
-    asked = []
+    reached_runs = []
     for run in runs:
         try:
             ask(run)
-            asked.append(run)
+            reached_runs.append(run)
         except DeviceError as fault:
             faults.append(str(fault))
         finally:
             run.close()
-    stopped = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
+    runs_json = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in reached_runs]
     typer.echo(
-        json.dumps({"runs": stopped}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked)
+        json.dumps({"runs": runs_json}) if as_json else "\n".join(f"{run} {answer}" for run in reached_runs),
+        nl=bool(reached_runs),
     )
     if not runs:
         faults.append(f"nothing runs on {bench}" if bench else "nothing runs")
@@ -124,39 +125,39 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", a
 
 
 def _runs_on(bench: str, runs: "list[RunUnderway]", faults: list[str]) -> "list[RunUnderway]":
-    """Runs on a bench, by the bench name or path that each was started with, else by the name in the bench file.
+    """Return the runs on a bench, which is given by name or by the path of its file; without a bench, all runs.
 
-    Adds to `faults` a bench that a process locks although no run's file describes that process.
+    A bench that a process has locked without a file that describes its run is added to `faults`.
     """
     from leactl.runner.runs_underway import unseen
 
     if not bench:
         return runs
     path = str(Path(bench).resolve())
-    named = [run for run in runs if bench == run.bench or path == run.file]
-    if named:
-        return named
+    matching = [run for run in runs if bench == run.bench or path == run.file]
+    if matching:
+        return matching
     from leactl.bench.benchfile import load
 
-    hidden = unseen(bench)
-    name = bench if hidden else load(bench)[0].name
-    named = [run for run in runs if run.bench == name]
-    hidden = hidden or ("" if named else unseen(name))
-    if hidden:
-        faults.append(hidden)
-    return named
+    lock_fault = unseen(bench)
+    name = bench if lock_fault else load(bench)[0].name
+    matching = [run for run in runs if run.bench == name]
+    lock_fault = lock_fault or ("" if matching else unseen(name))
+    if lock_fault:
+        faults.append(lock_fault)
+    return matching
 
 
-def _end(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
-    """Describe for JSON how a run ended, and what could not be confirmed about its safe state."""
-    last_words = run.facts()
-    safe = last_words.get("safe", {})
+def _ending_json(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
+    """Return how a run ended, and why its safe state is in doubt, as JSON takes them."""
+    facts = run.facts()
+    safe = facts.get("safe", {})
     unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
     doubt = ""
     if unsafe:
         doubt = "; ".join(unsafe)
     elif not safe and ended:
-        doubt = last_words.get("reason") or f"process {run.process} died without a word"
+        doubt = facts.get("reason") or f"process {run.process} died without a word"
     elif not safe:
         doubt = f"process {run.process} has not answered within {waited_s:g} s"
     return {
@@ -164,9 +165,9 @@ def _end(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
         "protocol": run.protocol,
         "process": run.process,
         "ended": ended,
-        "status": last_words.get("status", ""),
-        "reason": last_words.get("reason", ""),
-        "run": last_words.get("run", ""),
+        "status": facts.get("status", ""),
+        "reason": facts.get("reason", ""),
+        "run": facts.get("run", ""),
         "safe": safe,
         "doubt": f"NOT CONFIRMED SAFE, switch off the supply: {doubt}" if doubt else "",
     }
@@ -224,11 +225,11 @@ def read(
     if outcome.error is None:
         with Run.open(outcome.path) as run:
             summaries = readings(run)
-    unread = None
+    stdout_error = None
     if as_json or summaries:
         body = outcome.as_json() | {"channels": [asdict(item) for item in summaries]}
-        unread = print_answer(json.dumps(body) if as_json else table(summaries))
-    finish(outcome, [], unread)
+        stdout_error = print_answer(json.dumps(body) if as_json else table(summaries))
+    finish(outcome, [], stdout_error)
 
 
 def _follow(
@@ -244,13 +245,13 @@ def _follow(
     trace: Path | None,
     as_json: bool,
 ) -> None:
-    """Read a bench and print a line of its readings every so often; without `hold_s` until a person stops it."""
+    """Read a bench and print a line of readings every `every_s` seconds, for `hold_s` or until a person stops it."""
     from dataclasses import replace
 
     from leactl.cli.run import ending_line, finish, warn_overdue
     from leactl.errors import Stopped
     from leactl.protocol.by_hand import endless_steps, reading_steps
-    from leactl.report.follow import Follower, Looks
+    from leactl.report.follow import Follower, ReadingSampler
     from leactl.runner.dry_run import streams_of
     from leactl.runner.operators import keyboard
     from leactl.runner.request import prepare_by_hand
@@ -260,24 +261,25 @@ def _follow(
     steps = endless_steps() if hold_s is None else reading_steps(hold_s)
     request = prepare_by_hand("read", steps, bench, setup, out, realtime, served, bus, everything=True)
     request = replace(request, realtime=realtime or request.in_process, record_every_s=every_s)
-    follower = Follower(Looks(request.bench.name, streams_of(request), channels), every_s, as_json)
+    follower = Follower(ReadingSampler(request.bench.name, streams_of(request), channels), every_s, as_json)
     warn_overdue(request)
     with to_the_end():
         with traced_to(trace) as traced, keyboard(shown=sys.stderr.isatty()) as keys:
             request = replace(request, trace=traced)
-            outcome = execute(request, _never_answered, follower.watch, [keys.pressed, follower.stop_cause])
-        unread = follower.unread
-        if as_json and unread is None:
-            unread = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
+            outcome = execute(request, _never_confirmed, follower.watch, [keys.pressed, follower.stop_cause])
+        stdout_error = follower.stdout_error
+        if as_json and stdout_error is None:
+            stdout_error = print_answer(json.dumps({"event": "end", **outcome.as_json()}))
         if not as_json:
             typer.echo(ending_line(outcome), err=True)
-    if follower.unread is not None and isinstance(outcome.error, Stopped):
-        outcome = replace(outcome, error=None)  # what stopped it is raised as the unread answer
-    finish(replace(outcome, notes=[note for note in outcome.notes if note not in follower.told]), [], unread)
+    if follower.stdout_error is not None and isinstance(outcome.error, Stopped):
+        outcome = replace(outcome, error=None)  # stdout_error, which stopped the run, is raised instead
+    new_notes = [note for note in outcome.notes if note not in follower.printed_warnings]
+    finish(replace(outcome, notes=new_notes), [], stdout_error)
 
 
-def _never_answered(_question: str) -> "Callable[[], bool]":
-    """Ask nobody: a run that reads without end goes on until it is stopped."""
+def _never_confirmed(_question: str) -> "Callable[[], bool]":
+    """Leave the question unanswered: the prompt of an endless reading is never confirmed, so that it goes on."""
     return lambda: False
 
 
@@ -301,10 +303,10 @@ def zero(
         f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m"
         for name, (before, after) in outcome.zeros.items()
     ]
-    unread = None
+    stdout_error = None
     if as_json or lines:
-        unread = print_answer(json.dumps(outcome.as_json() | {"zeros": zeros}) if as_json else "\n".join(lines))
-    finish(outcome, [], unread)
+        stdout_error = print_answer(json.dumps(outcome.as_json() | {"zeros": zeros}) if as_json else "\n".join(lines))
+    finish(outcome, [], stdout_error)
 
 
 def jog(
@@ -340,11 +342,11 @@ def jog(
     from leactl.runfile.read.reader import Run
     from leactl.runner.request import prepare_by_hand
 
-    wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
-    given = [(mode, value) for mode, value in wanted.items() if value is not None]
-    if len(given) != 1:
-        raise InputError(f"one of --current, --velocity, --angle was expected, {len(given)} were given")
-    motion = Jog(role, *given[0], hold_s, rate)
+    options = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
+    setpoints = [(mode, value) for mode, value in options.items() if value is not None]
+    if len(setpoints) != 1:
+        raise InputError(f"one of --current, --velocity, --angle was expected, {len(setpoints)} were given")
+    motion = Jog(role, *setpoints[0], hold_s, rate)
     motion.check()
     if dry_run:
         if motion.mode is Mode.ANGLE:
@@ -353,16 +355,16 @@ def jog(
         request = prepare_by_hand("jog", motion.steps(), bench, setup, out, realtime, served, bus)
         print_dry_run(request, as_json)
         return
-    # a protocol's angles are absolute, so that they can be checked before anything moves
+    # angles of a protocol are absolute, so that they can be checked before a drive moves
     name, steps = ("read", reading_steps(0.2)) if motion.mode is Mode.ANGLE else ("jog", motion.steps())
     request = prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus)
     with traced_to(trace) as traced:
         if motion.mode is Mode.ANGLE:
-            before = perform(replace(request, trace=traced))
-            finish(before, [], None)
-            with Run.open(before.path) as run:
-                stands_at = float(run.channel("angle", role).values[-1])
-            request = prepare_by_hand("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
+            reading = perform(replace(request, trace=traced))
+            finish(reading, [], None)
+            with Run.open(reading.path) as run:
+                present_angle = float(run.channel("angle", role).values[-1])
+            request = prepare_by_hand("jog", motion.steps(present_angle), bench, setup, out, realtime, served, bus)
         outcome = perform(replace(request, trace=traced))
     finish(outcome, [], print_answer(json.dumps(outcome.as_json()) if as_json else ending_line(outcome)))
 
@@ -399,6 +401,7 @@ def _perform(
     trace: Path | None,
     everything: bool = False,
 ) -> "Outcome":
+    """Run steps that are no protocol on a bench; with `everything`, all devices of the bench take part."""
     from dataclasses import replace
 
     from leactl.cli.run import perform

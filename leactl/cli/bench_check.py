@@ -1,4 +1,4 @@
-"""`leactl bench check`: a bench file by itself, beside what its devices say, and beside how its shaft turns."""
+"""`leactl bench check`: checks a bench file by itself, against its devices, and against the motion of its shaft."""
 
 import json
 from pathlib import Path
@@ -47,14 +47,14 @@ def check(
     """
     from leactl.errors import InputError
 
-    of_the_move = {"--current": current is not None, "--yes": yes}
-    of_the_bench = {"--dry-run": dry_run, "--setup": setup, "--realtime": realtime, "--served": served, "--bus": bus}
-    of_the_bench |= {"--trace": trace is not None}
-    stray = [name for name, given in of_the_move.items() if given and not move]
-    stray += [name for name, given in of_the_bench.items() if given and not (devices or move)]
-    if stray:
+    options_of_move = {"--current": current is not None, "--yes": yes}
+    options_of_bench = {"--dry-run": dry_run, "--setup": setup, "--realtime": realtime, "--served": served}
+    options_of_bench |= {"--bus": bus, "--trace": trace is not None}
+    unusable = [name for name, is_set in options_of_move.items() if is_set and not move]
+    unusable += [name for name, is_set in options_of_bench.items() if is_set and not (devices or move)]
+    if unusable:
         raise InputError(
-            f"{stray[0]}: goes with {'--move' if stray[0] in of_the_move else '--devices or --move'} alone"
+            f"{unusable[0]}: goes with {'--move' if unusable[0] in options_of_move else '--devices or --move'} alone"
         )
     if devices or move:
         _examine(bench, move, current, yes, setup, out, realtime, served, bus, trace, dry_run, as_json)
@@ -63,20 +63,21 @@ def check(
 
 
 def _check_file(bench: str, as_json: bool) -> None:
-    """Check a bench file by itself, and print what it says."""
+    """Check a bench file without opening a device, and print its devices, limits and interlocks."""
     from leactl.bench.provenance import overdue
     from leactl.report.terminal import list_line
     from leactl.runner.checked_bench import load_checked
 
     bench_file, devices, _document = load_checked(bench)
-    interlocks, late = bench_file.interlocks.shown(), overdue(devices)
+    interlocks = bench_file.interlocks.shown()
+    calibration_warnings = overdue(devices)
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
         limits = bench_file.limits.model_dump(exclude_none=True)
-        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
-        typer.echo(json.dumps(body))
+        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks}
+        typer.echo(json.dumps(body | {"overdue": calibration_warnings}))
         return
-    for name, text in late.items():
+    for name, text in calibration_warnings.items():
         typer.echo(f"leactl: warning: {name}: {text}", err=True)
     typer.echo(list_line("", f"{bench_file.name}: {bench_file.title}".rstrip(": ")))
     for device in devices:
@@ -105,7 +106,7 @@ def _examine(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Hold a bench file against its bench, and print a line for each statement of the file."""
+    """Compare a bench file with its bench, and print a verdict on each statement of the file."""
     import sys
     from dataclasses import replace
 
@@ -115,26 +116,32 @@ def _examine(
     from leactl.report.terminal import encodable, encoding_of_stdout
     from leactl.runner.bench_check.procedure import examine, reading, turning
 
-    rest = reading(bench, setup, out, realtime, served, bus)
-    turn = turning(bench, current, setup, out, realtime, served, bus) if move else None
+    reading_run = reading(bench, setup, out, realtime, served, bus)
+    turning_run = turning(bench, current, setup, out, realtime, served, bus) if move else None
     if dry_run:
-        typer.echo(f"leactl: {turn[1] if turn else 'every drive stays off'}", err=True)
-        print_dry_run(turn[0] if turn else rest, as_json)
+        typer.echo(f"leactl: {turning_run[1] if turning_run else 'every drive stays off'}", err=True)
+        print_dry_run(turning_run[0] if turning_run else reading_run, as_json)
         return
-    if turn is not None and not (rest.in_process or yes or sys.stdin.isatty()):
+    if turning_run is not None and not (reading_run.in_process or yes or sys.stdin.isatty()):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")
-    question = f"{turn[1] if turn else ''}. Keep clear of the shaft. Go on?"
+    question = f"{turning_run[1] if turning_run else ''}. Keep clear of the shaft. Go on?"
     with traced_to(trace) as traced:
-        rest = replace(rest, trace=traced)
-        turn = (replace(turn[0], trace=traced), turn[1]) if turn is not None else None
-        examined = examine(rest, turn, perform, lambda: rest.in_process or yes or confirmed(question))
+        reading_run = replace(reading_run, trace=traced)
+        if turning_run is not None:
+            turning_run = (replace(turning_run[0], trace=traced), turning_run[1])
+        examined = examine(
+            reading_run,
+            turning_run,
+            perform,
+            agrees=lambda: reading_run.in_process or yes or confirmed(question),
+        )
     text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
-    unread = print_answer(encodable(text, encoding_of_stdout()))
-    if turn is not None and len(examined.outcomes) < 2:
+    stdout_error = print_answer(encodable(text, encoding_of_stdout()))
+    if turning_run is not None and len(examined.outcomes) < 2:
         typer.echo("leactl: nothing was moved", err=True)
     for note in dict.fromkeys(note for outcome in examined.outcomes for note in outcome.notes):
         typer.echo(f"leactl: {note}", err=True)
     if (error := examined.end()) is not None:
         raise error
-    if unread is not None:
-        raise unread
+    if stdout_error is not None:
+        raise stdout_error

@@ -1,4 +1,4 @@
-"""`leactl bench scan`: what answers on the wires of this machine, asked by reads alone."""
+"""`leactl bench scan`: lists the devices that answer on the wires of this machine; it only reads from them."""
 
 import json
 import sys
@@ -34,14 +34,14 @@ def scan(
     """
     from leactl.bench.scan import Watcher, WireReport
     from leactl.errors import DeviceError, InputError, Stopped
-    from leactl.report import scan as told
+    from leactl.report import scan as scan_report
     from leactl.runner.scan import ScannedWire, named_wires, scan, wires_of_this_machine
     from leactl.runner.signals import listening
 
     if as_json and as_yaml:
         raise InputError("--json and --yaml are both given; one was expected")
-    named = can or i2c or serial or lan
-    wires = named_wires(can, i2c, serial, lan, bitrate) if named else wires_of_this_machine()
+    wires_are_named = can or i2c or serial or lan
+    wires = named_wires(can, i2c, serial, lan, bitrate) if wires_are_named else wires_of_this_machine()
     scanned: list[tuple[ScannedWire, WireReport]] = []
     end: DeviceError | Stopped | None = None
     with listening() as stop:
@@ -51,23 +51,23 @@ def scan(
                 scan(wire, scanned[-1][1], Watcher(partial(_show, wire.shown), stop.check))
         except Stopped as error:
             end = error
-    lines = list(told.lines(scanned))
+    lines = list(scan_report.lines(scanned))
     if not wires:
         lines = ["this machine has no CAN interface, I2C bus or serial port; see: leactl doctor"]
     if as_yaml:
         print("\n".join(lines), file=sys.stderr)
-    text = told.bench_file_part(scanned) if as_yaml else "\n".join(lines)
+    text = scan_report.bench_file_part(scanned) if as_yaml else "\n".join(lines)
     if as_json:
-        text = json.dumps(told.answer(scanned))
-    unread = print_answer(text.rstrip("\n")) if text else None
+        text = json.dumps(scan_report.answer(scanned))
+    stdout_error = print_answer(text.rstrip("\n")) if text else None
     faults = [report.fault for _wire, report in scanned if report.fault]
     end = end or (DeviceError(faults.pop()) if faults else None)
     if end is not None:
         for fault in faults:
             end.add_note(fault)
         raise end
-    if unread is not None:
-        raise unread
+    if stdout_error is not None:
+        raise stdout_error
 
 
 def _show(wire: str, text: str) -> None:

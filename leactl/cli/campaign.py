@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class RunByDefault(WholeSentences):
-    """A group that treats `leactl campaign FILE` as `leactl campaign run FILE`."""
+    """A command group that reads `leactl campaign CAMPAIGN` as `leactl campaign run CAMPAIGN`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert the command `run` where the first word is no command."""
-        named = args and args[0] in (*self.commands, *ctx.help_option_names)
-        return super().parse_args(ctx, args if named or not args else ["run", *args])
+        """Insert the command `run` before a first word that is no command, and parse."""
+        has_command = args and args[0] in (*self.commands, *ctx.help_option_names)
+        return super().parse_args(ctx, args if has_command or not args else ["run", *args])
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Complete the commands and also the first argument of `run`."""
-        first = next(param for param in self.commands["run"].params if param.param_type_name == "argument")
-        return [*super().shell_complete(ctx, incomplete), *first.shell_complete(ctx, incomplete)]
+        """Complete the names of commands, and the first argument of `run`."""
+        argument = next(param for param in self.commands["run"].params if param.param_type_name == "argument")
+        return [*super().shell_complete(ctx, incomplete), *argument.shell_complete(ctx, incomplete)]
 
 
 app = group_of_commands(RunByDefault)
@@ -82,25 +82,25 @@ def status(
     from leactl.runner.campaign.folder import busy, journal_and_progress
 
     campaign, folder, entries = _read(name, variant, seed, out)
-    journal, now = journal_and_progress(campaign, entries, folder)
+    journal, progress = journal_and_progress(campaign, entries, folder)
     body = {
         "campaign": campaign.name,
         "variant": campaign.variant,
         "folder": str(folder),
         "under_way": busy(folder),
-        "finished": len(now.finished.keys() & {entry.cell.key for entry in entries}),
+        "finished": len(progress.finished.keys() & {entry.cell.key for entry in entries}),
         "runs": [
             _about(entry)
             | {
-                "finished": entry.cell.key in now.finished,
-                "file": str(file.path) if (file := now.finished.get(entry.cell.key)) else None,
-                "unmet": list(done.unmet) if (done := journal.finished.get(entry.cell.key)) else [],
+                "finished": entry.cell.key in progress.finished,
+                "file": str(file.path) if (file := progress.finished.get(entry.cell.key)) else None,
+                "unmet": list(finished_run.unmet) if (finished_run := journal.finished.get(entry.cell.key)) else [],
             }
             for entry in entries
         ],
-        "lost": dict(now.lost),
-        "changed": list(now.changed),
-        "unfinished": [str(file.path) for file in now.unfinished],
+        "lost": dict(progress.lost),
+        "changed": list(progress.changed),
+        "unfinished": [str(file.path) for file in progress.unfinished],
     }
     typer.echo(json.dumps(body) if as_json else campaign_state_text(body))
 
@@ -143,12 +143,12 @@ def run(
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
         check_folder(folder)
-        _journal, now = resumable(campaign, entries, folder, accept_changes, redo_lost)
+        _journal, progress = resumable(campaign, entries, folder, accept_changes, redo_lost)
         expected = previews(entries)
         rows = [
             _about(entry)
             | demands(expected[entry.cell.step, entry.cell.condition])
-            | {"finished": entry.cell.key in now.finished}
+            | {"finished": entry.cell.key in progress.finished}
             for entry in entries
         ]
         body = {"campaign": campaign.name, "variant": variant, "seed": campaign.seed, "folder": str(folder)}
@@ -158,22 +158,23 @@ def run(
     options = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
     with to_the_end():
         ended = conduct(campaign, entries, folder, options)
-    done = len(ended.journal.finished)
+    finished_count = len(ended.journal.finished)
     files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ended.journal.finished.items()}
     if as_json:
         about = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
         reason = str(ended.error).splitlines()[0] if ended.error else ""
-        body = about | {"finished": done, "of": ended.total, "reason": reason, "files": files, "unmet": ended.unmet}
-        unread = print_answer(json.dumps(body))
+        counts = {"finished": finished_count, "of": ended.total}
+        body = about | counts | {"reason": reason, "files": files, "unmet": ended.unmet}
+        stdout_error = print_answer(json.dumps(body))
     else:
-        goes_on = "" if done == ended.total else "; the same command goes on"
-        unread = print_answer(f"{done} of {ended.total} runs are finished in {folder}{goes_on}")
+        advice = "" if finished_count == ended.total else "; the same command goes on"
+        stdout_error = print_answer(f"{finished_count} of {ended.total} runs are finished in {folder}{advice}")
     if ended.error is not None:
         raise ended.error
     if ended.unmet:
         raise AcceptanceFailed("; ".join(ended.unmet))
-    if unread is not None:
-        raise unread
+    if stdout_error is not None:
+        raise stdout_error
 
 
 def _read(
@@ -186,6 +187,7 @@ def _read(
     served: bool = False,
     buses: Sequence[str] = (),
 ) -> "tuple[Campaign, Path, list[CampaignEntry]]":
+    """Return the campaign of a name and variant, its folder, and its runs as entries."""
     from leactl.runner.campaign.campaignfile import load
     from leactl.runner.campaign.entries import EntryOptions, entries_of
 
@@ -195,6 +197,7 @@ def _read(
 
 
 def _about(entry: "CampaignEntry") -> dict[str, Any]:
+    """Return step, bench, actuator and condition of a run of a campaign, and its prompt, as JSON takes them."""
     cell, request = entry.cell, entry.request
     return {
         "run": cell.key,

@@ -1,6 +1,6 @@
-"""The commands and command groups of `leactl`, each imported only when it is called.
+"""The commands and command groups of `leactl`; the module of a command is imported only when the command is called.
 
-Building the parameters of all of them would take as long as importing typer.
+To build the parameters of all commands would take as long as to import typer.
 """
 
 from importlib import import_module
@@ -12,7 +12,7 @@ from typer.main import get_command
 from leactl.cli.helptext import WholeSentences
 from leactl.errors import Stopped
 
-COMMANDS: Final = {  # by the name of the module whose `app` it is: the first sentence of its help
+COMMANDS: Final = {  # name of the command, which is that of its module, and the first sentence of its help
     "analyze": "Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition.",
     "report": "Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures.",
     "run": "Run a protocol on a bench: every setpoint supervised, every sample in one run file.",
@@ -37,16 +37,16 @@ COMMANDS: Final = {  # by the name of the module whose `app` it is: the first se
 
 
 class Commands(WholeSentences):
-    """The root group: commands and command groups by name, which are imported on use."""
+    """The root group, which imports each command or command group on use."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands.update({name: TyperCommand(name=name, help=text) for name, text in COMMANDS.items()})
-        self._only_named = False  # while the root's own help is written
+        self._listing = False  # whether the help of the root group is written, for which no command is imported
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command or group of this name, None if there is none."""
-        if cmd_name not in COMMANDS or self._only_named:
+        """Return the command or group of this name; None if there is none."""
+        if cmd_name not in COMMANDS or self._listing:
             return super().get_command(ctx, cmd_name)
         command: Any = get_command(import_module(f"leactl.cli.{cmd_name}").app)
         command.name = cmd_name
@@ -70,6 +70,6 @@ class Commands(WholeSentences):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of all commands and groups for the root's help."""
-        self._only_named = True
+        self._listing = True
         super().format_commands(ctx, formatter)
-        self._only_named = False
+        self._listing = False

@@ -1,6 +1,6 @@
-"""Shell completion: names of bundled protocols, benches, motors and drivers, and parameters of a protocol.
+"""Shell completion of names: protocols, benches, motors, effects, campaigns and drivers, and parameters of a protocol.
 
-The shell completes paths itself where no name matches.
+Where no name matches, the shell completes paths itself.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,7 +13,7 @@ Completion = Callable[[str], list[str]]
 
 
 def offered(names: Callable[[], Iterable[str]]) -> Completion:
-    """Return a completion of the names that begin with the typed word; `names` is called only on completion."""
+    """Return a completion function for names; it calls `names` and returns those that begin with the typed word."""
 
     def matching(incomplete: str) -> list[str]:
         return [name for name in names() if name.startswith(incomplete)]
@@ -65,10 +65,10 @@ def settings(context: typer.Context, incomplete: str) -> list[str]:
     """Complete `NAME=` for each parameter of the protocol on the command line."""
     from leactl.protocol.protocolfile import load
 
-    # a --set without its value stops the parser: words that were no options yet are left as they were
-    named = context.params.get("protocol") or next(iter(context.args), "")
+    # a --set without its value stops the parser, which then leaves arguments in context.args
+    protocol = context.params.get("protocol") or next(iter(context.args), "")
     try:
-        names = load(named).parameters
+        names = load(protocol).parameters
     except InputError:
         return []
     return [f"{name}=" for name in names if name.startswith(incomplete)]

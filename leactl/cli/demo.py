@@ -1,4 +1,4 @@
-"""`leactl demo`: the main job on the emulated bench, from protocol to figures beside the paper's."""
+"""`leactl demo`: runs two protocols on the emulated bench, and prints the results beside the figures of the paper."""
 
 import json
 import sys
@@ -27,7 +27,7 @@ def demo(
     from leactl.report.terminal import print_summary
     from leactl.runner.request import prepare
 
-    began = time.monotonic()
+    start_s = time.monotonic()
     results, files = [], []
     for protocol in PROTOCOLS:
         paths = []
@@ -45,4 +45,4 @@ def demo(
         return
     print_summary(results, HEADLINES)
     typer.echo("\n".join(["", *(f"wrote {path}" for path in files)]))
-    typer.echo(f"\n{time.monotonic() - began:.0f} s in all; look closer: leactl analyze {files[1]}")
+    typer.echo(f"\n{time.monotonic() - start_s:.0f} s in all; look closer: leactl analyze {files[1]}")

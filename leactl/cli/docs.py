@@ -11,13 +11,13 @@ from leactl.errors import InputError
 
 app = single_command()
 
-INSTALLED = "share/doc/leactl"  # below the environment, as pyproject.toml has it
+INSTALLED_FOLDER = "share/doc/leactl"  # of the pages in an environment, as pyproject.toml states
 FOLDERS = ("tutorial", "how-to", "reference", "explanation", "evidence")
-LANDMARK = "reference/run-format.md"  # a page that tells the folder of pages from another folder
+KNOWN_PAGE = "reference/run-format.md"  # by which the folder of pages is recognised
 
 
 def pages(incomplete: str) -> list[str]:
-    """Names of the pages, for shell completion."""
+    """Return the names of pages that begin with the typed word, for shell completion."""
     return [name for name in pages_by_name(folder_of_pages()) if name.startswith(incomplete)]
 
 
@@ -46,33 +46,33 @@ def docs(
 
 
 def pages_by_name(folder: Path) -> dict[str, Path]:
-    """Return the pages by name, sorted within each kind; the index page of a kind has the name of the kind."""
+    """Return the pages by name, sorted within each folder; the README of a folder has the name of the folder."""
     return {
-        kind if path.stem == "README" else path.stem: path
-        for kind in FOLDERS
-        for path in sorted((folder / kind).glob("*.md"))
+        subfolder if path.stem == "README" else path.stem: path
+        for subfolder in FOLDERS
+        for path in sorted((folder / subfolder).glob("*.md"))
     }
 
 
 def folder_of_pages() -> Path:
-    """Return the folder of the pages: in a checkout beside the package, else in the installed data files.
+    """Return the folder of the pages: in a checkout beside the package, else among the installed data files.
 
     Raises
     ------
-    InputError : they are in neither place.
+    InputError : the pages are in neither folder.
     """
     from importlib.metadata import PackageNotFoundError, files
 
     checkout = Path(leactl.__file__).parents[1] / "docs"
-    if (checkout / LANDMARK).is_file():
+    if (checkout / KNOWN_PAGE).is_file():
         return checkout
     try:
-        installed = [
-            Path(str(file.locate())).resolve() for file in files("leactl") or [] if INSTALLED in file.as_posix()
+        installed_pages = [
+            Path(str(file.locate())).resolve() for file in files("leactl") or [] if INSTALLED_FOLDER in file.as_posix()
         ]
     except PackageNotFoundError:
-        installed = []
-    folders = {path.parents[1] for path in installed if path.as_posix().endswith(LANDMARK) and path.is_file()}
+        installed_pages = []
+    folders = {path.parents[1] for path in installed_pages if path.as_posix().endswith(KNOWN_PAGE) and path.is_file()}
     if not folders:
         raise InputError("the pages are not installed; they are the folder docs of the project's source")
     return folders.pop()

@@ -1,4 +1,4 @@
-"""`leactl doctor`: what is installed on this machine, what is missing, and the command that installs it."""
+"""`leactl doctor`: lists what is installed on this machine and what is missing, with the commands that install it."""
 
 import json
 
@@ -21,14 +21,14 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     from leactl.runner import state_folder
 
     findings = [*run_checks(), state_folder.examine(), pdf.examine()]
-    wrong = [finding for finding in findings if finding.needed and not finding.fine]
+    missing = [finding for finding in findings if finding.needed and not finding.fine]
     if as_json:
-        typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))
+        typer.echo(json.dumps({"fine": not missing, "findings": [asdict(finding) for finding in findings]}))
     else:
         for finding in findings:
             mark = "ok     " if finding.fine else "MISSING" if finding.needed else "absent "
             typer.echo(list_line(f"{mark} ", f"{finding.subject}: {finding.found}"))
             if finding.mend:
                 typer.echo(list_line("        mend: ", finding.mend))
-    if wrong:
+    if missing:
         raise typer.Exit(2)

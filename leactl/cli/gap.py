@@ -16,18 +16,18 @@ app = group_of_commands()
 blind = group_of_commands()
 app.add_typer(blind, name="blind", help="Check the diagnosis on causes nobody told it.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-FRESH = 10**6  # seeds that are drawn where none is given: short enough to type
+MOST_SEEDS = 10**6  # random seeds are below this, so that they are short to type
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 SIMULATED = "--simulated"
 
 
 class RealAndSimulatedRuns(TyperCommand):
-    """Lets `--json` stand alone or before the file to write, and `--simulated` before as many runs as follow."""
+    """A command whose `--json` may have a file or none, and whose `--simulated` takes several runs."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `-` behind a `--json` that no file to write follows, and `--simulated` before each of its runs.
+        """Insert `-` after a `--json` without a file and `--simulated` before each of its runs, and parse.
 
-        A model may be left out where there are simulated runs, and its help does not call it required.
+        The option `--model` is not required with simulated runs, and the help does not mark it as required.
         """
         for parameter in self.params:
             if parameter.name == "model":
@@ -36,26 +36,29 @@ class RealAndSimulatedRuns(TyperCommand):
 
 
 def repeated(args: list[str]) -> list[str]:
-    """The words of a command line with `--simulated` before each run up to the next option, as a shell expands `*`."""
+    """Return the words of a command line with `--simulated` inserted before each of its runs.
+
+    Its runs are all words up to the next option, as a shell expands `*`.
+    """
     words: list[str] = []
-    several = False
+    in_list = False  # whether the word belongs to a --simulated
     for index, word in enumerate(args):
-        follows = index > 0 and args[index - 1] == SIMULATED
-        several = word == SIMULATED or (several and not (word.startswith("-") and not follows))
-        words += [SIMULATED, word] if several and word != SIMULATED and not follows else [word]
+        is_first_run = index > 0 and args[index - 1] == SIMULATED
+        in_list = word == SIMULATED or (in_list and not (word.startswith("-") and not is_first_run))
+        words += [SIMULATED, word] if in_list and word != SIMULATED and not is_first_run else [word]
     return words
 
 
 def completed(args: list[str]) -> list[str]:
     """Return the words of a command line with `-` inserted after a `--json` without a file."""
-    complete: list[str] = []
+    words: list[str] = []
     for index, word in enumerate(args):
-        complete.append(word)
+        words.append(word)
         following = args[index + 1] if index + 1 < len(args) else RUN_FILE
         is_option = following.startswith("-") and following != TO_STDOUT
         if word == JSON and (is_option or following.endswith(RUN_FILE)):
-            complete.append(TO_STDOUT)
-    return complete
+            words.append(TO_STDOUT)
+    return words
 
 
 @app.command(
@@ -126,12 +129,12 @@ def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
         return
     for channel in comparisons:
         name = " ".join(filter(None, (channel.role, channel.quantity, channel.location)))
-        likeness = (
+        similarity = (
             "stands still"
             if channel.correlation is None
             else f"r {channel.correlation:.4f}, lag {channel.lag_s:+.4g} s"
         )
-        typer.echo(f"{name:<34} rms {channel.rms:<10.4g} mean {channel.mean:<+11.4g} {channel.units:<6} {likeness}")
+        typer.echo(f"{name:<34} rms {channel.rms:<10.4g} mean {channel.mean:<+11.4g} {channel.units:<6} {similarity}")
 
 
 @app.command("effects", epilog=examples("gap effects", "gap effects cogging"))
@@ -147,8 +150,8 @@ def show_effects(
 
     if as_json:
         groups = {"effects": effect_names(), "setup_faults": tuple(setup_faults())}
-        every = {group: [explained(effect) for effect in names] for group, names in groups.items()}
-        typer.echo(json.dumps(explained(name) if name else every))
+        explanations = {group: [explained(effect) for effect in names] for group, names in groups.items()}
+        typer.echo(json.dumps(explained(name) if name else explanations))
         return
     typer.echo(effect_text(name) if name else all_effects_text())
 
@@ -192,15 +195,18 @@ def demo(
     from leactl.report.gap_files import publish
     from leactl.report.steps import Steps
 
-    number = randbelow(FRESH) if seed is None else seed
-    files = files_of(out or Path(f"leactl-gap-demo-{number}"))
+    if seed is None:
+        seed = randbelow(MOST_SEEDS)
+    files = files_of(out or Path(f"leactl-gap-demo-{seed}"))
     with Steps() as step:
         step("planting an effect and running the emulated bench")
-        make(1, files.bench, files.key, number, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
-        shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
-        publish(files.page, page(shown, number))
+        make(1, files.bench, files.key, seed, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
+        demonstration = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
+        publish(files.page, page(demonstration, seed))
     typer.echo(
-        json.dumps(document(shown, number, files)) if as_json else "\n".join(demonstration_lines(shown, number, files))
+        json.dumps(document(demonstration, seed, files))
+        if as_json
+        else "\n".join(demonstration_lines(demonstration, seed, files))
     )
 
 
@@ -257,16 +263,16 @@ def make_blind(
 
     if machines is None and simulator is not None:
         raise InputError(f"--simulator {simulator}: simulates drawn machines; add --machines")
-    key_dir, chosen = key or out.with_name(f"{out.name}-key"), kinds or KINDS
+    key_folder, chosen_kinds = key or out.with_name(f"{out.name}-key"), kinds or KINDS
     with Steps() as step:
         if machines is None:
-            digest = make_benches(cases, out, key_dir, seed=seed, kinds=chosen, progress=step)
+            digest = make_benches(cases, out, key_folder, seed=seed, kinds=chosen_kinds, progress=step)
         else:
-            digest = make_machines(cases, out, key_dir, machines, simulator or "stepped", seed, chosen, step)
+            digest = make_machines(cases, out, key_folder, machines, simulator or "stepped", seed, chosen_kinds, step)
     if as_json:
-        typer.echo(json.dumps({"cases": cases, "out": str(out), "key": str(key_dir), "key_sha256": digest}))
+        typer.echo(json.dumps({"cases": cases, "out": str(out), "key": str(key_folder), "key_sha256": digest}))
         return
-    typer.echo(f"{cases} cases in {out}; their key in {key_dir}, SHA-256 {digest}")
+    typer.echo(f"{cases} cases in {out}; their key in {key_folder}, SHA-256 {digest}")
 
 
 @blind.command(
@@ -302,13 +308,13 @@ def score_blind(
         refuse_existing(out)
     for folder in cases:
         require_whole(folder)
-    sets = Cases.side_by_side(cases, key, answers)
-    if out in [part.answers for part in sets]:
+    case_sets = Cases.side_by_side(cases, key, answers)
+    if out in [case_set.answers for case_set in case_sets]:
         raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
     with Steps() as step, workers_of(processes, scheduler) as workers:
-        marks = check(sets, read_key, workers, step)
+        marks = check(case_sets, read_key, workers, step)
     scores = score(marks)
-    options = " ".join(f"--cases {part.runs.name} --key {part.key.name}" for part in sets)
+    options = " ".join(f"--cases {case_set.runs.name} --key {case_set.key.name}" for case_set in case_sets)
     command = f"leactl gap blind score {options}"
     if out is not None:
         with new_file(out) as path:

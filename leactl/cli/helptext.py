@@ -18,7 +18,7 @@ MEANINGS: Final[dict[type[LeactlError], str]] = {
 }
 ALWAYS: Final[tuple[type[LeactlError], ...]] = (LeactlError, InputError, Stopped)  # Ctrl-C ends every command
 ON_A_BENCH: Final[tuple[type[LeactlError], ...]] = (SafetyTrip, DeviceError)
-UNCUT: Final = 10_000  # characters of a command's sentence in the list of a group
+UNCUT: Final = 10_000  # characters; longer than the help sentence of any command, so that none is cut
 
 
 class WholeSentences(TyperGroup):
@@ -45,13 +45,13 @@ def single_command() -> typer.Typer:
 def examples(
     *lines: str, ends: tuple[type[LeactlError], ...] = (), means: Mapping[type[LeactlError], str] | None = None
 ) -> str:
-    """Format the end of a command's help: examples and exit statuses.
+    """Return the end of the help of a command: examples and exit statuses.
 
     Parameters
     ----------
     lines : example commands, without `leactl`.
-    ends : errors that the command may exit with, beside those of every command.
-    means : meanings of exit statuses for this command, which replace the common meanings.
+    ends : errors that the command may end with, in addition to those of every command (ALWAYS).
+    means : meanings of the exit statuses of these errors for this command, in place of MEANINGS.
     """
     meanings = {**MEANINGS, **(means or {})}
     statuses = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}

@@ -15,10 +15,10 @@ from leactl.cli.commands import Commands
 from leactl.cli.printable import show_control_characters
 from leactl.errors import InputError, LeactlError, Stopped
 
-CTRL_C_OF_TYPER = 130
-READER_GONE = 141  # as a shell has it where SIGPIPE ends a command: 128 + 13
-MOST_LINES = 50  # of faults: a screen, where a file has one in each of its lines
-UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
+TYPER_CTRL_C_STATUS = 130  # that typer returns after Ctrl-C
+BROKEN_PIPE_STATUS = 141  # 128 + 13, as of a command that SIGPIPE ends in a shell
+MOST_LINES = 50  # of faults that are printed: a file may have one in each of its lines
+UsageError: Any = typer.BadParameter.__base__  # not imported: its module differs between versions of typer
 
 app = typer.Typer(
     cls=Commands,
@@ -32,8 +32,8 @@ app = typer.Typer(
 )
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(is_requested: bool) -> None:
+    if is_requested:
         typer.echo(f"leactl {__version__}")
         raise typer.Exit
 
@@ -51,17 +51,17 @@ def main() -> None:
     try:
         _run()
     except SystemExit as end:
-        recording = sys.modules.get("leactl.runfile.write.writer")
-        if recording is not None and recording.KEPT_OPEN:
+        writer = sys.modules.get("leactl.runfile.write.writer")
+        if writer is not None and writer.KEPT_OPEN:
             _exit_process(end.code)
         raise
 
 
 def _replace_closed_streams() -> None:
-    """Let standard streams be the null device where they were closed before the start.
+    """Open the null device for each standard stream that was closed when the program started.
 
-    It takes their descriptors, here and in processes that are started, such as a run's watchdog: else a file which is
-    opened later would receive what is printed.
+    Otherwise a file that is opened later would get the descriptor of the stream and receive what is printed, also in
+    processes that are started, such as the watchdog of a run.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -69,11 +69,11 @@ def _replace_closed_streams() -> None:
             os.set_inheritable(descriptor, True)
             stream = os.fdopen(descriptor, mode, encoding="utf-8")
             setattr(sys, name, stream)
-            setattr(sys, f"__{name}__", stream)  # which keeps it open where another stream is put over its buffer
+            setattr(sys, f"__{name}__", stream)  # keeps it open when a stream over its buffer replaces it
 
 
 def _exit_process(code: str | int | None) -> NoReturn:
-    """Flush both streams and end the process without unloading libraries: HDF5 can crash there after a failed write."""
+    """Flush both streams, and end the process at once: HDF5 can crash when it is unloaded after a failed write."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
@@ -87,49 +87,50 @@ def _run() -> None:
     except UsageError as error:
         _refuse_usage(error)
     except InputError as error:
-        _tell_notes(error)
+        _print_notes(error)
         _end(error.faults, error.exit_status)
     except LeactlError as error:
-        _tell_notes(error)
+        _print_notes(error)
         _end([str(error)], error.exit_status)
-    except (BrokenPipeError, SystemExit) as end:  # click makes an exit of its own of a broken pipe
+    except (BrokenPipeError, SystemExit) as end:  # click turns a broken pipe into SystemExit
         if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, BrokenPipeError):
             raise
-        _discard_stdout()  # a second attempt at exit would only repeat the complaint
-        sys.exit(READER_GONE)
+        _discard_stdout()  # else flushing it at exit would raise the error again
+        sys.exit(BROKEN_PIPE_STATUS)
     except (KeyboardInterrupt, typer.Abort):
         _end(["stopped"], Stopped.exit_status)
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise
-        _tell_notes(error)
+        _print_notes(error)
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             _discard_stdout()
             _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
         _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
-    if status == CTRL_C_OF_TYPER:
+    if status == TYPER_CTRL_C_STATUS:
         _end(["stopped"], Stopped.exit_status)
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _tell_notes(error: BaseException) -> None:
-    """Print what was added to an error on its way here, such as the devices that are not confirmed safe."""
+def _print_notes(error: BaseException) -> None:
+    """Print the notes of an error on stderr, such as the devices that are not confirmed safe."""
     for note in getattr(error, "__notes__", ()):
         print(f"leactl: {note}", file=sys.stderr)
 
 
 def _refuse_usage(error: Any) -> NoReturn:
-    """Print a usage error as one line with the value found, and exit; a command without arguments prints its help."""
+    """Print a usage error as one line with the value, or the help of a command without arguments, and exit."""
     text = " ".join(error.format_message().split()).rstrip(".")
     if text.startswith("Usage:"):
         error.show()
         sys.exit(InputError.exit_status)
     command = error.ctx.command_path if error.ctx is not None else "leactl"
     options = tuple(getattr(getattr(error, "param", None), "opts", ()))
-    given = [after for word, after in itertools.pairwise(sys.argv) if word in options]
-    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{option}=" for option in options))]
-    value = f", found {given[0]!r}" if len(given) == 1 and text.startswith("Invalid") else ""
-    _end([f"{text[0].lower()}{text[1:]}{value}; {command} --help tells the usage"], InputError.exit_status)
+    values = [following for word, following in itertools.pairwise(sys.argv) if word in options]
+    prefixes = tuple(f"{option}=" for option in options)
+    values += [word.partition("=")[2] for word in sys.argv if word.startswith(prefixes)]
+    found_text = f", found {values[0]!r}" if len(values) == 1 and text.startswith("Invalid") else ""
+    _end([f"{text[0].lower()}{text[1:]}{found_text}; {command} --help tells the usage"], InputError.exit_status)
 
 
 def _discard_stdout() -> None:
@@ -138,7 +139,7 @@ def _discard_stdout() -> None:
 
 
 def _is_json_requested() -> bool:
-    """Whether the command line asks for JSON on stdout."""
+    """Return whether the command line asks for JSON on stdout."""
     from leactl.cli import gap
 
     words = list(itertools.takewhile(lambda word: word != "--", sys.argv[1:]))
@@ -146,13 +147,14 @@ def _is_json_requested() -> bool:
 
 
 def _end(lines: list[str], status: int) -> NoReturn:
+    """Print the faults on stderr, also as JSON on stdout if the user asked for JSON, and exit with the status."""
     if status == InputError.exit_status and _is_json_requested() and not getattr(sys.stdout, "used", False):
-        with suppress(OSError):  # what stdout cannot take stands on stderr
+        with suppress(OSError):  # the faults are printed on stderr too
             print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
     try:
         sys.stdout.flush()
     except OSError:
-        _discard_stdout()  # nobody reads it, or its disk is full
+        _discard_stdout()  # it has no reader, or its disk is full
     for line in lines[:MOST_LINES]:
         print(f"leactl: {line}", file=sys.stderr)
     if len(lines) > MOST_LINES:

@@ -1,4 +1,4 @@
-"""Ask the user the open questions of a proposed mapping, on stderr and stdin; stdout is for the command's output."""
+"""Asks the user the open questions of a proposed mapping by stderr and stdin; stdout is for output alone."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -13,16 +13,18 @@ if TYPE_CHECKING:
 
 
 def is_attended() -> bool:
-    """Whether stdin and stderr are a terminal, so that a user can answer."""
+    """Return whether stdin and stderr are a terminal, so that a user can answer."""
     return sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def ask_open_questions(survey: "Survey") -> "Proposal":
-    """Return the proposal with every question answered; earlier answers may settle later questions.
+    """Ask the open questions of a proposal one by one, and return the proposal with all of them answered.
+
+    An answer may settle later questions, which are then not asked.
 
     Raises
     ------
-    Stopped : the user ends the input.
+    Stopped : the user ends the input before the last answer.
     """
     from leactl.runfile.importing.proposal.proposal import propose
 
@@ -34,26 +36,31 @@ def ask_open_questions(survey: "Survey") -> "Proposal":
         answers[question.key] = ask_question(question)
         proposal = propose(survey, answers)
     if answers:
-        typer.echo(proposal.text, err=True)  # with what follows from the answers
+        typer.echo(proposal.text, err=True)  # the answers may have changed it
     return proposal
 
 
 def ask_question(question: "OpenQuestion") -> str:
-    """Return an accepted answer to a question, asking until one is given."""
+    """Ask a question until the user gives an acceptable answer, and return it.
+
+    Raises
+    ------
+    Stopped : the user ends the input.
+    """
     from leactl.runfile.importing.proposal.channel_units import LEAVE_OUT
     from leactl.runfile.importing.proposal.proposal import accepted_answer
 
     typer.echo(question.text, err=True)
     for number, choice in enumerate(question.choices, start=1):
         typer.echo(f"  {number}  {choice}", err=True)
-    leaves_out = f", {LEAVE_OUT} leaves it out" if question.may_be_left_out else ""
+    leave_out_hint = f", {LEAVE_OUT} leaves it out" if question.may_be_left_out else ""
     expected = f"1 to {len(question.choices)}, or in words" if question.choices else "a number"
     while True:
-        typer.echo(f"{expected}{leaves_out}: ", err=True, nl=False)
+        typer.echo(f"{expected}{leave_out_hint}: ", err=True, nl=False)
         line = sys.stdin.readline()
         if not line:
             raise Stopped("no answer; nothing is imported")
-        given = accepted_answer(question, line)
-        if given is not None:
-            return given
+        answer = accepted_answer(question, line)
+        if answer is not None:
+            return answer
         typer.echo(f"{line.strip()!r} is no answer", err=True)

@@ -1,4 +1,4 @@
-"""`leactl model`: models of other simulators, read as model files and written back with what runs have shown."""
+"""`leactl model`: reads models of other simulators as model files, and writes augmented models back to them."""
 
 import json
 from enum import StrEnum

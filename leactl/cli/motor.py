@@ -1,4 +1,4 @@
-"""`leactl motor`: parameter sets of actuators, and what follows from them."""
+"""`leactl motor`: motor files, figures that are derived from them, and motor design."""
 
 import json
 from pathlib import Path
@@ -40,10 +40,10 @@ def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS,
         compared = comparison_json([derived])
         figures = {row["name"]: row["values"][0] for row in compared["rows"]}
         body = sheet.model_dump(exclude_defaults=True) | {"name": sheet.name}
-        follows = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
-        typer.echo(json.dumps(body | follows))
+        derived_figures = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
+        typer.echo(json.dumps(body | derived_figures))
         return
-    # what follows from the file is a comment to it: redirected, the whole is a motor file
+    # the derived figures are comments, so that the redirected output is a motor file
     typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([derived]), "# ", lambda line: True).rstrip())
 
 
@@ -133,7 +133,7 @@ def energy(
 
     supply = DriveSupply(bus_voltage, line_current, ambient, winding_temperature)
     sheets = [load_sheet(name)[0] for name in motors or motor_names()]
-    body, texts = [], []
+    cycles_json, texts = [], []
     for path in cycles:
         cycle = read_cycle(path, stride_time, body_mass, harmonics)
         strides = [
@@ -142,7 +142,7 @@ def energy(
             else stride(sheet, cycle, ratio, efficiency, supply)
             for sheet in sheets
         ]
-        notes = [remarks(sheet, motion) for sheet, motion in zip(sheets, strides, strict=True)]
+        notes_by_motor = [remarks(sheet, motion) for sheet, motion in zip(sheets, strides, strict=True)]
         about = {
             "cycle": str(path),
             "stride_time_s": cycle.period,
@@ -150,10 +150,13 @@ def energy(
             "angle_left_out": cycle.relative_residual,
             "notes": list(cycle.notes),
         }
-        body.append(about | {"motors": [stride_json(*each) for each in zip(sheets, strides, notes, strict=True)]})
-        said = [f"{sheet.name}: {note}" for sheet, each in zip(sheets, notes, strict=True) for note in each]
-        texts.append(energy_text(cycle, sheets, strides, [*cycle.notes, *said]))
-    typer.echo(json.dumps({"cycles": body}, allow_nan=False) if as_json else "\n".join(texts))
+        rows = zip(sheets, strides, notes_by_motor, strict=True)
+        cycles_json.append(about | {"motors": [stride_json(*row) for row in rows]})
+        motor_notes = [
+            f"{sheet.name}: {note}" for sheet, notes in zip(sheets, notes_by_motor, strict=True) for note in notes
+        ]
+        texts.append(energy_text(cycle, sheets, strides, [*cycle.notes, *motor_notes]))
+    typer.echo(json.dumps({"cycles": cycles_json}, allow_nan=False) if as_json else "\n".join(texts))
 
 
 @app.command("preload", epilog=examples("motor preload --gap 0.8"))

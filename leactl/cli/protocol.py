@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from leactl.protocol.plan import Plan
 
 app = group_of_commands()
-STDIN = "<stdin>"  # stands in faults where a file's name would
+STDIN = "<stdin>"  # name of the file in faults of a protocol from stdin
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 SHIPPED = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols)
 SET = typer.Option(
@@ -94,9 +94,9 @@ def plan(
 
     expanded = load(protocol, read_overrides(overrides), condition)
     hottest_degc: dict[str, float] = {}
-    passes, limits, slow = "", None, ""
-    stays_on: list[str] = []
-    alone: list[str] = []
+    crossing_text, limits, slow_rate_note = "", None, ""
+    left_on_texts: list[str] = []
+    one_sensor_texts: list[str] = []
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
@@ -110,37 +110,41 @@ def plan(
         file, devices, _document = load_checked(bench)
         if file.emulated is not None:
             file.emulated.expect(condition)
-        there = Bench(file, devices, MachineWiring())
-        check_fit(expanded, there)
-        alone = unwitnessed(expanded, there)
+        machine_bench = Bench(file, devices, MachineWiring())
+        check_fit(expanded, machine_bench)
+        one_sensor_texts = unwitnessed(expanded, machine_bench)
         check_rate(expanded.rate_Hz, host_silences(devices))
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
-        stays_on = [supply.summary for supply in left_on(expanded, windings, there)]
+        left_on_texts = [supply.summary for supply in left_on(expanded, windings, machine_bench)]
         hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
-            slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
-        passes = (
+            slow_rate_note = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
+        crossing_text = (
             "" if forecast.passing is None else f", up to step '{forecast.passing.step}', where the limit may be passed"
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        thermal_body = {"hottest_degC": hottest_degc, "left_on": stays_on, "one_sensor": alone} if bench else {}
-        heat = {"searches": searches(expanded)} | thermal_body
-        typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
+        body = {**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, "searches": searches(expanded)}
+        if bench:
+            body |= {"hottest_degC": hottest_degc, "left_on": left_on_texts, "one_sensor": one_sensor_texts}
+        typer.echo(json.dumps(body))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
     for role, value in hottest_degc.items():
-        typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
-    for line in [*stays_on, *alone]:
+        typer.echo(f"winding {role} at most {value:g} degC from ambient{crossing_text}; see: leactl thermal plan")
+    for line in [*left_on_texts, *one_sensor_texts]:
         typer.echo(line)
-    if slow:
-        typer.echo(slow, err=True)
+    if slow_rate_note:
+        typer.echo(slow_rate_note, err=True)
 
 
 def _checked(protocol: str) -> "Plan":
-    """Return the plan of a protocol, its limits checked; from stdin, CSV paths are relative to the working folder."""
+    """Return the plan of a protocol after a check of its acceptance limits.
+
+    In a protocol from stdin, paths of CSV files are relative to the working folder.
+    """
     import sys
     from pathlib import Path
 

@@ -20,19 +20,24 @@ class SeveralCompared(TyperCommand):
     """A command whose `--compare` takes all paths up to the next option, as a shell expands a pattern."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert `--compare` before each of its paths."""
-        spread: list[str] = []
-        rest = list(args)
-        while rest:
-            word = rest.pop(0)
-            spread.append(word)
+        """Insert `--compare` before each of its paths after the first, and parse.
+
+        Raises
+        ------
+        InputError : no path follows `--compare`.
+        """
+        completed: list[str] = []
+        remaining = list(args)
+        while remaining:
+            word = remaining.pop(0)
+            completed.append(word)
             if word == COMPARED:
-                paths = list(takewhile(lambda path: not path.startswith("-"), rest))
-                del rest[: len(paths)]
+                paths = list(takewhile(lambda path: not path.startswith("-"), remaining))
+                del remaining[: len(paths)]
                 if not paths:
                     raise InputError(f"{COMPARED}: no runs after it; give run files, or folders of them")
-                spread += [part for path in paths for part in (COMPARED, path)][1:]
-        return super().parse_args(ctx, spread)
+                completed += [part for path in paths for part in (COMPARED, path)][1:]
+        return super().parse_args(ctx, completed)
 
 
 @app.command(
@@ -53,8 +58,8 @@ def report(
 ) -> None:
     """Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures."""
     from leactl.analysis.analyze import numbers
-    from leactl.report.datasheet.make import Wanted, make
+    from leactl.report.datasheet.make import DatasheetOutputs, make
 
-    sheet = make(runs, compare, numbers(settings), Wanted(html, pdf, as_json))
+    sheet = make(runs, compare, numbers(settings), DatasheetOutputs(html, pdf, as_json))
     if as_json:
         typer.echo(json.dumps(sheet.as_json(), allow_nan=False))

@@ -30,20 +30,20 @@ ATTENDED = typer.Option(
 )
 
 WEB = "--web"
-ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # well-formed or not, which its reader tells
+ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # also addresses with a fault, which RunPage refuses
 
 
 class RunWithPage(TyperCommand):
-    """Lets `--web` stand alone or before an address."""
+    """A command whose option `--web` may have an address or none."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words once they are complete."""
+        """Insert the default address after a `--web` without one, and parse."""
         return super().parse_args(ctx, self.completed(args))
 
     def completed(self, args: list[str]) -> list[str]:
-        """Return the words with this machine's own address behind a `--web` that none follows.
+        """Return the words with the default address after each `--web` that no address follows.
 
-        The name of a protocol has no colon, and is no number.
+        A word with a colon or of digits is an address; the name of a protocol is neither.
         """
         words: list[str] = []
         for word, following in pairwise([*args, ""]):
@@ -111,7 +111,7 @@ def run(
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)
     request = replace(request, plan=plan, cold=cold, insert_cooldown=insert_cooldown)
-    words = [] if at_end is None else _words_of(at_end)
+    at_end_words = [] if at_end is None else _words_of(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
     page: AbstractContextManager[RunPage | None] = nullcontext()
@@ -133,22 +133,23 @@ def run(
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:
             lines.end(**answer)
-        unread = None
+        stdout_error = None
         if as_json or events != STDOUT:
-            unread = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
-        warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
+            stdout_error = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
+        # inside the block: after it signals are ignored, also by processes that are started
+        warning = _run_at_end(at_end_words, outcome)
     faults = [log.fault for log in (lines, shown) if log is not None and log.fault not in outcome.notes]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
-    finish(outcome, unmet, unread)
+    finish(outcome, unmet, stdout_error)
 
 
 def _words_of(command: str) -> list[str]:
-    """Split the command that is to be run at the end into words.
+    """Split the command of `--at-end` into words.
 
     Raises
     ------
-    InputError : no word, quotes that do not close, or a program that is not there.
+    InputError : the command is empty, a quote is not closed, or there is no such program.
     """
     import shlex
     import shutil
@@ -166,26 +167,26 @@ def _words_of(command: str) -> list[str]:
     return words
 
 
-def _ended(words: list[str], outcome: "Outcome") -> str:
-    """Run a command with the run's status and file; return its failure as text, which leaves the run's status."""
+def _run_at_end(words: list[str], outcome: "Outcome") -> str:
+    """Run the command of `--at-end` with status and file of the run; return its failure as text, or an empty text."""
     import subprocess
 
     if not words:
         return ""
     try:
-        # its words go to stderr: stdout is for --json and --events
-        done = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
+        # its output goes to stderr: stdout is for --json and --events
+        process = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
     except OSError as error:
         return f"--at-end {words[0]}: {error.strerror}"
-    return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
+    return f"--at-end {words[0]}: ended with status {process.returncode}" if process.returncode else ""
 
 
 def print_dry_run(request: "Request", as_json: bool) -> None:
-    """Check a request as a run does and print what the run would do; no device is opened.
+    """Check a request as a run does, and print what the run would do; no device is opened.
 
     Raises
     ------
-    InputError, SafetyTrip, DeviceError : what a run would raise before it opens a device.
+    InputError, SafetyTrip, DeviceError : a check fails, as it would before a run opens a device.
     """
     from leactl.report.outputs import check_folder
     from leactl.report.plan import dry_run_body, dry_run_text
@@ -201,7 +202,12 @@ def print_dry_run(request: "Request", as_json: bool) -> None:
 
 
 def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":
-    """Execute a run request with the live view on stderr, and on a page; `heading` begins the title of the view."""
+    """Execute a run with the live view on stderr and, if there is a page, in the browser.
+
+    Parameters
+    ----------
+    heading : text before the title of the view.
+    """
     from rich.console import Console
 
     from leactl.report.run_progress import live_view
@@ -235,7 +241,7 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
 
 
 def warn_overdue(request: "Request") -> None:
-    """Print on stderr which devices of a run are used beyond their calibration."""
+    """Warn on stderr of devices of a run whose calibration is overdue."""
     from leactl.bench.provenance import overdue
 
     for name, text in overdue(request.devices).items():
@@ -243,11 +249,11 @@ def warn_overdue(request: "Request") -> None:
 
 
 def check_operator(request: "Request") -> None:
-    """Refuse a plan with operator prompts if stdin is no terminal.
+    """Check that an operator can answer the prompts of a plan; an emulated bench needs none.
 
     Raises
     ------
-    InputError : stdin is no terminal.
+    InputError : the plan has prompts, and stdin is no terminal.
     """
     from leactl.errors import InputError
     from leactl.protocol.plan import Prompt
@@ -258,12 +264,18 @@ def check_operator(request: "Request") -> None:
 
 
 def ending_line(outcome: "Outcome") -> str:
-    """Return how a run ended, in one line."""
+    """Return file, status and duration of a run in one line."""
     return f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time"
 
 
-def finish(outcome: "Outcome", unmet: list[str], unread: OSError | None) -> None:
-    """End with the exit status of the error that ended the run, of an acceptance limit, or of an unread answer."""
+def finish(outcome: "Outcome", unmet: list[str], stdout_error: OSError | None) -> None:
+    """Print the notes of a run on stderr, and raise the error that the command has to end with, if there is one.
+
+    Raises
+    ------
+    LeactlError : the error that ended the run; or AcceptanceFailed for the limits in `unmet`.
+    OSError : `stdout_error`, if the run itself ended well.
+    """
     from leactl.errors import AcceptanceFailed
 
     for note in outcome.notes:
@@ -272,5 +284,5 @@ def finish(outcome: "Outcome", unmet: list[str], unread: OSError | None) -> None
         raise outcome.error
     if unmet:
         raise AcceptanceFailed("; ".join(unmet))
-    if unread is not None:
-        raise unread
+    if stdout_error is not None:
+        raise stdout_error

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from leactl import yamlfile
 
 app = group_of_commands()
-POLL_S = 0.2  # between two looks at a run that is followed; its writer adds rows each second
-BUSY_SHARE = 0.1  # of a core that looks may take: a look at a long run takes a while, and a control loop runs beside it
-STANDS_S = 10.0  # without a write, after which a run that is being recorded may have been killed
-AUTO = "auto"  # in place of a mapping file
+POLL_S = 0.2  # least time between two reads of a run that is followed; its writer adds rows each second
+BUSY_SHARE = 0.1  # largest share of a core for these reads, which take long on a long run: a control loop may need it
+UNWRITTEN_S = 10.0  # without a write, after which a run that is being recorded may have been killed
+AUTO = "auto"  # value of --map that proposes a mapping
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs to read at a time; the answer is the same.")
 SCHEDULER = typer.Option("", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it.")
@@ -57,12 +57,12 @@ def list_runs(
 ) -> None:
     """List the runs of a directory, oldest first, with the parameters that differ among those of a protocol."""
     from leactl.report.run_list import run_list
-    from leactl.runfile.catalog.run_index import list_runs as summaries
+    from leactl.runfile.catalog.run_index import list_runs as read_summaries
     from leactl.runfile.catalog.selection import ordered, selection_of
 
-    every = summaries(directory, index, remark)
-    asked = selection_of(
-        every,
+    summaries = read_summaries(directory, index, remark)
+    selection = selection_of(
+        summaries,
         protocol=protocol,
         actuator=actuator,
         condition=condition,
@@ -71,17 +71,17 @@ def list_runs(
         until=until,
         where=where,
     )
-    shown = [run for run in ordered(every, sort) if asked.empty or asked.fits(run)]
+    shown = [run for run in ordered(summaries, sort) if selection.empty or selection.fits(run)]
     shown = shown[::-1] if reverse else shown
-    lost = 0 if asked.empty else sum(bool(run.fault) for run in every)
+    unreadable_count = 0 if selection.empty else sum(bool(run.fault) for run in summaries)
     if as_json:
         typer.echo(json.dumps({"runs": [run.as_json() for run in shown]}, allow_nan=False))
     else:
-        typer.echo(run_list(shown, every, {*asked.where, sort}), nl=False)
-    if lost:
-        remark(f"{lost} of {len(every)} files cannot be read and are left out")
-    if every and not shown:
-        remark(f"none of {len(every)} runs in {directory} is what was asked for")
+        typer.echo(run_list(shown, summaries, {*selection.where, sort}), nl=False)
+    if unreadable_count:
+        remark(f"{unreadable_count} of {len(summaries)} files cannot be read and are left out")
+    if summaries and not shown:
+        remark(f"none of {len(summaries)} runs in {directory} is what was asked for")
 
 
 @app.command("index", epilog=examples("runs index runs", "runs index archive --index archive.sqlite --processes 2"))
@@ -152,19 +152,21 @@ def trend(
 ) -> None:
     """Follow a result from run to run, with control limits: has this actuator changed?"""
     from leactl.analysis.analyze import numbers
-    from leactl.analysis.trend import trend as follow
+    from leactl.analysis.trend import trend as trend_of
     from leactl.report.steps import Steps
     from leactl.report.terminal import encoding_of_stdout
     from leactl.report.trend import trend_text
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    given_values = numbers(settings)
+    options = numbers(settings)
     with Steps() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
-        trend_found = follow(paths, result, actuator, condition, baseline, step, workers, **given_values)
+        result_trend = trend_of(paths, result, actuator, condition, baseline, step, workers, **options)
     typer.echo(
-        json.dumps(trend_found.as_json(), allow_nan=False) if as_json else trend_text(trend_found, encoding_of_stdout())
+        json.dumps(result_trend.as_json(), allow_nan=False)
+        if as_json
+        else trend_text(result_trend, encoding_of_stdout())
     )
 
 
@@ -182,7 +184,8 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
                 "rows": opened.rows[name],
                 **({"attached": opened.attached(name)} if opened.attached(name) else {}),
                 "channels": [
-                    {"name": c.name, "quantity": c.quantity, "role": c.role, "units": c.unit} for c in channels
+                    {"name": spec.name, "quantity": spec.quantity, "role": spec.role, "units": spec.unit}
+                    for spec in channels
                 ],
             }
             for name, channels in opened.streams.items()
@@ -238,21 +241,21 @@ def verify(
     from leactl.scheduler import workers_of
 
     paths = run_files(runs)
-    bodies, findings, unsound = [], [], 0
+    bodies, findings, unsound_count = [], [], 0
     with workers_of(processes, scheduler) as workers:
-        for done in workers.in_order(examine, [(path,) for path in paths]):
-            answer = done.value()
-            findings += answer.findings
-            unsound += bool(answer.findings)
+        for job in workers.in_order(examine, [(path,) for path in paths]):
+            examination = job.value()
+            findings += examination.findings
+            unsound_count += bool(examination.findings)
             if as_json:
-                bodies.append(answer.as_json())
-            elif not answer.findings:
-                typer.echo(f"{answer.path}: {answer.summary}")
+                bodies.append(examination.as_json())
+            elif not examination.findings:
+                typer.echo(f"{examination.path}: {examination.summary}")
     if as_json:
-        several = len(runs) > 1 or runs[0].is_dir()
-        typer.echo(json.dumps({"runs": bodies} if several else bodies[0]))
+        is_list = len(runs) > 1 or runs[0].is_dir()
+        typer.echo(json.dumps({"runs": bodies} if is_list else bodies[0]))
     if findings and len(paths) > 1:
-        findings.append(f"{unsound} of {len(paths)} runs are not sound")
+        findings.append(f"{unsound_count} of {len(paths)} runs are not sound")
     if findings:
         raise InputError(findings)
 
@@ -305,13 +308,13 @@ def attach(
     from leactl.bench.records import RecordDevice, bench_of_run
 
     source = RecordDevice(yamlfile.load(bench) if bench else bench_of_run(run), device)
-    joined = source.join(source.read(files), run)
+    attachment = source.join(source.read(files), run)
     if not check:
-        source.attach(joined, run, replace)
+        source.attach(attachment, run, replace)
     if as_json:
-        typer.echo(json.dumps(joined.as_json() | {"run": str(run), "attached": not check}))
+        typer.echo(json.dumps(attachment.as_json() | {"run": str(run), "attached": not check}))
     else:
-        typer.echo("\n".join(joined.summary_lines()))
+        typer.echo("\n".join(attachment.summary_lines()))
 
 
 @app.command(epilog=examples("runs export RUN.h5 --format csv --out csv"))
@@ -375,11 +378,11 @@ def import_foreign(
 
 
 def propose_mapping(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
-    """Propose a mapping from the first source, and ask the user its open questions at a terminal.
+    """Propose a mapping for the first source, and ask the user its open questions if there is a terminal.
 
     Raises
     ------
-    InputError : questions are open and no user can be asked; the proposal is in `map_out`, or on stdout.
+    InputError : questions stay open because there is no terminal; the proposal is in `map_out`, or on stdout.
     """
     from leactl import yamlfile
     from leactl.cli.mapping_questions import ask_open_questions, is_attended
@@ -393,23 +396,23 @@ def propose_mapping(sources: list[str], map_out: Path | None, as_json: bool) -> 
     source_survey = survey(expand_patterns(sources)[0])
     proposal = ask_open_questions(source_survey) if is_attended() else propose(source_survey, {})
     if map_out is not None:
-        with new_file(map_out) as aside:
-            aside.write_text(proposal.text, encoding="utf-8")
+        with new_file(map_out) as file:
+            file.write_text(proposal.text, encoding="utf-8")
     if proposal.questions:
         if map_out is None and not as_json:
             typer.echo(proposal.text, nl=False)
-        where = map_out or "the proposal"
-        raise InputError([f"{where}: open: {question.text}" for question in proposal.questions])
+        name = map_out or "the proposal"
+        raise InputError([f"{name}: open: {question.text}" for question in proposal.questions])
     return yamlfile.parse(proposal.text, str(map_out or AUTO))
 
 
 def attachment_note(stream: dict[str, Any]) -> str:
-    """Describe the source file and time uncertainty of an attached stream; empty for a recorded stream."""
+    """Return a text on the source files and the time uncertainty of an attached stream; empty for a recorded stream."""
     if "attached" not in stream:
         return ""
     provenance = stream["attached"]
-    within = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
-    return f", attached from {provenance['record_files']}, {within} by {provenance['alignment_method']}"
+    accuracy = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
+    return f", attached from {provenance['record_files']}, {accuracy} by {provenance['alignment_method']}"
 
 
 @app.command(epilog=examples("runs plot RUN.h5 torque test_iq", "runs plot RUN.h5 torque --html plot.html"))
@@ -481,31 +484,31 @@ def tail(
     run_tail = RunTail(run, channels or [], rows)
     printer = RowPrinter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
     shown_until: dict[str, float] = {}
-    narrow: set[str] = set()  # streams whose columns have no room, and are said to
+    narrow_streams: set[str] = set()  # whose channels without room have been remarked on
     warned = False
     if run_tail.other_streams and not (channels or as_json):
         remark(f"other streams: {', '.join(run_tail.other_streams)}; name channels to see theirs (runs show has them)")
     while True:
-        looked_at = time.monotonic()
-        added = run_tail.read()
-        took_s = time.monotonic() - looked_at
-        for block in added:
-            kept = thinned(block, every, shown_until)
-            lines = map(json.dumps, kept.as_json()) if as_json else printer.lines(kept)
+        start_s = time.monotonic()
+        new_rows = run_tail.read()
+        read_duration_s = time.monotonic() - start_s
+        for rows_of_stream in new_rows:
+            shown = thinned(rows_of_stream, every, shown_until)
+            lines = map(json.dumps, shown.as_json()) if as_json else printer.lines(shown)
             for line in lines:
                 typer.echo(line)
             sys.stdout.flush()
         for stream, left_out in printer.left_out.items():
-            if left_out and stream not in narrow:
-                narrow.add(stream)
+            if left_out and stream not in narrow_streams:
+                narrow_streams.add(stream)
                 remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
         unwritten_s = run_tail.unwritten_s() if run_tail.is_recording else 0.0
-        if unwritten_s > STANDS_S and not warned:
+        if unwritten_s > UNWRITTEN_S and not warned:
             silence = f"not written for {duration(unwritten_s)}"
             remark(f"{run}: {silence}; if its run was killed, no row will come: leactl runs recover {run}")
-        warned = unwritten_s > STANDS_S
+        warned = unwritten_s > UNWRITTEN_S
         if not (follow and run_tail.is_recording):
             break
-        time.sleep(max(POLL_S, took_s / BUSY_SHARE))
+        time.sleep(max(POLL_S, read_duration_s / BUSY_SHARE))
     if follow:
         remark(f"{run}: {run_tail.status_text}")

@@ -1,4 +1,4 @@
-"""`leactl safety`: what a bench does when something goes wrong, before it does."""
+"""`leactl safety`: rehearses faults on a bench, and searches for courses that beat the thermal guard."""
 
 import json
 import sys
@@ -65,24 +65,25 @@ def drill(
         typer.echo(json.dumps(body) if as_json else planned_text(body))
         return
     if report is not None:
-        _write(report, "", "a")  # a page that cannot be written is refused before anything is rehearsed
+        _write_report(report, "", "a")  # refuse a report that cannot be written before the first rehearsal
     if out is not None:
-        _make(out)
+        _make_folder(out)
         drilled = _drill(bench, only, yes, served, bus, out)
     else:
         with tempfile.TemporaryDirectory(prefix="leactl-drill-") as folder:
             drilled = _drill(bench, only, yes, served, bus, Path(folder))
         drilled = replace(drilled, findings=[replace(finding, run="") for finding in drilled.findings])
     if report is not None:
-        _write(report, PAGE.format(bench=drilled.bench, command=_command(bench, only, report)) + markdown(drilled))
+        heading = PAGE.format(bench=drilled.bench, command=_command(bench, only, report))
+        _write_report(report, heading + markdown(drilled))
     if as_json:
         typer.echo(json.dumps(drilled.as_json()))
     else:
         print_drill(drilled)
-    wrong = [finding for finding in drilled.findings if not finding.held]
-    if wrong:
-        what = "; ".join(f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in wrong)
-        raise SafetyTrip(f"{len(wrong)} of {len(drilled.findings)} did not end as they ought to: {what}")
+    failures = [finding for finding in drilled.findings if not finding.held]
+    if failures:
+        texts = "; ".join(f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in failures)
+        raise SafetyTrip(f"{len(failures)} of {len(drilled.findings)} did not end as they ought to: {texts}")
 
 
 @app.command(
@@ -119,9 +120,9 @@ def challenge(
     from leactl.runner.thermal_admission import guard_settings, motors_of
 
     rates = rate or [20.0, 100.0, 500.0, 1000.0]
-    for given in rates:
-        if not 10.0 <= given <= 10_000.0:
-            raise InputError(f"--rate {given:g}: 10 to 10000 Hz were expected")
+    for rate_hz in rates:
+        if not 10.0 <= rate_hz <= 10_000.0:
+            raise InputError(f"--rate {rate_hz:g}: 10 to 10000 Hz were expected")
     if not 0.0 < minutes <= 10_000.0:
         raise InputError(f"--minutes {minutes:g}: more than 0 and at most 10000 were expected")
     if optimiser not in OPTIMISERS:
@@ -131,18 +132,19 @@ def challenge(
     settings = guard_settings(file, devices, motors)
     searches = hunts(list(motors.items()), rates, READINGS)
     results = []
-    for number, (role, motor, at, reading) in enumerate(searches, start=1):
-        typer.echo(f"search {number} of {len(searches)}: {role}, {at:g} Hz, {reading} angle", err=True)
-        share = 60.0 * minutes / len(searches)
-        results.append(hunt(role, motor, settings, at, reading, share, seed, optimiser=optimiser))
+    for number, (role, motor, rate_hz, reading) in enumerate(searches, start=1):
+        typer.echo(f"search {number} of {len(searches)}: {role}, {rate_hz:g} Hz, {reading} angle", err=True)
+        seconds = 60.0 * minutes / len(searches)
+        results.append(hunt(role, motor, settings, rate_hz, reading, seconds, seed, optimiser=optimiser))
     typer.echo(
         json.dumps(challenge_json(results, settings.limit)) if as_json else challenge_text(results, settings.limit)
     )
-    if lost := [hunted for hunted in results if not hunted.held(settings.limit)]:
-        raise SafetyTrip(f"{len(lost)} of {len(results)} searches found a winding hotter than the guard lets it be")
+    if beaten := [search for search in results if not search.held(settings.limit)]:
+        raise SafetyTrip(f"{len(beaten)} of {len(results)} searches found a winding hotter than the guard lets it be")
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
+    """Rehearse the faults on an emulated bench in this process, or with a person at a real or served bench."""
     from leactl.report.drill import progress
     from leactl.runner.drill.emulated import EmulatedDrill
 
@@ -153,39 +155,52 @@ def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str],
 
 
 def _planned(bench: str, only: list[str], served: bool, bus: list[str], directory: Path) -> "PlannedDrill":
+    """Return the rehearsals that a drill would make, without opening a device."""
     from leactl.runner.drill.emulated import EmulatedDrill
 
     if _is_emulated_here(bench, served, bus):
-        return EmulatedDrill(bench, only, directory, lambda _what, _done, _count: None).planned()
+        return EmulatedDrill(bench, only, directory, lambda _rehearsal, _done, _count: None).planned()
     return _real_drill(bench, only, True, served, bus, directory).planned()
 
 
 def _is_emulated_here(bench: str, served: bool, bus: list[str]) -> bool:
+    """Return whether the bench is emulated in this process.
+
+    Raises
+    ------
+    InputError : it is, and `--bus` was given.
+    """
     from leactl.errors import InputError
     from leactl.runner.checked_bench import load_checked
 
-    is_emulated_here = load_checked(bench)[0].emulated is not None and not served
-    if is_emulated_here and bus:
+    is_in_process = load_checked(bench)[0].emulated is not None and not served
+    if is_in_process and bus:
         raise InputError("--bus: an emulated bench has its buses in this process; --served meets another's")
-    return is_emulated_here
+    return is_in_process
 
 
 def _real_drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "RealDrill":
+    """Return the drill of a real or served bench, for which a person agrees to each rehearsal.
+
+    Raises
+    ------
+    InputError : nobody can be asked, and `--yes` was not given.
+    """
     from leactl.errors import InputError
     from leactl.runner.drill.real import Person, RealDrill
 
-    present = sys.stdin.isatty() and sys.stderr.isatty()
-    if not (yes or present):
+    is_attended = sys.stdin.isatty() and sys.stderr.isatty()
+    if not (yes or is_attended):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees to all")
     person = Person(
         agrees=lambda text: yes or confirmed(f"{text}\nGo on?"),
         tell=lambda text: typer.echo(text, err=True),
-        present=present,
+        present=is_attended,
     )
     return RealDrill(bench, only, directory, person, served, bus)
 
 
-def _make(directory: Path) -> None:
+def _make_folder(directory: Path) -> None:
     from leactl.errors import InputError
 
     try:
@@ -194,7 +209,7 @@ def _make(directory: Path) -> None:
         raise InputError(f"--out {directory}: {error.strerror or error}") from None
 
 
-def _write(path: Path, text: str, mode: str = "w") -> None:
+def _write_report(path: Path, text: str, mode: str = "w") -> None:
     from leactl.errors import InputError
 
     try:
@@ -205,4 +220,5 @@ def _write(path: Path, text: str, mode: str = "w") -> None:
 
 
 def _command(bench: str, only: list[str], report: Path) -> str:
+    """Return the command line that writes the report, which the report names."""
     return " ".join(["leactl safety drill", bench, *(f"--only {name}" for name in only), f"--report {report}"])

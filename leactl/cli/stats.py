@@ -32,16 +32,16 @@ def stats(
     from leactl.errors import InputError
     from leactl.report.conditions import comparisons_text
 
-    given_values = numbers(settings, torque_constant=torque_constant)
-    comparisons, without, faults = compare_each(runs, result, by_run, **given_values)
-    for line in without:
+    options = numbers(settings, torque_constant=torque_constant)
+    comparisons, not_compared, faults = compare_each(runs, result, by_run, **options)
+    for line in not_compared:
         typer.echo(f"leactl: not compared: {line}", err=True)
-    if as_json and len(comparisons) == 1 and not (without or faults):
+    if as_json and len(comparisons) == 1 and not (not_compared or faults):
         typer.echo(json.dumps(comparisons[0].as_json(), allow_nan=False))
     elif as_json:
         body = {
             "comparisons": [comparison.as_json() for comparison in comparisons],
-            "not_compared": without,
+            "not_compared": not_compared,
             "faults": InputError(faults).as_json(),
         }
         typer.echo(json.dumps(body, allow_nan=False))

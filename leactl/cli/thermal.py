@@ -1,4 +1,4 @@
-"""`leactl thermal`: what windings may carry, how warm they may be, and what a protocol would do to them."""
+"""`leactl thermal`: current limits, state, fits and forecasts of windings, and the commissioning of an actuator."""
 
 import json
 from collections.abc import Mapping
@@ -102,10 +102,10 @@ def fit(
     for line in left_out:
         typer.echo(f"leactl: left out: {line}", err=True)
     if as_json:
-        several = {"fits": [fitted.as_json() for fitted in fits], "left_out": left_out}
-        typer.echo(json.dumps({**fits[0].as_json(), "left_out": left_out} if len(fits) == 1 else several))
+        all_fits = {"fits": [actuator_fit.as_json() for actuator_fit in fits], "left_out": left_out}
+        typer.echo(json.dumps({**fits[0].as_json(), "left_out": left_out} if len(fits) == 1 else all_fits))
     else:
-        typer.echo("\n\n".join(fit_text(fitted) for fitted in fits))
+        typer.echo("\n\n".join(fit_text(actuator_fit) for actuator_fit in fits))
 
 
 @app.command(epilog=examples("thermal plan thermal --bench emulated-heated --cold"))
@@ -129,13 +129,13 @@ def plan(
     expanded = load(protocol, read_overrides(overrides), condition)
     windings = Windings(file, devices, actuator, cold=cold)
     forecast = windings.forecast(expanded)
-    longer = expanded
+    with_waits = expanded
     if forecast.passing is not None:
         try:
-            longer = windings.admit(expanded, insert_cooldown=True)
+            with_waits = windings.admit(expanded, insert_cooldown=True)
         except InputError:
-            longer = expanded
-    waits = [row for row in longer.timeline() if row.name == "cooldown"]
+            with_waits = expanded
+    waits = [row for row in with_waits.timeline() if row.name == "cooldown"]
     body = {
         "protocol": expanded.name,
         "limit_degC": windings.settings.limit,
@@ -213,16 +213,16 @@ def commission(
     check_files([target], given)
     check_folder(out)
 
-    def prepared(changed: Mapping[str, str]) -> "Request":
-        kept = [word for word in overrides if word.partition("=")[0] not in changed]
-        words = [*kept, *(f"{name}={value}" for name, value in changed.items())]
-        made = prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
-        return replace(made, plan=replace(made.plan, attended=attended or made.plan.attended))
+    def prepared(changes: Mapping[str, str]) -> "Request":
+        unchanged = [word for word in overrides if word.partition("=")[0] not in changes]
+        words = [*unchanged, *(f"{name}={value}" for name, value in changes.items())]
+        request = prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
+        return replace(request, plan=replace(request.plan, attended=attended or request.plan.attended))
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
-    manner = CommissionOptions(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
+    options = CommissionOptions(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
     with to_the_end():
-        commissioning = commissioned(manner, target)
+        commissioning = commissioned(options, target)
     body = commissioned_body(commissioning, protocol, actuator)
     typer.echo(json.dumps(body) if as_json else commissioned_text(body))
 

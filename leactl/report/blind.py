@@ -55,7 +55,7 @@ def score_json(score: Score, command: str) -> dict[str, Any]:
 
 
 def share_json(share: Share) -> dict[str, Any]:
-    """Return a share's fields, its value and its 95 % interval; both ends are None where it has no interval."""
+    """Return the fields, the value and the 95 % interval of a share; both ends are None without an interval."""
     low, high = share.interval or (None, None)
     return {**asdict(share), "share": share.share, "low": low, "high": high}
 

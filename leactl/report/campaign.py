@@ -28,11 +28,11 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
     lines = [f"{body['campaign']}: {title}".rstrip(": ")]
     texts = [_columns(row) for row in rows]
     widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    prompted = ""
+    last_prompt = ""
     for number, row in enumerate(rows, start=1):
-        if row["prompt"] and row["prompt"] != prompted:
+        if row["prompt"] and row["prompt"] != last_prompt:
             lines.append(f"      mount {row['prompt']}")
-        prompted = row["prompt"]
+        last_prompt = row["prompt"]
         columns = "  ".join(f"{text:<{width}}" for text, width in zip(texts[number - 1], widths, strict=True))
         details = "  ".join(filter(None, (row["actuator"], row["condition"], f"repeat {row['repeat']}")))
         done = "  finished" if row["finished"] else ""
@@ -44,7 +44,7 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
 
 
 def _columns(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return texts on a run: its step, with the protocol if its name differs, its largest setpoints, its windings."""
+    """Return three texts on a run: step, and protocol if that has another name; largest setpoints; windings."""
     step, protocol = row["step"], row["protocol"]
     largest = ", ".join(f"{peak['role']} {peak['value']:.4g} {peak['unit']}" for peak in row["peaks"])
     windings = ", ".join(f"{role} {value:.0f}" for role, value in row["hottest_degC"].items())

@@ -1,16 +1,16 @@
-"""The result of a search for courses that beat the thermal guard, as text and as JSON."""
+"""Results of searches for courses that beat the thermal guard, as text and as JSON."""
 
 import math
 from collections.abc import Sequence
 
 from leactl.runner.challenge.hunt import Hunted
 
-HEAD = f"{'role':<6}{'rate_Hz':>8}  {'angle':<9}{'courses':>8}{'below bound':>13}{'hottest':>11}  kind of course"
+HEADING = f"{'role':<6}{'rate_Hz':>8}  {'angle':<9}{'courses':>8}{'below bound':>13}{'hottest':>11}  kind of course"
 
 
 def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
     """Return a line for each search: how far the true temperature stayed below its bound, and the hottest phase."""
-    lines = [HEAD]
+    lines = [HEADING]
     for search in searches:
         warning = "" if search.held(limit) else "  NOT HELD"
         lines.append(
@@ -21,12 +21,12 @@ def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
 
 
 def margin_text(search: Hunted) -> str:
-    """Return how far the true temperature stayed below its bound where it came nearest, in K."""
+    """Return the least distance [K] of the true temperature below its bound, as text."""
     return f"{-search.nearest.over_k:.2f} K" if math.isfinite(search.nearest.over_k) else "-"
 
 
 def challenge_json(searches: Sequence[Hunted], limit: float) -> dict[str, object]:
-    """Return the searches as a JSON document; the `genes` of an attempt make its course again."""
+    """Return the searches as a JSON document; the `genes` of an attempt reproduce its course."""
     return {
         "limit_degC": limit,
         "held": all(search.held(limit) for search in searches),

@@ -14,17 +14,17 @@ import numpy.typing as npt
 from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
-TICKS = (5, 5)  # about the most along x and y: at 360 px, x labels have 47 px each
-DRAWING_SIZE = 1000.0  # units of the drawing, across and down; the templates' `viewBox` says it too
-GAP_STEPS = 10.0  # median steps of a curve; points further apart are not connected
+TICKS = (5, 5)  # largest number along x and y, approximately: at 360 px, x labels have 47 px each
+DRAWING_SIZE = 1000.0  # width and height of the drawing in its units; the `viewBox` of the templates has it too
+GAP_STEPS = 10.0  # multiple of the median step of a curve; points further apart are not connected
 LONGEST_TICK_TEXT = 7  # characters
 
 
 class SvgPath(NamedTuple):
-    """One path of a drawing: its commands as SVG has them, and its classes."""
+    """One path of a drawing."""
 
-    d: str
-    style: str
+    d: str  # commands of SVG
+    style: str  # CSS classes
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class PointMarks:
         return self.x[finite], self.y[finite]
 
     def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
-        """Return strokes of almost no length: their ends are the marks, whose shape a stretched drawing keeps.
+        """Return strokes of almost no length: the ends of a stroke keep their shape in a stretched drawing.
 
         A PDF paints a stroke of zero length only if its ends are round (ISO 32000, 8.5.3.2), so that one with square
         ends is 0.1 long.
@@ -117,7 +117,7 @@ class AxisRange:
     style: str
     low: float
     high: float
-    upright: bool = True  # a range of x; else of y
+    upright: bool = True  # whether it is a range of x; else of y
 
     def extent(self) -> tuple[Array, Array]:
         """Return both ends of a range of y, which the axis has to contain; a range of x is cut at the axes instead."""
@@ -146,7 +146,7 @@ class Area:
         return corners[:, 0], corners[:, 1]
 
     def paths(self, x: PlotAxis, y: PlotAxis) -> list[SvgPath]:
-        """Return one path of all polygons."""
+        """Return one path with all polygons."""
         rings = [
             "L".join(f"{across(x, x_value)} {down(y, y_value)}" for x_value, y_value in polygon)
             for polygon in self.polygons
@@ -177,10 +177,10 @@ class Chart:
     x_label: str
     y_ticks: Sequence[Tick]
     y_label: str
-    x_ends: str  # both ends of the axis, in the quantity's units
+    x_ends: str  # both ends of the x axis, in the units of its quantity
     y_ends: str
     description: str
-    paths: Sequence[SvgPath]  # the lowest first
+    paths: Sequence[SvgPath]  # in the order of drawing
     labels: Sequence[LineLabel]
 
 
@@ -211,7 +211,7 @@ def chart(
     x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])
     if not keys:
         legend_layers = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
-        # reversed, so that the first layer of a name has the key
+        # reversed, so that the first layer of each name gives the style
         style_of_name = {layer.name: layer.style for layer in reversed(legend_layers)}
         keys = [(style_of_name[name], name) for name in reversed(style_of_name)]
     x_ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
@@ -248,7 +248,7 @@ def labels_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[L
 
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
-    """Return an axis over all finite values, of which a logarithmic axis takes those above zero."""
+    """Return an axis that contains all finite values; a logarithmic axis contains those above zero."""
     pooled = np.concatenate(values)
     finite = pooled[np.isfinite(pooled) & ((pooled > 0.0) | (not log))]
     return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
@@ -265,10 +265,10 @@ def down(y: PlotAxis, value: float) -> float:
 
 
 def percent(coordinate: float) -> str:
-    """Return a coordinate of the drawing as a part of its width or height."""
+    """Return a coordinate of the drawing in percent of its width or height."""
     return f"{100.0 * coordinate / DRAWING_SIZE:.4g}%"
 
 
 def tick_text(value: float, text: str) -> str:
-    """Return the text of a tick; a text that is too long becomes three digits with an exponent."""
+    """Return the text of a tick; in place of a text that is too long, the value with three digits."""
     return text if len(text) <= LONGEST_TICK_TEXT else f"{value:.3g}"

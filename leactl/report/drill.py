@@ -16,13 +16,13 @@ from leactl.report.terminal import encodable, encoding_of_stdout, list_line, ter
 from leactl.runner.drill.finding import Drilled, DrillFinding, PlannedDrill, Tell
 
 NARROWEST = 72
-WIDEST = 160  # characters: the longest reason then stands on two lines
+WIDEST = 160  # characters; the longest reason then takes two lines
 LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault's name, of the final state of the devices
 VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
 
 
 def print_drill(drilled: Drilled) -> None:
-    """Print the drill as wide as the terminal, 80 columns into a pipe."""
+    """Print a finished drill in the width of the terminal, or in 80 columns into a pipe."""
     sys.stdout.write(render(drilled, terminal_columns(), encoding_of_stdout()))
 
 
@@ -103,10 +103,10 @@ def markdown(drilled: Drilled) -> str:
 
 
 def summary(drilled: Drilled) -> str:
-    """Return how many faults were rehearsed and how many ended as they ought to."""
-    passed = sum(finding.held for finding in drilled.findings)
+    """Return a sentence on the number of rehearsals, and the number of those that ended as they should."""
+    passed_count = sum(finding.held for finding in drilled.findings)
     kind = "emulated" if drilled.emulated else "real or served"
-    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {passed} ended as they ought to"
+    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {passed_count} ended as they ought to"
 
 
 def _failures(drilled: Drilled) -> list[str]:
@@ -144,18 +144,21 @@ def _cells(finding: DrillFinding) -> tuple[str, ...]:
 
 
 def _final_state(finding: DrillFinding) -> str:
-    """Return the devices that have power, and those whose safe state is not confirmed; else `safe`."""
+    """Return the devices that still have power, and those whose safe state is not confirmed; else `safe`."""
     powered = [name for name, state in finding.devices.items() if state.without_power is False]
-    doubtful = [name for name, state in finding.devices.items() if not state.confirmed and name not in powered]
+    unconfirmed = [name for name, state in finding.devices.items() if not state.confirmed and name not in powered]
     off = "off, " if finding.zero_torque_s is not None else ""
     texts = [f"{', '.join(powered)} HAS POWER"] if powered else []
-    texts += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
+    texts += [f"{', '.join(unconfirmed)} {off}not confirmed"] if unconfirmed else []
     return "; ".join(texts) or "safe"
 
 
 @contextmanager
 def progress(console: Console | None = None) -> Iterator[Tell]:
-    """Show which fault is rehearsed and the remaining time: one line on a terminal, plain lines anywhere else."""
+    """Show the fault that is rehearsed and the remaining time: one line on a terminal, else a line for each fault.
+
+    Yields the function to call with the name of the rehearsal, the number of finished ones and the number of all.
+    """
     console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
     start = time.monotonic()
     if not console.is_terminal:

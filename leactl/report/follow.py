@@ -1,7 +1,7 @@
-"""Readings of a bench, a line at a time while a run takes them: `leactl bench read --follow`.
+"""Prints the newest readings of a bench at intervals while a run takes them: `leactl bench read --follow`.
 
-A thread prints the lines and only reads what the loop publishes, so that a reader of stdout that takes nothing delays
-lines and never the run.
+A thread of its own prints the lines, from the `Progress` that the control loop publishes. Where the reader of stdout
+takes no lines, that thread waits and the run does not.
 """
 
 import json
@@ -23,26 +23,29 @@ from leactl.runfile.read.tail import StreamRows
 from leactl.runfile.read.traces import chosen_channels
 from leactl.runner.progress import Progress
 
-FIRST_LOOK_S: Final = 1.0  # by then most devices have given a reading; a longer interval would seem to hang
-LEAST_PAUSE_S: Final = 0.01
-SILENT_S: Final = 5.0  # without a reading before a device is said to be silent
+FIRST_LINE_S: Final = 1.0  # by then most devices have a reading; a longer silence would look like a hang
+LEAST_PAUSE_S: Final = 0.01  # between two lines
+SILENT_S: Final = 5.0  # without a reading, from which a device counts as silent
 
 
-class Looks:
-    """The newest row of each stream at each look; NaN where none came since the look before, or that row has none."""
+class ReadingSampler:
+    """Samples the newest value of each chosen channel of a bench.
+
+    A value is NaN where its stream has no new row since the last sample, or where the row has none for the channel.
+    """
 
     def __init__(self, bench: str, streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str]) -> None:
-        """Choose the channels.
+        """Choose the channels to sample.
 
         Parameters
         ----------
         bench : name of the bench, for messages and headings.
         streams : the channels of each stream of the bench.
-        words : choose channels as in `channel_names`; without any, all but setpoints are read.
+        words : names of channels as `channel_names` takes them; an empty sequence chooses all channels but setpoints.
 
         Raises
         ------
-        MissingChannel : a word chooses no channel.
+        MissingChannel : a word is the name of no channel.
         """
         chosen = set(chosen_channels(streams, words, "", f"bench '{bench}'"))
         self._bench = bench
@@ -58,61 +61,63 @@ class Looks:
             for name, (stream, _, _) in zip(names, self._channels, strict=True)
         )
         self._units = tuple("" if spec.unit == "1" else spec.unit for _, _, spec in self._channels)
-        self._rows: dict[str, Sequence[float]] = {}  # the newest one of each stream at the look before
-        self._heard_s = dict.fromkeys((spec.device for _, _, spec in self._channels), 0.0)
-        self._silent: set[str] = set()
+        self._last_rows: dict[str, Sequence[float]] = {}  # by stream, as of the last sample
+        self._last_reading_s = dict.fromkeys((spec.device for _, _, spec in self._channels), 0.0)
+        self._silent_devices: set[str] = set()  # that have been reported
 
-    def take(self, progress: Progress) -> StreamRows:
-        """Return the readings of this moment as one row; a row of the loop that was there before counts as none."""
+    def sample(self, progress: Progress) -> StreamRows:
+        """Return the newest readings as one row; a row that the last sample had already does not count."""
         newest = {"loop": progress.values, **progress.own}
-        fresh = {stream: row for stream, row in newest.items() if row is not self._rows.get(stream)}
-        self._rows = newest
+        fresh = {stream: row for stream, row in newest.items() if row is not self._last_rows.get(stream)}
+        self._last_rows = newest
         values = [
             fresh[stream][column] if column < len(fresh.get(stream, ())) else math.nan
             for stream, column, _ in self._channels
         ]
         for value, (_, _, spec) in zip(values, self._channels, strict=True):
             if math.isfinite(value):
-                self._heard_s[spec.device] = progress.time_s
+                self._last_reading_s[spec.device] = progress.time_s
         time = np.array([progress.time_s])
         return StreamRows(self._bench, self.names, self._units, time, np.array([values]).reshape(1, -1))
 
-    def fallen_silent(self, time_s: float, interval_s: float) -> Iterator[str]:
-        """Yield a line for each device whose readings stay away now; a device is named once.
+    def newly_silent(self, time_s: float, interval_s: float) -> Iterator[str]:
+        """Yield a warning for each device that has become silent; each device is reported once.
+
+        A device is silent if it has had no reading for SILENT_S and for `interval_s`.
 
         Parameters
         ----------
-        time_s : of the newest look, since the run's start.
-        interval_s : time between two looks.
+        time_s : time of the newest sample since the start of the run.
+        interval_s : time between two samples.
         """
-        for device, heard_s in self._heard_s.items():
-            if time_s - heard_s >= max(SILENT_S, interval_s) and device not in self._silent:
-                self._silent.add(device)
-                yield f"{device}: no reading for {time_s - heard_s:.0f} s; its columns are nan until one comes"
+        for device, last_s in self._last_reading_s.items():
+            if time_s - last_s >= max(SILENT_S, interval_s) and device not in self._silent_devices:
+                self._silent_devices.add(device)
+                yield f"{device}: no reading for {time_s - last_s:.0f} s; its columns are nan until one comes"
 
 
 class Follower:
-    """Prints the readings of a run on stdout, one line in each interval, and its warnings on stderr."""
+    """Prints the readings of a run on stdout, one line in each interval, and the warnings of the run on stderr."""
 
-    def __init__(self, looks: Looks, interval_s: float, as_json: bool) -> None:
-        """Take what is printed and how often [s]; JSON has an object on each line."""
-        self._looks, self._interval_s, self._as_json = looks, interval_s, as_json
+    def __init__(self, sampler: ReadingSampler, interval_s: float, as_json: bool) -> None:
+        """Prepare to print a sample every `interval_s` seconds: in columns, or as JSON with an object on each line."""
+        self._sampler, self._interval_s, self._as_json = sampler, interval_s, as_json
         self._output, self._encoding = os.dup(sys.stdout.fileno()), encoding_of_stdout()
         columns = os.get_terminal_size(self._output).columns if os.isatty(self._output) else 0
         self._printer = RowPrinter(columns or None)
-        self.unread: OSError | None = None  # why stdout takes no more lines
-        self._fault = ""  # of the printing itself
-        self.told: list[str] = []  # warnings that stderr has already
+        self.stdout_error: OSError | None = None  # why stdout takes no more lines
+        self._printing_fault = ""  # an unexpected error of the printing thread; empty without one
+        self.printed_warnings: list[str] = []  # on stderr
 
     def stop_cause(self) -> str:
-        """Return the cause to stop the run for, since no more lines will come; else an empty text."""
-        return self._fault if self.unread is None else f"stdout: {self.unread.strerror}"
+        """Return the cause to stop the run once no more lines can be printed; empty before."""
+        return self._printing_fault if self.stdout_error is None else f"stdout: {self.stdout_error.strerror}"
 
     @contextmanager
     def watch(self, progress: Progress) -> Iterator[None]:
-        """Print while the block lasts."""
+        """Print while the block lasts; `progress.view_fault` says if stdout took no output at its end."""
         ended = threading.Event()
-        thread = threading.Thread(target=self._print, args=(progress, ended), name="leactl-follow", daemon=True)
+        thread = threading.Thread(target=self._print_until, args=(ended, progress), name="leactl-follow", daemon=True)
         thread.start()
         try:
             yield
@@ -124,44 +129,47 @@ class Follower:
             else:
                 os.close(self._output)
 
-    def _print(self, progress: Progress, ended: threading.Event) -> None:
+    def _print_until(self, ended: threading.Event, progress: Progress) -> None:
+        """Print a sample in each interval of run time, until the run ends or stdout takes no more."""
         try:
-            pause = min(self._interval_s, FIRST_LOOK_S)
+            pause = min(self._interval_s, FIRST_LINE_S)
             due_s = pause
             shown_s = -math.inf
-            while not ended.wait(pause) and self.unread is None:
-                if progress.time_s > shown_s:  # else the loop has made no cycle since
+            while not ended.wait(pause) and self.stdout_error is None:
+                if progress.time_s > shown_s:  # else the control loop has made no new cycle
                     shown_s = progress.time_s
-                    self._print_look(progress)
-                due_s = max(due_s + self._interval_s, progress.time_s)  # what a slow reader has missed stays away
+                    self._print_sample(progress)
+                due_s = max(due_s + self._interval_s, progress.time_s)  # lines that a slow reader missed are skipped
                 pause = max(LEAST_PAUSE_S, due_s - progress.time_s)
-        except Exception as error:  # noqa: BLE001 (a thread that dies in silence would leave a run that nobody sees)
-            self._fault = f"the lines have failed: {type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001 (the run has to stop when nothing more is printed)
+            self._printing_fault = f"the lines have failed: {type(error).__name__}: {error}"
 
-    def _print_look(self, progress: Progress) -> None:
-        rows = self._looks.take(progress)
+    def _print_sample(self, progress: Progress) -> None:
+        """Print one line of readings, and every warning of the run that has not been printed."""
+        rows = self._sampler.sample(progress)
         if self._as_json:
             (row,) = rows.as_json()
             lines = [json.dumps({"event": "reading", "time_s": round(row["time_s"], 6), "values": row["values"]})]
         else:
             lines = list(self._printer.lines(rows))
         self._write("".join(f"{line}\n" for line in lines))
-        if left_out := self._printer.left_out.get(rows.stream):  # of no stream where JSON is printed
+        if left_out := self._printer.left_out.get(rows.stream):  # empty where JSON is printed
             self._warn(f"no room for {', '.join(left_out)}: choose by --channel, or widen the terminal")
-        looked_s = float(rows.time[0])  # the writing may have waited since
-        for text in [*progress.warnings, *self._looks.fallen_silent(looked_s, self._interval_s)]:
+        sampled_s = float(rows.time[0])  # not progress.time_s: writing the line may have taken long
+        for text in [*progress.warnings, *self._sampler.newly_silent(sampled_s, self._interval_s)]:
             self._warn(f"warning: {text}")
 
     def _warn(self, text: str) -> None:
-        if text not in self.told:
-            self.told.append(text)
-            with suppress(OSError):  # nobody reads it any more; the run's file has it too
+        """Print a text on stderr, unless it has been printed before."""
+        if text not in self.printed_warnings:
+            self.printed_warnings.append(text)
+            with suppress(OSError):  # stderr has no reader; the run's file has the warning too
                 print(f"leactl: {text}", file=sys.stderr, flush=True)
 
     def _write(self, text: str) -> None:
-        waiting = text.encode(self._encoding, errors="replace")
+        unwritten = text.encode(self._encoding, errors="replace")
         try:
-            while waiting:
-                waiting = waiting[os.write(self._output, waiting) :]
+            while unwritten:
+                unwritten = unwritten[os.write(self._output, unwritten) :]
         except OSError as error:
-            self.unread = error
+            self.stdout_error = error

@@ -78,7 +78,7 @@ def verdict_part(answer: DiagnosisResult, width: int) -> str:
 
 
 def simulator_part(answer: DiagnosisResult, width: int) -> str:
-    """Return the contents of a simulator that stands for the model, and its floors; empty without such a simulator."""
+    """Return sentences and tables on a simulator that takes the place of the model; empty without a simulator."""
     simulator = answer.simulator
     if simulator is None:
         return ""

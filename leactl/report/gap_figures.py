@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: measured beside simulated over time, and residuals over the variable of their region."""
+"""Figures of a diagnosis: measured and simulated channels over time, and residuals over the variable of a region."""
 
 import math
 from typing import NamedTuple
@@ -60,7 +60,7 @@ def channel_cards(answer: DiagnosisResult) -> list[Card]:
 
 
 def effect_cards(answer: DiagnosisResult) -> list[Card]:
-    """Return a card for each cause: the residual before and after it is added, over the variable that it acts on."""
+    """Return a card for each cause: the residual before and after it is added, over the variable on which it acts."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
         picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
@@ -89,11 +89,11 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
         mean = np.asarray([getattr(each_bin, model) for each_bin in drawn_bins])
         spread = np.asarray([getattr(each_bin, f"{model}_high") - getattr(each_bin, model) for each_bin in drawn_bins])
         layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
-    zero_line = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
-    layers.append(LineMarks("", "zero", zero_line, np.zeros(len(zero_line)), connected=True))
+    zero_ends = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
+    layers.append(LineMarks("", "zero", zero_ends, np.zeros(len(zero_ends)), connected=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
-    over = with_units(variable_words(picture), picture.variable_units)
-    drawn = chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
+    x_label = with_units(variable_words(picture), picture.variable_units)
+    drawn = chart(layers, x_label, with_units(residual_words(picture), picture.units), keys=keys)
     return Card(title, picture_words(picture), [CaptionedChart(caption, drawn)])
 
 

@@ -24,7 +24,7 @@ class Outputs:
     model: Path | None = None
 
     def check(self, inputs: Sequence[Path] = ()) -> None:
-        """Refuse files that could not be written, all at once, before minutes are spent on the diagnosis.
+        """Check that all files can be written, before minutes are spent on the diagnosis.
 
         An existing file is replaced, but never an input.
 
@@ -37,7 +37,7 @@ class Outputs:
         check_files(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
     def write(self, answer: DiagnosisResult) -> None:
-        """Write the wanted files, each whole or not at all; JSON on stdout comes last."""
+        """Write the files, each atomically; JSON on stdout comes last."""
         texts: list[tuple[Path, str]] = []
         if self.model is not None:
             texts.append((self.model, yaml.safe_dump(as_mapping(answer.extra["augmented"]), sort_keys=False)))

@@ -1,4 +1,4 @@
-"""What `leactl gap effects`, `gap plan` and `gap loop` print: effects, what runs can reveal, a closed loop."""
+"""Outputs of `leactl gap effects`, `gap plan` and `gap loop`: effects, what runs can show, a closed loop."""
 
 import textwrap
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,7 @@ def all_effects_text() -> str:
 
 
 def effect_text(name: str) -> str:
-    """Return meaning, equation and parameters of one effect, and what shows it or is confused with it.
+    """Return meaning, equation and parameters of one effect, the channels that show it, and effects confused with it.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def effect_text(name: str) -> str:
 
 
 def advice_json(advice: "Advice") -> dict[str, Any]:
-    """Return what runs or protocols can reveal as the JSON document of `gap plan`."""
+    """Return the effects that runs or protocols can show, as the JSON document of `gap plan`."""
     effects = [
         {
             "effect": sight.effect,
@@ -103,13 +103,13 @@ def advice_lines(advice: "Advice") -> list[str]:
 
 
 def sight_line(sight: "Sight", width: int) -> str:
-    """Return one effect's line: the size from which runs show it, the size worth knowing, what looks like it."""
+    """Return the line of one effect: the size from which runs show it, the size worth knowing, and similar effects."""
     smallest = "invisible" if sight.smallest is None else f"{sight.smallest:.2g}"
     mark = "" if sight.seen else "  not shown"
-    alike = f"  looks like {', '.join(sight.alike)}" if sight.alike else ""
+    similar_text = f"  looks like {', '.join(sight.alike)}" if sight.alike else ""
     units = "" if sight.units == "1" else f" {sight.units}"
     worth = "-" if sight.faint is None else f"{sight.faint:.2g}{units}"
-    return f"{sight.effect:<{width}}  {smallest:>10}  {worth:<20}{mark}{alike}".rstrip()
+    return f"{sight.effect:<{width}}  {smallest:>10}  {worth:<20}{mark}{similar_text}".rstrip()
 
 
 def experiment_lines(experiment: "AdvisedProtocol") -> list[str]:

@@ -1,4 +1,4 @@
-"""A diagnosis as one HTML file: verdict, causes, how far the gap shrinks, where it sits, calibration, notes.
+"""A diagnosis as one HTML file: verdict, causes, reduction and regions of the gap, calibration, notes.
 
 The page loads nothing and runs no script, so that it can be mailed, printed and kept.
 """
@@ -45,7 +45,7 @@ from leactl.report.html import code_parts, render
 
 MODELS = ("nominal", "calibrated", "augmented", "floor")
 MOST_CARDS = 12  # channels with bars, where no effect is added
-SCALE_START = 0.5  # of the smallest value, where the logarithmic scale of the bars begins
+SCALE_START = 0.5  # start of the logarithmic scale of the bars, as a multiple of the smallest value
 
 
 def page(answer: DiagnosisResult) -> str:
@@ -109,10 +109,10 @@ def cause_content(cause: Cause, closes_no_gap: bool) -> dict[str, Any]:
     }
 
 
-def simulator_content(simulator: SimulatorAnswer, beyond: Sequence[str]) -> dict[str, Any]:
-    """Return the contents and floors of a simulator that stands for the model, and its runs with the real ones."""
+def simulator_content(simulator: SimulatorAnswer, real_effects: Sequence[str]) -> dict[str, Any]:
+    """Return sentences and tables on a simulator that takes the place of the model, and the pairs of runs."""
     return {
-        "summary": " ".join(simulator_sentences(simulator, beyond)),
+        "summary": " ".join(simulator_sentences(simulator, real_effects)),
         "tables": simulator_tables(simulator),
         "runs": [(Path(pair.simulated).name, Path(pair.real).name) for pair in simulator.runs],
     }
@@ -169,7 +169,7 @@ def scale_ends(channels: Sequence[Shrinkage]) -> tuple[float, float]:
 
 
 def bar_unit(channel: Shrinkage) -> float:
-    """Return the RMS that a channel's bars are multiples of: its floor, or its smallest RMS where it has no floor."""
+    """Return the unit of the bars of a channel: the RMS of its floor, or its smallest RMS if it has no floor."""
     positive = [value for value in rms_by_model(channel) if math.isfinite(value) and value > 0.0]
     return channel.floor_rms if channel.floor_rms in positive else min(positive, default=1.0)
 
@@ -177,7 +177,13 @@ def bar_unit(channel: Shrinkage) -> float:
 def channel_bars(
     channel: Shrinkage, channels: Sequence[Shrinkage], low: float, high: float, effects: bool
 ) -> dict[str, Any]:
-    """Return one channel's bars; without an effect the augmented model has none, since it is the calibrated one."""
+    """Return the bars of one channel; without effects the augmented model has no bar, since it is the calibrated one.
+
+    Parameters
+    ----------
+    low, high : ends of the scale, as `scale_ends` returns them.
+    effects : whether effects are claimed.
+    """
     bars = []
     for name, value in zip(MODELS, rms_by_model(channel), strict=True):
         if name == "augmented" and not effects:
@@ -190,7 +196,7 @@ def channel_bars(
 
 
 def region_rows(answer: DiagnosisResult) -> list[list[str]]:
-    """Return a row for each channel with a gap and the region that holds most of it."""
+    """Return a row for each channel with a gap: RMS by model, and the region with most of the gap."""
     return [
         [
             channel_label(channel, answer.where),

@@ -1,6 +1,6 @@
-"""A simulator that stands for the model: its effects and floors, and what of them the real runs share.
+"""Sentences and tables on a simulator that takes the place of the model: its parameters, effects and floors.
 
-The terminal and the page share these sentences and tables.
+The terminal and the page share them.
 """
 
 from collections import Counter
@@ -26,13 +26,15 @@ PAIRED = {
 }
 
 
-def simulator_sentences(simulator: SimulatorAnswer, beyond: Sequence[str]) -> list[str]:
-    """Return sentences on what the simulator contains and what the real runs have beyond it.
+def simulator_sentences(simulator: SimulatorAnswer, real_effects: Sequence[str]) -> list[str]:
+    """Return sentences on the effects of the simulator, and on how those of the real runs differ.
 
-    beyond : effects that were named for the real runs.
+    Parameters
+    ----------
+    real_effects : effects that were named for the real runs.
     """
-    ways = Counter(pair.paired_by for pair in simulator.runs)
-    pairings = enumerated([f"{count} {PAIRED[way]}" for way, count in ways.items()])
+    pairing_counts = Counter(pair.paired_by for pair in simulator.runs)
+    pairings = enumerated([f"{count} {PAIRED[criterion]}" for criterion, count in pairing_counts.items()])
     contains = [effect.effect for effect in simulator.effects]
     sentences = [
         f"The nominal is a simulator: its runs have the inputs of the real ones (paired: {pairings}).",
@@ -40,8 +42,8 @@ def simulator_sentences(simulator: SimulatorAnswer, beyond: Sequence[str]) -> li
     ]
     if simulator.verdict == "unknown":
         sentences.append("It does something that no effect of the library explains, which counts as its floor.")
-    new_effects = [name for name in beyond if name not in contains]
-    resized = [f"{name} of another size" for name in beyond if name in contains]
+    new_effects = [name for name in real_effects if name not in contains]
+    resized = [f"{name} of another size" for name in real_effects if name in contains]
     lacking = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
     differing = [parameter.parameter for parameter in simulator.parameters if parameter.differs]
     sentences.append(f"The real runs have {enumerated([*new_effects, *resized]) or 'no effect'} beyond it.")
@@ -53,13 +55,13 @@ def simulator_sentences(simulator: SimulatorAnswer, beyond: Sequence[str]) -> li
 
 
 def simulator_tables(simulator: SimulatorAnswer) -> list[tuple[tuple[str, ...], list[list[str]]]]:
-    """Return headings and rows of the tables of parameters, effects and floors, without those that have no row."""
-    pairs = (
+    """Return headings and rows of the tables of parameters, effects and floors; a table without rows is left out."""
+    tables = (
         (PARAMETERS, parameter_rows(simulator)),
         (EFFECTS, effect_rows(simulator)),
         (FLOORS, floor_rows(simulator)),
     )
-    return [(headings, rows) for headings, rows in pairs if rows]
+    return [(headings, rows) for headings, rows in tables if rows]
 
 
 def parameter_rows(simulator: SimulatorAnswer) -> list[list[str]]:

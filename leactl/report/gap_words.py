@@ -1,4 +1,4 @@
-"""Words and figures of a diagnosis, which the terminal and the page share."""
+"""Texts and figures of a diagnosis, which the terminal and the page share."""
 
 import math
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 MENDED_FIRST = "Gaps are of the runs once the set-up is mended."
-TIME = "time"  # in `Rest.depends_on`
-PRESENT_FROM = 0.5  # probability
+TIME = "time"  # name of time in `Rest.depends_on`
+PRESENT_FROM = 0.5  # probability from which a cause is said to act
 NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap
 VERDICTS = {
     "none": "The model explains these runs; no gap is left.",
@@ -33,7 +33,7 @@ VERDICTS = {
     "effect": "The model lacks {causes}.",
     "unknown": "A gap remains that no effect of the library explains.",
 }
-FAR_OFF = {
+FAR_OFF = {  # starts of the verdict where a replay misses the data by far
     "none": "Nothing in these runs shows what the model lacks, but a replay of",
     "calibration": "Other parameters explain what these runs tell of the model, but a replay of",
 }
@@ -41,7 +41,7 @@ Channel = Where | Shrinkage
 
 
 def verdict_sentence(answer: DiagnosisResult) -> str:
-    """Return the verdict as one sentence that names the causes; faults of the set-up are named apart from effects."""
+    """Return the verdict as one sentence that names the causes: faults of the set-up, then missing effects."""
     faults, lacking = claimed_faults(answer), claimed_effects(answer)
     farthest = next((line for line in largest_first(answer.shrinkage) if line.floor_rms > 0.0), None)
     if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > REPLAY_MISS * farthest.floor_rms:
@@ -54,7 +54,7 @@ def verdict_sentence(answer: DiagnosisResult) -> str:
 
 
 def claimed_faults(answer: DiagnosisResult) -> list[str]:
-    """Return the faults of the set-up that are said to act; the rest of an answer is about the runs without them."""
+    """Return the faults of the set-up that are said to act; other parts of an answer are on the runs without them."""
     return claimed_causes([cause for cause in answer.causes if cause.family == "setup"])
 
 
@@ -64,7 +64,7 @@ def claimed_effects(answer: DiagnosisResult) -> list[str]:
 
 
 def claimed_causes(causes: Sequence[Cause]) -> list[str]:
-    """Return the causes that are said to act; effects that cannot be told apart are one entry."""
+    """Return the causes that are said to act; effects that cannot be distinguished are one entry."""
     names: list[str] = []
     claimed: set[str] = set()
     for cause in causes:
@@ -89,7 +89,7 @@ def effect_meaning(effect: str) -> str:
 
 
 def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel | SimulatorFloor]) -> str:
-    """Return a channel's name, with its role where `channels` has the same quantity and set-up of another role."""
+    """Return the name of a channel, with its role if `channels` has the same quantity and set-up with another role."""
     roles = {
         candidate.role
         for candidate in channels
@@ -127,7 +127,7 @@ def closes_nothing(answer: DiagnosisResult) -> bool:
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:
-    """Return a text on how many channels have no gap, and how many of these have none because of calibration."""
+    """Return a text on the number of channels without a gap, and how many of these calibration has closed."""
     at_floor = sum(not open_gap(channel) for channel in channels)
     by_calibration = len(closed_by_calibration(channels))
     suffix = f", {by_calibration} of them by calibration" if by_calibration else ""
@@ -146,7 +146,7 @@ def three_digits(value: float) -> str:
 
 
 def with_std(value: float, std: float, units: str = "") -> str:
-    """Return `0.0288600 ± 0.0000080 N*m`; the value alone where it has no uncertainty."""
+    """Return a text such as `0.0288600 ± 0.0000080 N*m`; a value without an uncertainty stands alone."""
     if not math.isfinite(std) or std <= 0.0:
         shown = f"{value:.4g}" if math.isfinite(value) else "not known"
     else:
@@ -188,7 +188,7 @@ def calibration_rows(answer: DiagnosisResult) -> list[list[str]]:
 
 
 def closed_text(channel: Shrinkage) -> str:
-    """Return the share of a gap that is closed with its interval, in percent."""
+    """Return the closed share of a gap in percent, with its 95 % interval."""
     if channel.closed is None:
         return "no gap"
     if channel.closed_low is None or channel.closed_high is None:
@@ -205,7 +205,7 @@ def probability_text(value: float) -> str:
 
 
 def percent_text(share: float) -> str:
-    """Return a share of one in percent, without a negative zero."""
+    """Return a share in percent, without a negative zero."""
     return f"{100.0 * share:.0f} %".replace("-0 %", "0 %") if math.isfinite(share) else "not known"
 
 
@@ -232,7 +232,7 @@ def region_text(region: Region | None, share: float) -> str:
 
 
 def variable_words(picture: Picture) -> str:
-    """Return the name of a picture's variable; for an angle that is folded, the number of periods a turn."""
+    """Return the name of the variable of a picture; for a folded angle, with the number of periods in a turn."""
     if picture.periods is not None:
         several = f"one of {picture.periods:.4g} periods of " if picture.periods > 1.0 else ""
         return f"angle within {several}a turn"
@@ -246,7 +246,7 @@ def residual_words(picture: Picture) -> str:
 
 
 def picture_words(picture: Picture) -> str:
-    """Return a text with a picture's RMS before and after, and the numbers of bins whose mean differs from zero."""
+    """Return a text on the RMS of a picture before and after, and the number of bins whose mean differs from zero."""
     units, bins = bare_units(picture.units), len(picture.bins)
     rms = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
     off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"

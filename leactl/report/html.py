@@ -1,4 +1,4 @@
-"""Pages from the templates beside this module: every text is escaped, and a page loads nothing."""
+"""Fills the templates of pages; every text is escaped, and a page loads nothing from other files."""
 
 import re
 from base64 import b64encode
@@ -8,31 +8,37 @@ from hashlib import sha256
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # a terminal takes a function from here and needs no templates
+if TYPE_CHECKING:  # output to a terminal uses this module too, without jinja2
     from jinja2 import Environment
 
-# what neither XML 1.0 nor UTF-8 can carry: control characters, and the halves that stand for bytes of a file's name
-UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+# not in XML 1.0 or UTF-8: control characters, and surrogates, which stand for undecodable bytes of a file name
+UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
-def without_control_characters(words: str) -> str:
-    """Replace the characters that neither a page nor a terminal can take by U+FFFD."""
-    return UNFIT.sub("\ufffd", words)
+def without_control_characters(text: str) -> str:
+    """Return a text with U+FFFD in place of the characters that neither a page nor a terminal can take."""
+    return UNPRINTABLE.sub("\ufffd", text)
 
 
 def render(template: str, scripts: Sequence[str] = (), **content: Any) -> str:
-    """Return the page of a template; it runs these scripts of this room, as one, and no other."""
+    """Return the page of a template, with the only script that it may run.
+
+    Parameters
+    ----------
+    scripts : files in this folder, which are joined to one script.
+    content : variables of the template.
+    """
     from markupsafe import Markup
 
-    room = resources.files("leactl.report")
-    script = "\n".join((room / name).read_text(encoding="utf-8") for name in scripts)
+    folder = resources.files("leactl.report")
+    script = "\n".join((folder / name).read_text(encoding="utf-8") for name in scripts)
     digest = b64encode(sha256(script.encode()).digest()).decode()
     return environment().get_template(template).render(script=Markup(script), script_digest=digest, **content)
 
 
 @cache
 def environment() -> "Environment":
-    """Return what fills templates: all text is escaped, and a name that was not given is an error."""
+    """Return the Jinja environment: it escapes all text, and a variable without a value is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -50,7 +56,7 @@ def environment() -> "Environment":
     )
 
 
-def code_parts(words: str) -> list[str]:
-    """Split a text at its backquotes: every second part is code; a backquote without its other end is text."""
-    parts = words.split("`")
-    return parts if len(parts) % 2 else [words]
+def code_parts(text: str) -> list[str]:
+    """Split a text at its backquotes; every second part is code. A text with an odd number of them stays whole."""
+    parts = text.split("`")
+    return parts if len(parts) % 2 else [text]

@@ -1,4 +1,4 @@
-"""A chart of values with their 95 % intervals, a row each over one axis, with the paper's figure as a stroke."""
+"""A chart of values with 95 % intervals: a row for each value over one axis, with the figure of the paper."""
 
 import math
 import re
@@ -11,23 +11,23 @@ import numpy as np
 from leactl.report.chart import TICKS, Key, SvgPath, Tick, across, axis, percent, tick_text
 from leactl.report.plot import PlotAxis
 
-STRIP_HEIGHT = 20.0  # units of the drawing of one row, down; the template's `viewBox` says it too
+STRIP_HEIGHT = 20.0  # height of the drawing of a row in its units; the `viewBox` of the template has it too
 
 
 @dataclass(frozen=True)
 class Interval:
-    """One row of the chart; a value or an end that is not known is NaN."""
+    """The data of one row of the chart; a value or an end of the interval that is not known is NaN."""
 
     label: str
     style: str
     value: float
     low: float
     high: float
-    paper: str = ""  # the paper's figure as it is printed
+    paper: str = ""  # figure of the paper, as printed there
 
 
 class Strip(NamedTuple):
-    """One row as its template takes it."""
+    """One row of the chart as the template takes it."""
 
     label: str
     description: str
@@ -35,7 +35,7 @@ class Strip(NamedTuple):
 
 
 class IntervalChart(NamedTuple):
-    """The whole chart as its template takes it."""
+    """The whole chart as the template takes it."""
 
     keys: list[Key]
     strips: list[Strip]
@@ -45,20 +45,29 @@ class IntervalChart(NamedTuple):
 
 def intervals(rows: Sequence[Interval], x_label: str) -> IntervalChart:
     """Return the rows below each other over one axis with ticks and a legend."""
-    marks = [paper_value(row.paper) for row in rows]
-    x = axis([np.array([row.value, row.low, row.high, mark]) for row, mark in zip(rows, marks, strict=True)], TICKS[0])
+    paper_values = [paper_value(row.paper) for row in rows]
+    x = axis(
+        [np.array([row.value, row.low, row.high, paper]) for row, paper in zip(rows, paper_values, strict=True)],
+        TICKS[0],
+    )
     ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
-    keys = [("line", "95 % interval")] + ([("paper", "LEA in the paper")] if np.isfinite(marks).any() else [])
-    strips = [strip(row, mark, x, list(ticks)) for row, mark in zip(rows, marks, strict=True)]
-    return IntervalChart(keys, strips, [(percent(at), text) for at, text in ticks.items()], x_label)
+    keys = [("line", "95 % interval")] + ([("paper", "LEA in the paper")] if np.isfinite(paper_values).any() else [])
+    strips = [strip(row, paper, x, list(ticks)) for row, paper in zip(rows, paper_values, strict=True)]
+    return IntervalChart(keys, strips, [(percent(position), text) for position, text in ticks.items()], x_label)
 
 
-def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> Strip:
-    """Return the drawing of one row; `mark` is the paper's value, NaN where it has none."""
+def strip(row: Interval, paper: float, x: PlotAxis, ticks: Sequence[float]) -> Strip:
+    """Return the drawing of one row.
+
+    Parameters
+    ----------
+    paper : value of the paper; NaN where it has none.
+    ticks : positions of the ticks in the drawing.
+    """
     middle = STRIP_HEIGHT / 2.0
-    paths = [SvgPath("".join(f"M{at} 0V{STRIP_HEIGHT:g}" for at in ticks), "grid")]
-    if math.isfinite(mark):
-        paths.append(SvgPath(f"M{across(x, mark)} 0V{STRIP_HEIGHT:g}", "curve paper"))
+    paths = [SvgPath("".join(f"M{position} 0V{STRIP_HEIGHT:g}" for position in ticks), "grid")]
+    if math.isfinite(paper):
+        paths.append(SvgPath(f"M{across(x, paper)} 0V{STRIP_HEIGHT:g}", "curve paper"))
     if math.isfinite(row.low) and math.isfinite(row.high):
         whisker = f"M{across(x, row.low)} {middle:g}H{across(x, row.high)}"
         paths.append(SvgPath(whisker, f"curve line {row.style}"))
@@ -69,6 +78,6 @@ def strip(row: Interval, mark: float, x: PlotAxis, ticks: Sequence[float]) -> St
 
 
 def paper_value(text: str) -> float:
-    """Return the number that a figure of the paper begins with; NaN for a bound or for no figure."""
+    """Return the number at the start of a figure of the paper; NaN if it does not begin with one, such as a bound."""
     match = re.match(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?", text)
     return float(match[0]) if match else math.nan

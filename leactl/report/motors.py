@@ -1,4 +1,4 @@
-"""Comparison of motors: figures that do not depend on the winding, torques, and missing or contradictory values."""
+"""Comparison of motors: figures, torques, and notes on missing or contradictory values of their files."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from leactl.safety.thermal.capability import Nominal, nominal
 PEAK_DURATION_S = 20.0  # as in the paper
 # inductance over resistance of real actuators is 0.1 to 20 ms; with an inductance in mH it is a thousand times that
 LONGEST_TIME_CONSTANT_S = 0.1
-SAME_CONSTANT_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
+MOST_CONSTANT_DEVIATION = 0.1  # relative; saturation and current conventions make a few per cent, a wrong unit far more
 
 
 @dataclass(frozen=True)
@@ -36,22 +36,22 @@ class OperatingConditions:
 
 @dataclass(frozen=True)
 class ComparedMotor:
-    """A motor file and the currents it carries; `carried` is None where the file lacks what that needs."""
+    """A motor file and the currents that the winding can carry; `carried` is None if the file lacks values for them."""
 
     sheet: MotorSheet
     carried: Nominal | None
-    lacks: tuple[str, ...]  # keys that a motor which is to be moved needs
+    lacks: tuple[str, ...]  # missing keys, without which a bench must not move the motor
     conditions: OperatingConditions
 
 
 @dataclass(frozen=True)
 class FigureRow:
-    """One figure of several motors; None where it is not known."""
+    """One figure of several motors; a value is None if it is not known."""
 
     name: str
     units: str
     values: tuple[float | str | None, ...]
-    of_frame: bool  # whether it depends on the winding's own frame
+    of_frame: bool  # whether it depends on the frame of the winding: not comparable where windings differ
 
 
 Figure = tuple[str, str, Callable[[ComparedMotor], float | str | None]]
@@ -59,11 +59,11 @@ FRAME_DEPENDENT = {"torque_constant", "phase_resistance", "phase_inductance", "c
 
 
 def compared_motor(name_or_path: str, conditions: OperatingConditions) -> ComparedMotor:
-    """Read a motor file, and work out the currents it carries where the file is complete.
+    """Read a motor file, and compute the currents that the winding can carry if the file is complete.
 
     Raises
     ------
-    InputError : no such motor or file, or a fault in it.
+    InputError : there is no such motor or file, or the file has a fault.
     """
     sheet, document = load_sheet(name_or_path)
     motor, lacks = _movable(document)
@@ -72,6 +72,7 @@ def compared_motor(name_or_path: str, conditions: OperatingConditions) -> Compar
 
 
 def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
+    """Return the motor, None if the file is incomplete, and the missing keys."""
     try:
         motor = document.validate(Motor)
     except InputError as error:
@@ -80,7 +81,7 @@ def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]
 
 
 def figure_rows(motors: Sequence[ComparedMotor]) -> list[FigureRow]:
-    """Return every figure of these motors, a row each."""
+    """Return a row for each figure of FIGURES, with the values of these motors."""
     return [
         FigureRow(name, units, tuple(figure_of(motor) for motor in motors), name in FRAME_DEPENDENT)
         for name, units, figure_of in FIGURES
@@ -102,12 +103,12 @@ def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
 
 
 def comparison_text(motors: Sequence[ComparedMotor]) -> str:
-    """Return a table with a column for each motor; figures of a winding's frame are left out where frames differ."""
-    differ = len({motor.sheet.winding for motor in motors}) > 1
+    """Return a table with a column for each motor, without figures in the frame of the winding if windings differ."""
+    windings_differ = len({motor.sheet.winding for motor in motors}) > 1
     shown = [
         (f"{row.name} [{row.units}]" if row.units else row.name, *(cell(value) for value in row.values))
         for row in figure_rows(motors)
-        if any(value is not None for value in row.values) and not (differ and row.of_frame)
+        if any(value is not None for value in row.values) and not (windings_differ and row.of_frame)
     ]
     parts = [aligned(("", *(motor.sheet.name for motor in motors)), shown)]
     return "\n".join([*parts, *(wrapped("note:", [note], TEXT_WIDTH) for note in comparison_notes(motors))])
@@ -132,16 +133,19 @@ def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
         if motor.sheet.back_emf_constant is not None and (lacking := fields_missing_for_friction(motor.sheet))
     ]
     for motor in motors:
-        notes += [f"{motor.sheet.name}: {note}" for note in (*against_print(motor), *against_itself(motor.sheet))]
+        notes += [
+            f"{motor.sheet.name}: {note}"
+            for note in (*contradictions_to_print(motor), *contradictions_in_file(motor.sheet))
+        ]
     return list(dict.fromkeys(notes))
 
 
-def against_itself(sheet: MotorSheet) -> list[str]:
+def contradictions_in_file(sheet: MotorSheet) -> list[str]:
     """Return a note on each pair of values in one file that contradict each other."""
     contradictions = []
     torque, voltage = sheet.torque_constant, sheet.back_emf_constant
-    # electrical power into the back-EMF is mechanical power, so both constants are equal
-    if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > SAME_CONSTANT_WITHIN:
+    # the electrical power into the back-EMF equals the mechanical power, so that both constants are equal in SI
+    if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > MOST_CONSTANT_DEVIATION:
         contradictions.append(
             f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
         )
@@ -154,12 +158,12 @@ def against_itself(sheet: MotorSheet) -> list[str]:
     return contradictions
 
 
-def against_print(motor: ComparedMotor) -> list[str]:
+def contradictions_to_print(motor: ComparedMotor) -> list[str]:
     """Return a note for each printed figure of the source that does not follow from its other values."""
     sheet, printed = motor.sheet, motor.sheet.printed
     torques = continuous_torques(sheet, motor.conditions.ambient)
     peak_torque = _carried(lambda currents: currents.peaks[0])
-    pairs = [
+    comparisons = [
         ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
         ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
         ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
@@ -169,13 +173,13 @@ def against_print(motor: ComparedMotor) -> list[str]:
     ]
     return [
         f"{quantity} printed as {printed_value:.3g} {units}, {derived:.3g} {units} here"
-        for quantity, units, printed_value, derived, within in pairs
-        if printed_value is not None and derived is not None and abs(derived / printed_value - 1.0) > within
+        for quantity, units, printed_value, derived, most_deviation in comparisons
+        if printed_value is not None and derived is not None and abs(derived / printed_value - 1.0) > most_deviation
     ]
 
 
 def cell(value: float | str | None) -> str:
-    """Return four digits of a value, or a text as it is; `-` where it is missing."""
+    """Return a value with four significant digits, or a text unchanged; `-` for a missing value."""
     if value is None:
         return "-"
     return value if isinstance(value, str) else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
@@ -186,7 +190,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
-    """Return the function that computes a motor's torque [N*m] at one of the currents that its winding carries."""
+    """Return a function that computes the torque [N*m] of a motor at one of the currents that its winding can carry."""
 
     def torque(motor: ComparedMotor) -> float | None:
         amperes = None if motor.carried is None else current(motor.carried)

@@ -1,4 +1,4 @@
-"""Answers in a notebook: each page is in a frame, so that its style and scripts do not affect the notebook."""
+"""Results as pages in a notebook; each page is in a frame, so that its style and scripts do not affect the notebook."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -14,12 +14,12 @@ from leactl.report.terminal import interval_text, value_text
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.read.traces import trace_of
 
-HEIGHT_PX = 560  # of the frame; what is longer scrolls inside
-BINS = 1000  # of a channel's curve: more than the pixels of a cell
+HEIGHT_PX = 560  # of the frame; a longer page scrolls in it
+BINS = 1000  # of the curve of a channel: more than a cell has pixels
 
 
 def framed(page: str) -> str:
-    """Return a page as a frame for a notebook's cell; no script of it may run."""
+    """Return a page in an HTML frame for a cell of a notebook; its scripts cannot run."""
     return f'<iframe srcdoc="{escape(page, quote=True)}" sandbox="" width="100%" height="{HEIGHT_PX}"></iframe>'
 
 
@@ -28,7 +28,7 @@ def analysis_page(result: Result) -> str:
     tables = []
     for actuator, condition in result.groups:
         rows = [
-            [plain(estimate.name), value_text(estimate), interval_text(estimate), _printed(estimate.units)]
+            [plain(estimate.name), value_text(estimate), interval_text(estimate), _unit_text(estimate.units)]
             for estimate in result.results
             if (estimate.actuator, estimate.condition) == (actuator, condition)
         ]
@@ -46,7 +46,7 @@ def analysis_page(result: Result) -> str:
 
 
 def run_page(run: Run) -> str:
-    """Return a page with the channels of a run, also of one whose file is closed by now."""
+    """Return a page with the channels of a run; its file may be closed."""
     attributes = ("protocol", "actuator", "condition", "bench", "status", "status_reason")
     rows = [
         [
@@ -54,7 +54,7 @@ def run_page(run: Run) -> str:
             plain(spec.quantity),
             spec.role,
             spec.location,
-            _printed(spec.units),
+            _unit_text(spec.units),
             run.rows[stream],
         ]
         for stream, specs in run.streams.items()
@@ -66,7 +66,7 @@ def run_page(run: Run) -> str:
 
 
 def channel_page(channel: Channel) -> str:
-    """Return a page with the curve of a channel; of a long one, the range of its samples at each point."""
+    """Return a page with the curve of a channel; each point of a long curve is the range of several samples."""
     title = " ".join(filter(None, (plain(channel.quantity) or "channel", "of", channel.role, channel.location)))
     facts = (channel.long_name, channel.device, f"{len(channel)} samples")
     about = ", ".join(filter(None, facts))
@@ -76,8 +76,8 @@ def channel_page(channel: Channel) -> str:
     style = "setpoint" if channel.quantity.endswith("_reference") else "reading"
     y_label = f"{plain(channel.quantity)} [{channel.units}]"
     drawn = chart([LineMarks("", style, trace.time, trace.values)], "time [s]", pretty(y_label))
-    thinned = f"the range of about {trace.samples_per_bin:.0f} samples at each point"
-    return _page(title, about, figures=[CaptionedChart(thinned if trace.samples_per_bin > 1 else "", drawn)])
+    caption = f"the range of about {trace.samples_per_bin:.0f} samples at each point"
+    return _page(title, about, figures=[CaptionedChart(caption if trace.samples_per_bin > 1 else "", drawn)])
 
 
 def ending_page(
@@ -91,15 +91,18 @@ def ending_page(
 
     Parameters
     ----------
-    ending : status, reason and duration, as a text.
-    acceptance : the limits of the protocol, as `leactl run --json` prints them.
+    ending : text on status, reason and duration.
+    acceptance : the acceptance limits of the protocol, as `leactl run --json` prints them.
     """
     tables = []
     if acceptance:
-        rows = [[_judged(row), _number(row["value"]), _printed(row["units"]), _yes(row["met"])] for row in acceptance]
+        rows = [
+            [_limit_name(row), _number(row["value"]), _unit_text(row["units"]), _yes_or_no(row["met"])]
+            for row in acceptance
+        ]
         tables.append(("Limits", ["limit on", "value", "units", "met"], rows))
     if safe:
-        rows = [[name, _yes(confirmation.safe), confirmation.detail] for name, confirmation in safe.items()]
+        rows = [[name, _yes_or_no(confirmation.safe), confirmation.detail] for name, confirmation in safe.items()]
         tables.append(("Safe state", ["device", "confirmed", "what it answered"], rows))
     return _page(f"Run {run.name}", ending, tables, notes=notes)
 
@@ -114,7 +117,7 @@ def _page(
     return render("notebook.html", title=title, about=about, tables=tables, figures=figures, notes=notes)
 
 
-def _judged(limit: Mapping[str, Any]) -> str:
+def _limit_name(limit: Mapping[str, Any]) -> str:
     """Return the name of the value that a limit judges: a result, a bisection, or a channel's statistic in a step."""
     names = (limit.get(key, "") for key in ("result", "bisect", "statistic", "channel", "role", "step"))
     return " ".join(plain(str(name)) for name in names if name)
@@ -124,9 +127,9 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
-def _printed(units: str) -> str:
+def _unit_text(units: str) -> str:
     return "" if units == "1" else pretty(units)
 
 
-def _yes(holds: bool) -> str:
+def _yes_or_no(holds: bool) -> str:
     return "yes" if holds else "no"

@@ -1,4 +1,4 @@
-"""A page as PDF, printed by a Chromium that is installed."""
+"""Prints a page as PDF with an installed Chromium."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import replacement
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
-# no network, no first-start traffic, nothing of the user's own profile
+# no network traffic, also not at a first start; the profile is a new folder, not the user's (see print_pdf)
 FLAGS = (
     "--headless",
     "--disable-gpu",
@@ -23,11 +23,11 @@ FLAGS = (
     "--disable-dev-shm-usage",
     "--no-pdf-header-footer",
 )
-LONGEST_S = 120.0
+LONGEST_S = 120.0  # of printing
 
 
 def examine() -> HostFinding:
-    """Return the finding of `leactl doctor` on whether this machine can print a page."""
+    """Return the finding for `leactl doctor` on whether a browser is installed that prints pages."""
     browser_path = installed()
     text = browser_path or "none in PATH; `leactl report --pdf` prints by one"
     return HostFinding(
@@ -36,12 +36,12 @@ def examine() -> HostFinding:
 
 
 def installed() -> str | None:
-    """Return the path of the first installed browser; None where there is none."""
+    """Return the path of the first installed browser; None if none is installed."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def browser() -> str:
-    """Return the path of the first installed browser, or refuse `--pdf`.
+    """Return the path of the first installed browser.
 
     Raises
     ------
@@ -57,24 +57,24 @@ def browser() -> str:
 
 
 def print_pdf(html: Path, out: Path) -> None:
-    """Print a page to a PDF, which replaces an earlier one at once or not at all.
+    """Print a page to a PDF file; an earlier file is replaced atomically, once the PDF is complete.
 
     Raises
     ------
-    InputError : no browser.
-    DeviceError : the browser failed.
+    InputError : no browser is installed.
+    DeviceError : the browser failed, or took longer than LONGEST_S.
     """
     command = [browser(), *FLAGS]
-    # as root Chromium does not start inside its sandbox; the page is our own and has no script
+    # Chromium does not start in its sandbox as root; the page is from this program and has no script
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.append("--no-sandbox")
     with tempfile.TemporaryDirectory() as profile, replacement(out) as path:
-        # Chromium may leave by status 0 without a file, so that the file is what counts
+        # Chromium may end with status 0 without a file, so that the file is checked
         command += [f"--user-data-dir={profile}", f"--print-to-pdf={path}", html.resolve().as_uri()]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
+            process = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
         except subprocess.TimeoutExpired:
             raise DeviceError(f"{out}: {command[0]} did not print within {LONGEST_S:g} s") from None
-        if done.returncode or not path.exists():
-            last = (done.stderr.strip().splitlines() or ["no word"])[-1]
-            raise DeviceError(f"{out}: {command[0]} did not print: {last}")
+        if process.returncode or not path.exists():
+            last_line = (process.stderr.strip().splitlines() or ["no word"])[-1]
+            raise DeviceError(f"{out}: {command[0]} did not print: {last_line}")

@@ -1,4 +1,4 @@
-"""A protocol's plan as text and for scripts: timeline, peaks and searches, and what a run of it would do now."""
+"""The plan of a protocol as text and as JSON: timeline, peaks and searches; and what a run of the plan would do now."""
 
 import math
 from collections.abc import Mapping
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 def plan_lines(plan: "Plan", limits: "Limits | None" = None) -> list[str]:
-    """Return the expanded timeline with duration and peak setpoints, beside the limits of a bench if one is given."""
+    """Return the lines of a plan: timeline, duration, and peak setpoints, with the limits of a bench if given."""
     lines = [f"{plan.name}: {plan.title}".rstrip(": ")]
     lines += [f"  {name} = {value}" for name, value in plan.parameters.items()]
     lines.append(f"{'start/s':>10} {'last/s':>9} {'settle/s':>9}  {'step':<10}  setpoints")
     for row in plan.timeline():
         times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
         lines.append(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
-    most = "at most " if plan.adaptive else ""
-    lines.append(f"duration {most}{duration(plan.duration_s, always_hours=True)} ({plan.duration_s:.3f} s)")
+    bound = "at most " if plan.adaptive else ""
+    lines.append(f"duration {bound}{duration(plan.duration_s, always_hours=True)} ({plan.duration_s:.3f} s)")
     for peak in peaks(plan, limits):
         low, high = peak.get("limits") or (-math.inf, math.inf)
         within = f", limits {low:g} to {high:g} {peak['unit']}" if math.isfinite(high - low) else ""
@@ -46,7 +46,7 @@ def searches(plan: "Plan") -> list[str]:
 
 
 def peaks(plan: "Plan", limits: "Limits | None" = None) -> list[dict[str, Any]]:
-    """Return the largest setpoint of each role and quantity with its unit, and the bench's limits where it has any."""
+    """Return the largest setpoint of each role and quantity with its unit, and with the limits of a bench if given."""
     return [
         {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
         | ({} if limits is None else {"limits": limits.of(quantity)})
@@ -55,7 +55,7 @@ def peaks(plan: "Plan", limits: "Limits | None" = None) -> list[dict[str, Any]]:
 
 
 def hottest(forecast: "Forecast") -> dict[str, float]:
-    """Return by role the hottest that a winding may become [degC]."""
+    """Return the highest possible temperature [degC] of the winding of each role."""
     return {role: round(value, 2) for role, value in forecast.peaks.items()}
 
 
@@ -67,7 +67,10 @@ def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
     return {
         **head(plan),
         "bench": request.bench.name,
-        "devices": [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in request.devices],
+        "devices": [
+            {"name": device.name, "driver": device.entry.driver, "role": device.entry.role}
+            for device in request.devices
+        ],
         "actuator": request.actuator,
         "run": str(request.directory / f"{new_run_id(plan.name, datetime.now(UTC))}.h5"),
         "planned_bytes": round(planned.planned_bytes),

@@ -1,4 +1,4 @@
-"""A plot made of characters: fitted lines as Braille dots, points as letters; in ASCII where the terminal needs it."""
+"""Plots in characters: fitted lines as Braille dots, points as marks; in plain ASCII where the terminal needs that."""
 
 import itertools
 import math
@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from leactl.analysis.estimate import Plot, Series
 
 MARKS = "ox+#%@"
-SEVERAL = "*"  # points of several kinds in one cell
+SEVERAL = "*"  # mark of a cell with points of several series
 MARGIN = 0.04  # of the range, kept free at both ends
-TICKS = (6, 8)  # about the most along x and y
-# Braille, 2 x 4 dots a character, Unicode 3.0 chart U+2800: bit of the dot in column x, row y
+TICKS = (6, 8)  # largest number along x and y, approximately
+# bit of the dot in column x and row y of a Braille character, which has 2 x 4 dots (Unicode 3.0, chart U+2800)
 BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
@@ -18,14 +18,18 @@ class PlotAxis:
     """One axis of a plot: its range, and ticks at round numbers; a logarithmic axis spaces decades evenly."""
 
     def __init__(self, values: Sequence[float], ticks: int, log: bool = False) -> None:
+        """Set the range to that of the values with a margin, and place about `ticks` ticks.
+
+        `low` and `high` are the ends of the range, or their logarithms to base 10 if `log`.
+        """
         self.log = log
         if log:
             values = [math.log10(value) for value in values if value > 0.0] or [0.0, 1.0]
         low, high = min(values), max(values)
-        room = (high - low) * MARGIN or abs(high) * 0.1 or 1.0
-        self.low, self.high = low - room, high + room
+        margin = (high - low) * MARGIN or abs(high) * 0.1 or 1.0
+        self.low, self.high = low - margin, high + margin
         if log:
-            self.ticks = decades(self.low, self.high, ticks)
+            self.ticks = decade_ticks(self.low, self.high, ticks)
             return
         step = round_step((self.high - self.low) / ticks)
         first, last = math.ceil(self.low / step), math.floor(self.high / step)
@@ -33,14 +37,14 @@ class PlotAxis:
         self.ticks = {k * step: f"{k * step:.{digits}f}" for k in range(first, last + 1)}
 
     def share(self, value: float) -> float:
-        """Return the position of a value, 0 to 1 from low to high; on a logarithmic axis, 0 for values up to zero."""
+        """Return the position of a value: 0 at the low end of the axis, 1 at the high end; 0 if it has no logarithm."""
         if self.log:
             value = math.log10(value) if value > 0.0 else self.low
         return (value - self.low) / (self.high - self.low)
 
 
-def decades(low: float, high: float, most: int) -> dict[float, str]:
-    """Return at most `most` ticks between two powers of ten: 1, 2 and 5, or 1 and 3, or 1 of each decade."""
+def decade_ticks(low: float, high: float, most: int) -> dict[float, str]:
+    """Return at most `most` ticks from 10^low to 10^high: 1, 2 and 5, or 1 and 3, or 1 of each decade."""
     powers = range(math.floor(low), math.ceil(high) + 1)
     for mantissas in ((1, 2, 5), (1, 3), (1,)):
         ticks = [factor * 10.0**power for power in powers for factor in mantissas]
@@ -51,35 +55,36 @@ def decades(low: float, high: float, most: int) -> dict[float, str]:
 
 
 def round_step(least: float) -> float:
-    """Return the smallest 1, 2 or 5 times a power of ten that is not below `least`."""
+    """Return the smallest step that is 1, 2 or 5 times a power of ten and not below `least`."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least * (1 - 1e-9))
 
 
 def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> list[str]:
-    """Return the plot as lines of text, none wider than `width`; no line where it has no finite point."""
-    shown = [series for series in plot.points if any(True for _ in pairs(series))]
-    if not shown:
+    """Return the plot as lines of text, none wider than `width`; an empty list if the plot has no finite point."""
+    drawable = [series for series in plot.points if any(True for _ in finite_points(series))]
+    if not drawable:
         return []
-    pairs_shown = [pair for series in (*shown, *plot.lines) for pair in pairs(series)]
-    x = PlotAxis([pair[0] for pair in pairs_shown], TICKS[0], plot.x_log)
-    y = PlotAxis([pair[1] for pair in pairs_shown], TICKS[1])
+    all_points = [point for series in (*drawable, *plot.lines) for point in finite_points(series)]
+    x = PlotAxis([point[0] for point in all_points], TICKS[0], plot.x_log)
+    y = PlotAxis([point[1] for point in all_points], TICKS[1])
     gutter = max(len(text) for text in y.ticks.values())
     columns = max(width - gutter - 2, 10)
     canvas = Canvas(columns, height, x, y, ascii_only)
     for line in plot.lines:
-        canvas.line(list(pairs(line)))
-    for mark, series in zip(MARKS, shown, strict=False):
-        canvas.points(mark, list(pairs(series)))
-    names = [f"{mark} {series.label}" for mark, series in zip(MARKS, shown, strict=False)]
-    names += [f"{SEVERAL} several"] if canvas.overlaps else []
-    labels, marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(names)
-    legend = [f"{labels}  {marks}"] if len(labels) + 2 + len(marks) <= width else [labels[:width], marks[:width]]
-    return [*legend, *rows_with_axis(canvas, gutter), *floor_with_axis(canvas, gutter)]
+        canvas.line(list(finite_points(line)))
+    for mark, series in zip(MARKS, drawable, strict=False):
+        canvas.points(mark, list(finite_points(series)))
+    legend_entries = [f"{mark} {series.label}" for mark, series in zip(MARKS, drawable, strict=False)]
+    legend_entries += [f"{SEVERAL} several"] if canvas.overlaps else []
+    axis_labels, marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(legend_entries)
+    one_line = f"{axis_labels}  {marks}"
+    legend = [one_line] if len(one_line) <= width else [axis_labels[:width], marks[:width]]
+    return [*legend, *rows_with_axis(canvas, gutter), *x_axis_lines(canvas, gutter)]
 
 
 def rows_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
-    """Return the canvas's rows with the y axis and its tick labels to the left, in `gutter` columns."""
+    """Return the rows of the canvas with the y axis to their left; tick labels take `gutter` columns."""
     bar, tee = ("|", "+") if canvas.ascii_only else ("│", "┤")
     ticks = {canvas.row(value): text for value, text in canvas.y.ticks.items()}
     return [
@@ -88,24 +93,24 @@ def rows_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
     ]
 
 
-def floor_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
-    """Return the x axis and its tick labels as two lines below the canvas."""
-    corner, flat, tick = ("+", "-", "+") if canvas.ascii_only else ("└", "─", "┴")
-    floor = [flat] * canvas.columns
+def x_axis_lines(canvas: "Canvas", gutter: int) -> list[str]:
+    """Return two lines to print below the canvas: the x axis, and its tick labels."""
+    corner, stroke, tick = ("+", "-", "+") if canvas.ascii_only else ("└", "─", "┴")
+    axis_line = [stroke] * canvas.columns
     for value in canvas.x.ticks:
-        floor[canvas.column(value)] = tick
-    under = tick_line({canvas.column(value): text for value, text in canvas.x.ticks.items()}, canvas.columns)
-    return [f"{'':{gutter}} {corner}{''.join(floor)}", f"{'':{gutter}}  {under}".rstrip()]
+        axis_line[canvas.column(value)] = tick
+    tick_labels = tick_line({canvas.column(value): text for value, text in canvas.x.ticks.items()}, canvas.columns)
+    return [f"{'':{gutter}} {corner}{''.join(axis_line)}", f"{'':{gutter}}  {tick_labels}".rstrip()]
 
 
-def pairs(series: Series) -> Iterator[tuple[float, float]]:
+def finite_points(series: Series) -> Iterator[tuple[float, float]]:
     """Return the finite points of a series."""
-    both = zip(series.x, series.y, strict=True)
-    return ((x, y) for x, y in both if math.isfinite(x) and math.isfinite(y))
+    points = zip(series.x, series.y, strict=True)
+    return ((x, y) for x, y in points if math.isfinite(x) and math.isfinite(y))
 
 
 def tick_line(ticks: dict[int, str], columns: int) -> str:
-    """Return one line of tick labels, each centred on its column; a label that touches the one before is left out."""
+    """Return one line of tick labels, each centred on its column; labels that would touch are left out."""
     text = ""
     for column, label in sorted(ticks.items()):
         start = min(max(column - len(label) // 2, 0), columns - len(label))
@@ -115,15 +120,15 @@ def tick_line(ticks: dict[int, str], columns: int) -> str:
 
 
 class Canvas:
-    """A grid of characters, the topmost row first."""
+    """A grid of characters to draw on, over two axes; row 0 is the topmost."""
 
     def __init__(self, columns: int, rows: int, x: PlotAxis, y: PlotAxis, ascii_only: bool) -> None:
         self.columns, self.rows, self.x, self.y, self.ascii_only = columns, rows, x, y, ascii_only
         self.cells = [[" "] * columns for _ in range(rows)]
-        self.overlaps = False
-        self._fine = (1, 1) if ascii_only else (2, 4)
-        self._marked: dict[tuple[int, int], str] = {}
-        self._dots: dict[tuple[int, int], int] = {}
+        self.overlaps = False  # whether a cell has points of several series
+        self._dots_per_cell = (1, 1) if ascii_only else (2, 4)
+        self._first_marks: dict[tuple[int, int], str] = {}  # by row and column
+        self._braille_bits: dict[tuple[int, int], int] = {}  # by row and column
 
     def column(self, value: float) -> int:
         """Return the column of a value along x."""
@@ -134,36 +139,39 @@ class Canvas:
         return cell_index(1.0 - self.y.share(value), self.rows)
 
     def points(self, mark: str, points: Sequence[tuple[float, float]]) -> None:
-        """Set a mark at each point."""
+        """Set a mark at each point (x, y); a cell with another mark already gets `SEVERAL`."""
         for x, y in points:
             row, column = self.row(y), self.column(x)
-            if self._marked.setdefault((row, column), mark) != mark:
+            if self._first_marks.setdefault((row, column), mark) != mark:
                 self.overlaps, shown_mark = True, SEVERAL
             else:
                 shown_mark = mark
             self.cells[row][column] = shown_mark
 
     def line(self, points: Sequence[tuple[float, float]]) -> None:
-        """Draw lines from point to point in the finest dots there are."""
-        wide, high = self.columns * self._fine[0], self.rows * self._fine[1]
+        """Draw straight lines from point to point, in Braille dots, or in one dot a character in ASCII."""
+        dot_columns, dot_rows = self.columns * self._dots_per_cell[0], self.rows * self._dots_per_cell[1]
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
-            a0, b0 = self.x.share(x0) * wide, (1.0 - self.y.share(y0)) * high
-            a1, b1 = self.x.share(x1) * wide, (1.0 - self.y.share(y1)) * high
-            steps = math.ceil(max(abs(a1 - a0), abs(b1 - b0), 1.0))
+            across0, down0 = self.x.share(x0) * dot_columns, (1.0 - self.y.share(y0)) * dot_rows
+            across1, down1 = self.x.share(x1) * dot_columns, (1.0 - self.y.share(y1)) * dot_rows
+            steps = math.ceil(max(abs(across1 - across0), abs(down1 - down0), 1.0))
             for k in range(steps + 1):
                 share = k / steps
-                self._dot(min(int(a0 + share * (a1 - a0)), wide - 1), min(int(b0 + share * (b1 - b0)), high - 1))
+                across = min(int(across0 + share * (across1 - across0)), dot_columns - 1)
+                down = min(int(down0 + share * (down1 - down0)), dot_rows - 1)
+                self._set_dot(across, down)
 
-    def _dot(self, across: int, down: int) -> None:
-        (column, x), (row, y) = divmod(across, self._fine[0]), divmod(down, self._fine[1])
-        if self._fine == (1, 1):
+    def _set_dot(self, across: int, down: int) -> None:
+        """Set one dot; `across` and `down` count dots from the top left corner of the canvas."""
+        (column, x), (row, y) = divmod(across, self._dots_per_cell[0]), divmod(down, self._dots_per_cell[1])
+        if self._dots_per_cell == (1, 1):
             self.cells[row][column] = "."
             return
-        bits = self._dots.get((row, column), 0) | BRAILLE[x][y]
-        self._dots[row, column] = bits
+        bits = self._braille_bits.get((row, column), 0) | BRAILLE[x][y]
+        self._braille_bits[row, column] = bits
         self.cells[row][column] = chr(0x2800 + bits)
 
 
 def cell_index(share: float, count: int) -> int:
-    """Return the index of a cell, from 0 to `count` - 1, for a share of the way from 0 to 1."""
+    """Return the index, from 0 to `count` - 1, of the cell at a share of the axis, which is cut to 0 to 1."""
     return min(max(int(share * count), 0), count - 1)

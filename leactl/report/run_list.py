@@ -1,4 +1,4 @@
-"""The list of runs as text: one line for each into a pipe; in a terminal, long lines are wrapped and indented."""
+"""The list of runs as text: one line for each run; in a terminal, long lines are wrapped and indented."""
 
 import sys
 import textwrap
@@ -18,8 +18,8 @@ def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Colle
 
     Parameters
     ----------
-    all_runs : the runs of the folder; a parameter is shown if it differs among those of one protocol.
-    named : names of parameters that are shown in any case.
+    all_runs : all runs of the folder; a parameter is shown if it differs among the runs of one protocol.
+    named : names of parameters that are always shown.
     """
     columns = terminal_columns() if sys.stdout.isatty() else 0
     width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)
@@ -29,14 +29,14 @@ def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Colle
         if run.fault:
             lines += _wrapped_entry(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
             continue
-        wanted = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
+        shown_names = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
         protocol = "" if run.protocol in run.file else run.protocol
         details = [
             protocol,
             run.actuator,
             run.condition,
             *([f"seed={run.seed}"] if "seed" in named and run.seed is not None else []),
-            *(f"{name}={_text(run.parameters[name])}" for name in sorted(wanted)),
+            *(f"{name}={_text(run.parameters[name])}" for name in sorted(shown_names)),
             *([f"tags={','.join(run.tags)}"] if run.tags else []),
         ]
         head = f"{run.file:<{width}}  {run.status:<9} {_time(run.duration):>8}"
@@ -45,6 +45,7 @@ def run_list(shown: Sequence[Summary], all_runs: Sequence[Summary], named: Colle
 
 
 def _wrapped_entry(head: str, tail: str, columns: int) -> list[str]:
+    """Return head and tail on one line; in a terminal that is too narrow, each wrapped and the tail indented."""
     line = f"{head}  {tail}".rstrip()
     if not columns or len(line) <= columns:
         return [line]

@@ -1,7 +1,7 @@
-"""A run's channels over time as one page: linked charts that zoom, steps shaded, every step in a table.
+"""The channels of a run over time as one page: linked charts that zoom, with shaded steps, and a table of all steps.
 
-A reading and its setpoint share a chart. The page has at most `BINS` bins a channel and says how many samples each
-stands for; a short part of the run is drawn with all its samples.
+A reading and its setpoint share a chart. The page has at most `BINS` bins for a channel and gives the number of samples
+in each; a short part of a run is drawn with all its samples.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ from leactl.report.html import render
 from leactl.runfile.read.reader import Run, Step
 from leactl.runfile.read.traces import ChannelTrace
 
-BINS = 2000  # of a channel: more than the pixels of a wide screen
+BINS = 2000  # of a channel: more than a wide screen has pixels
 
 
 def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) -> str:
-    """Return the page of these channels between two times [s] of the run."""
+    """Return the page of these channels from `start` to `stop` [s] of the run."""
     steps = [step for step in run.steps if step.stop > start and step.start < stop]
     title = f"{run.attributes.get('protocol', '') or 'Run'} {run.path.name}"
     about = ", ".join(
@@ -32,19 +32,19 @@ def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) ->
         title=title,
         about=about,
         spans=[(f"{step.name}, {step.start:.3f} s", f"{step.start:.9g} {step.stop:.9g}") for step in steps],
-        figures=[figure(pair, steps, start, stop) for pair in pairs(traces)],
+        figures=[figure(chart_traces, steps, start, stop) for chart_traces in traces_by_chart(traces)],
         steps=[[step.name, f"{step.start:.3f}", f"{step.stop:.3f}", f"{step.settle:.3f}"] for step in steps],
     )
 
 
-def pairs(traces: Sequence[ChannelTrace]) -> list[list[ChannelTrace]]:
-    """Return the traces chart by chart: a setpoint joins the reading of its quantity, role and stream."""
+def traces_by_chart(traces: Sequence[ChannelTrace]) -> list[list[ChannelTrace]]:
+    """Return the traces of each chart: a setpoint shares the chart of the reading of its quantity, role and units."""
     charts: dict[tuple[str, str, str, str], list[ChannelTrace]] = {}
     for trace in traces:
         channel = trace.channel
         quantity = channel.quantity.removesuffix("_reference")
-        named = bool(quantity) and not channel.location
-        key = (quantity, channel.role, channel.units, "") if named else (trace.name, "", "", "")
+        may_share = bool(quantity) and not channel.location
+        key = (quantity, channel.role, channel.units, "") if may_share else (trace.name, "", "", "")
         charts.setdefault(key, []).append(trace)
     return list(charts.values())
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.report.html import without_control_characters
-from leactl.report.plot import Canvas, PlotAxis, floor_with_axis, rows_with_axis
+from leactl.report.plot import Canvas, PlotAxis, rows_with_axis, x_axis_lines
 from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
 from leactl.runfile.read.reader import Step
 from leactl.runfile.read.traces import ChannelTrace
 
-TICKS = (6, 4)  # about the most along time and value: a panel has few rows
-ROWS_BESIDE_CANVAS = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
-LOWEST, HIGHEST = 5, 16  # rows of a panel
+TICKS = (6, 4)  # largest number along time and value, approximately: a panel has few rows
+ROWS_BESIDE_CANVAS = 5  # that a panel has besides its canvas: title, axis, tick labels, steps, a blank line
+LEAST_HEIGHT, MOST_HEIGHT = 5, 16  # rows of a canvas
 SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
 
 
@@ -22,7 +22,7 @@ def panels_text(
 ) -> str:
     """Return panels for stdout that show the time span `span_s` (start and stop [s]); up to three fill the screen."""
     encoding = encoding_of_stdout()
-    height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LOWEST), HIGHEST)
+    height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LEAST_HEIGHT), MOST_HEIGHT)
     lines = panels(traces, steps, span_s, width, height, not shows_all(encoding))
     return encodable("\n".join(lines) + "\n", encoding)
 
@@ -57,7 +57,7 @@ def panels(
         canvas = Canvas(columns, height, time, axis, ascii_only)
         for segment in segments(trace):
             canvas.line(segment)
-        lines += [*rows_with_axis(canvas, gutter), *floor_with_axis(canvas, gutter)]
+        lines += [*rows_with_axis(canvas, gutter), *x_axis_lines(canvas, gutter)]
         if ruler := step_ruler(steps, canvas, start, stop):
             lines.append(f"{'':{gutter}}  {ruler}".rstrip())
         lines.append("")
@@ -65,7 +65,7 @@ def panels(
 
 
 def value_axis(trace: ChannelTrace) -> PlotAxis | None:
-    """Return the axis over a trace's finite values; None where it has none."""
+    """Return the value axis of a trace over its finite values; None without finite values."""
     finite = trace.values[np.isfinite(trace.values)]
     return PlotAxis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
 
@@ -73,8 +73,8 @@ def value_axis(trace: ChannelTrace) -> PlotAxis | None:
 def segments(trace: ChannelTrace) -> list[list[tuple[float, float]]]:
     """Return the stretches of a trace between its missing samples, so that no line is drawn across a gap."""
     points = zip(trace.time.tolist(), trace.values.tolist(), strict=True)
-    runs = itertools.groupby(points, key=lambda point: bool(np.isfinite(point[1])))
-    stretches = [list(group) for finite, group in runs if finite]
+    groups = itertools.groupby(points, key=lambda point: bool(np.isfinite(point[1])))
+    stretches = [list(group) for finite, group in groups if finite]
     return [stretch if len(stretch) > 1 else stretch * 2 for stretch in stretches]  # a lone sample is a dot
 
 

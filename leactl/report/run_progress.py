@@ -1,8 +1,8 @@
-"""The live view of a run: step, progress, time left, and the newest value of every channel.
+"""The live view of a run: step, progress, remaining time, and the newest value of every channel.
 
 A terminal shows frames that are repainted four times a second; a pipe, a file or a terminal that cannot move its cursor
-gets a line every few seconds. A separate thread draws the view and only reads what the loop publishes. A terminal that
-accepts no output (Ctrl-S, a dead connection) blocks that thread alone; the run does not wait for it.
+gets a line every few seconds. A thread of its own draws the view, from the `Progress` that the control loop publishes.
+A terminal that accepts no output (Ctrl-S, a dead connection) blocks that thread alone; the run does not wait for it.
 """
 
 import io
@@ -24,14 +24,14 @@ from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
-FIRST_LINE_S = 5.0  # a shorter run needs no line
-SLOWEST_LINE_S = 30.0
-LINES_A_DECADE = 10  # the next line comes after a tenth of the time so far, so that long runs write few lines
-PATIENCE_S = 1.0  # how long a view may take to clear the screen
-CELL = 40  # characters that a name and its value need side by side
-WIDEST_CELL = 56  # characters; wider cells separate a value from its name
-WIDEST_BAR = 120
-SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
+FIRST_LINE_S = 5.0  # until the first line; a shorter run needs none
+LONGEST_PAUSE_S = 30.0  # between two lines
+PAUSE_DIVISOR = 10  # the next line comes after a tenth of the time so far, so that long runs write few lines
+PATIENCE_S = 1.0  # that a view may take to clear the screen
+LEAST_CELL = 40  # characters that a name and its value need side by side
+WIDEST_CELL = 56  # characters; in wider cells a value is too far from its name
+WIDEST_BAR = 120  # characters
+SHORT_FORMS = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
 HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 TO_THE_TOP, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[K", "\x1b[J"
 
@@ -41,7 +41,7 @@ def live_view(progress: Progress, console: Console) -> Iterator[None]:
     """Show a run while the block lasts; a fault of the view goes to `progress.view_fault`."""
     show = _paint if console.is_terminal and not console.is_dumb_terminal else _write
     ended = threading.Event()
-    thread = threading.Thread(target=_shown, args=(show, progress, console, ended), name="leactl-view", daemon=True)
+    thread = threading.Thread(target=_run_view, args=(show, progress, console, ended), name="leactl-view", daemon=True)
     thread.start()
     try:
         yield
@@ -52,20 +52,21 @@ def live_view(progress: Progress, console: Console) -> Iterator[None]:
             progress.view_fault = f"stderr takes no output; the view was left behind after {PATIENCE_S:g} s"
 
 
-def _shown(
+def _run_view(
     show: Callable[[Progress, Console, Callable[[float], bool]], None],
     progress: Progress,
     console: Console,
     ended: threading.Event,
 ) -> None:
+    """Call `show` until the run ends; an error of it becomes `progress.view_fault`."""
     try:
-        show(progress, _own_console(console), ended.wait)
-    except Exception as error:  # noqa: BLE001 (nothing in a view is worth a run)
+        show(progress, _separate_console(console), ended.wait)
+    except Exception as error:  # noqa: BLE001 (a fault of the view must not end the run)
         progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _own_console(console: Console) -> Console:
-    """Return a console on a copy of the descriptor, so that a write that never ends holds no lock of the run."""
+def _separate_console(console: Console) -> Console:
+    """Return a console on a copy of the descriptor, so that a write that blocks holds no lock of the run."""
     encoding = encoding_of(console.file)
     try:
         copy = os.dup(console.file.fileno())
@@ -75,7 +76,7 @@ def _own_console(console: Console) -> Console:
 
 
 def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) -> None:
-    """Paint frames over each other until `wait` says that the run has ended, then clear them away.
+    """Paint frames over each other until `wait` returns true at the end of the run, then clear the last one.
 
     After a resize or a question to the operator the position of the last frame is not known, and the next frame begins
     at the top of the terminal.
@@ -84,14 +85,14 @@ def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) 
     console.file.write(HIDE_CURSOR)
     try:
         while not wait(1 / FRAMES_PER_S):
-            now = _size(console)
-            lost = now != size or bool(progress.prompt)
-            size = now
+            current_size = _size(console)
+            position_unknown = current_size != size or bool(progress.prompt)
+            size = current_size
             lines = draw(progress, *size, console.encoding)
             with console.capture() as capture:
                 for line in lines:
                     console.print(line, end=f"{CLEAR_LINE}\n", soft_wrap=True, highlight=False)
-            back = TO_THE_TOP if lost else _back(height)
+            back = TO_THE_TOP if position_unknown else _back(height)
             console.file.write(f"{back}{capture.get().removesuffix(chr(10))}{CLEAR_BELOW}")
             console.file.flush()
             height = len(lines)
@@ -115,10 +116,10 @@ def _size(console: Console) -> tuple[int, int]:
 
 
 def _write(progress: Progress, console: Console, wait: Callable[[float], bool]) -> None:
-    """Write a line every few seconds until `wait` says that the run has ended."""
-    passed = 0.0
-    while not wait(pause := min(max(FIRST_LINE_S, passed / LINES_A_DECADE), SLOWEST_LINE_S)):
-        passed += pause
+    """Write a line every few seconds until `wait` returns true at the end of the run."""
+    elapsed_s = 0.0
+    while not wait(pause_s := min(max(FIRST_LINE_S, elapsed_s / PAUSE_DIVISOR), LONGEST_PAUSE_S)):
+        elapsed_s += pause_s
         text = encodable(without_control_characters(log_line(progress)), console.encoding)
         console.file.write(f"{text}\n")
         console.file.flush()
@@ -127,7 +128,7 @@ def _write(progress: Progress, console: Console, wait: Callable[[float], bool]) 
 def log_line(progress: Progress) -> str:
     """Return step, progress, time and newest values of a run in one line."""
     values = ", ".join(f"{name} {value}" for name, value in _values(progress))
-    parts = [f"{progress.title}: {progress.step or 'starting'}", _how_far(progress), _so_far(progress), values]
+    parts = [f"{progress.title}: {progress.step or 'starting'}", _progress_text(progress), _time_text(progress), values]
     parts += [f"warning: {progress.warnings[-1]}"] if progress.warnings else []
     return "; ".join(filter(None, [*parts, progress.pause, progress.prompt or progress.hint]))
 
@@ -135,69 +136,73 @@ def log_line(progress: Progress) -> str:
 def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -> list[Text]:
     """Return the lines of one frame for a terminal of this size.
 
-    Where not all fits, the values are left out first, then title and bar; the hint how to stop the run stays longest.
+    If the frame is too small, the values are left out first, then title and bar, and last the hint how to stop the run.
     """
-    across = width - 1  # a line that fills the terminal wraps on some
-    below = [(f"warning: {progress.warnings[-1]}", "bold yellow")] if progress.warnings else []
+    line_width = width - 1  # some terminals wrap a line that fills them
+    messages = [(f"warning: {progress.warnings[-1]}", "bold yellow")] if progress.warnings else []
     if progress.prompt:
-        below.append((f"{progress.prompt}  {HOW}", "bold yellow"))
+        messages.append((f"{progress.prompt}  {HOW}", "bold yellow"))
     elif progress.hint:
-        below += [(text, "bold") for text in (progress.pause, progress.hint) if text]
-    foot = [Text(line, style) for text, style in below for line in textwrap.wrap(_plain(text, encoding), across)]
+        messages += [(text, "bold") for text in (progress.pause, progress.hint) if text]
+    foot = [Text(line, style) for text, style in messages for line in textwrap.wrap(_plain(text, encoding), line_width)]
     foot = foot[-height:]
-    step = _name_and_value(progress.step or "starting", _how_far(progress), across, encoding)
-    title = _name_and_value(progress.title, _so_far(progress), across, encoding, "bold")
-    room = height - len(foot)
-    head = [title, step, _bar(progress.share, min(across, WIDEST_BAR), encoding)] if room > 2 else [step][:room]
-    return [*head, *_table(_values(progress), across, room - len(head), encoding), *foot]
+    step = _name_and_value(progress.step or "starting", _progress_text(progress), line_width, encoding)
+    title = _name_and_value(progress.title, _time_text(progress), line_width, encoding, "bold")
+    free_rows = height - len(foot)
+    bar = _bar(progress.share, min(line_width, WIDEST_BAR), encoding)
+    head = [title, step, bar] if free_rows > 2 else [step][:free_rows]
+    return [*head, *_table(_values(progress), line_width, free_rows - len(head), encoding), *foot]
 
 
-def _how_far(progress: Progress) -> str:
+def _progress_text(progress: Progress) -> str:
+    """Return the done part of the plan in percent, and the remaining time if it is known."""
     remaining = progress.left_s
     return f"{progress.share:.0%}" + (f", {duration(remaining)} left" if math.isfinite(remaining) else "")
 
 
-def _so_far(progress: Progress) -> str:
+def _time_text(progress: Progress) -> str:
+    """Return the done and the total duration of the plan."""
     return f"{duration(progress.done_s)} of {duration(progress.total_s)}"
 
 
 def _bar(share: float, width: int, encoding: str) -> Text:
-    """Return a bar whose done part differs from the rest in its character too, since colours may be off."""
-    done, open_ = "━─" if shows_all(encoding) else "#-"
+    """Return a bar whose done part has another character as well as another colour, since colours may be off."""
+    done, undone = "━─" if shows_all(encoding) else "#-"
     filled = round(share * width)
-    return Text.assemble((done * filled, "green"), (open_ * (width - filled), "dim"))
+    return Text.assemble((done * filled, "green"), (undone * (width - filled), "dim"))
 
 
 def _name_and_value(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
-    """Return a line with a name at the left and a value at the right; the name is cut before the value is."""
+    """Return a line with a name at the left and a value at the right; if it is too long, the name is cut first."""
     value = _plain(value, encoding)
     if cell_len(value) >= width:
         return Text(set_cell_size(value, width))
     name = _plain(name, encoding)
-    room = width - cell_len(value) - 1
-    if cell_len(name) > room:
-        name = set_cell_size(name, max(room - 3, 0)) + "..."[:room]
-    return Text.assemble((set_cell_size(name, room), style), " ", value)
+    name_width = width - cell_len(value) - 1
+    if cell_len(name) > name_width:
+        name = set_cell_size(name, max(name_width - 3, 0)) + "..."[:name_width]
+    return Text.assemble((set_cell_size(name, name_width), style), " ", value)
 
 
 def _plain(text: str, encoding: str) -> str:
+    """Return a text on one line, without control characters and characters that the encoding lacks."""
     return encodable(without_control_characters(" ".join(text.split())), encoding)
 
 
 def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: str) -> list[Text]:
-    """Return names and values in as many columns as fit; the last line counts those that do not."""
-    columns = max(1, (width + 1) // CELL)
-    across = min(WIDEST_CELL, (width - 2 * (columns - 1)) // columns)
+    """Return names and values in as many columns as fit; the last line gives the number of values without room."""
+    columns = max(1, (width + 1) // LEAST_CELL)
+    cell_width = min(WIDEST_CELL, (width - 2 * (columns - 1)) // columns)
     rows = -(-len(cells) // columns)
     if rows > height:
         if height < 1:
             return []
         shown = (height - 1) * columns
-        more = Text(_plain(f"{len(cells) - shown} more values in a higher window", encoding)[:width], "dim")
-        return [*_table(cells[:shown], width, height - 1, encoding), more]
+        remark = Text(_plain(f"{len(cells) - shown} more values in a higher window", encoding)[:width], "dim")
+        return [*_table(cells[:shown], width, height - 1, encoding), remark]
     lines = []
     for row in range(rows):
-        line = [_name_and_value(name, value, across, encoding, "dim") for name, value in cells[row::rows]]
+        line = [_name_and_value(name, value, cell_width, encoding, "dim") for name, value in cells[row::rows]]
         lines.append(Text("  ").join(line))
     return lines
 
@@ -208,26 +213,28 @@ def _values(progress: Progress) -> list[tuple[str, str]]:
     for stream, channels in progress.streams.items():
         cells += _cells(channels, progress.values if stream == "loop" else progress.own.get(stream, ()))
     estimates, bounds = progress.windings
-    going = progress.time_to_limit()
+    to_limit_s = progress.time_to_limit()
     for role, estimate in estimates.items():
         cells.append((f"{role} winding", f"{estimate:.0f}, at most {bounds[role]:.0f} degC"))
-        if math.isfinite(going.get(role, math.inf)):
-            cells.append((f"{role} winding at its limit in", duration(going[role])))
+        if math.isfinite(to_limit_s.get(role, math.inf)):
+            cells.append((f"{role} winding at its limit in", duration(to_limit_s[role])))
     return cells
 
 
 def _cells(channels: Sequence[ChannelSpec], values: Sequence[float]) -> list[tuple[str, str]]:
+    """Return names and values of the channels of one stream, without setpoints that have no value."""
     cells = []
     for index, channel in enumerate(channels):
         value = values[index] if index < len(values) else math.nan
         if channel.quantity.endswith("_reference") and math.isnan(value):
             continue
         shown = f"{value:g}" if channel.unit == "1" else f"{value:.3f} {channel.unit}"
-        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT)}", shown))
+        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT_FORMS)}", shown))
     return cells
 
 
-def _shortened(text: str, words: Mapping[str, str]) -> str:
-    for long, short in words.items():
+def _shortened(text: str, short_forms: Mapping[str, str]) -> str:
+    """Return a text with the short form of each word."""
+    for long, short in short_forms.items():
         text = text.replace(long, short)
     return text

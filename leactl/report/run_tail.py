@@ -7,33 +7,33 @@ from leactl.runfile.read.tail import StreamRows
 
 
 class Precision(NamedTuple):
-    """Digits of a line of rows, and the widths of its columns in characters."""
+    """Digits of the numbers in a row, and widths of its columns in characters."""
 
     decimals: int  # of the time
-    digits: int  # of a value
+    digits: int  # significant ones, of a value
     time_width: int
     least_width: int  # of a value's column: sign, point, digits, an exponent such as e-05, and a space before them
 
 
 FULL: Final = Precision(decimals=6, digits=6, time_width=12, least_width=14)
 NARROW: Final = Precision(decimals=3, digits=4, time_width=9, least_width=11)
-NARROWEST_IN_FULL = 40  # columns of a terminal; with fewer, rows have fewer digits
+LEAST_COLUMNS_FOR_FULL = 40  # of a terminal; in a narrower one, rows have fewer digits
 TIME = "time s"
 
 
 class RowPrinter:
-    """A printer of rows of several streams; a heading opens the first row and each change of stream."""
+    """Formats rows of several streams as lines; a heading stands before the first row and at each change of stream."""
 
     def __init__(self, columns: int | None) -> None:
-        """Take the width of the terminal in characters; None where lines may be of any length."""
+        """Set the width of the terminal in characters; None for lines of any length."""
         self._columns, self._stream = columns, ""
-        self._precision = NARROW if columns is not None and columns < NARROWEST_IN_FULL else FULL
-        self.left_out: dict[str, tuple[str, ...]] = {}  # by stream, channels that have no room beside the others
+        self._precision = NARROW if columns is not None and columns < LEAST_COLUMNS_FOR_FULL else FULL
+        self.left_out: dict[str, tuple[str, ...]] = {}  # by stream: channels that do not fit into the terminal
 
     def lines(self, rows: StreamRows) -> Iterator[str]:
-        """Yield a line for each row; where the stream changes, its name and the names of the columns before.
+        """Yield a line for each row; before them, if the stream has changed, its name and the names of its columns.
 
-        Nothing where there are no rows.
+        Without rows there is no line.
         """
         if not len(rows):
             return
@@ -51,10 +51,10 @@ class RowPrinter:
             yield f"{time:>{time_width}.{decimals}f}" + "".join(cells)
 
     def _shown_widths(self, headings: list[str]) -> list[int]:
-        """Return the widths of the columns that fit into the terminal; of the first one alone where none fits."""
+        """Return the widths of the columns that fit into the terminal; at least that of the first column."""
         widths = [max(len(heading) + 2, self._precision.least_width) for heading in headings]
         if self._columns is None:
             return widths
-        room = self._columns - self._precision.time_width
-        fitting = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= room]
-        return widths[: max(fitting)] if fitting else [max(room, self._precision.least_width)]
+        free_width = self._columns - self._precision.time_width
+        fitting = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= free_width]
+        return widths[: max(fitting)] if fitting else [max(free_width, self._precision.least_width)]

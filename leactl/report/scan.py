@@ -1,4 +1,4 @@
-"""Results of a scan of wires: a line for each device, JSON, and the buses and devices of a bench file."""
+"""Results of a scan of wires as text, as JSON, and as the blocks `buses` and `devices` of a bench file."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -73,10 +73,10 @@ def bench_file_part(scanned: Scanned) -> str:
     """
     names, buses, devices = _names(scanned), [], []
     for wire, report in scanned:
-        usable = [device for device in report.answered if _driver(device)]
-        if usable:
-            buses.append(f"  {wire.name}: {_flow_style(_bus_settings(wire, usable))}\n")
-        devices += [_device_block(names[id(device)], wire, device) for device in usable]
+        with_driver = [device for device in report.answered if _driver(device)]
+        if with_driver:
+            buses.append(f"  {wire.name}: {_flow_style(_bus_settings(wire, with_driver))}\n")
+        devices += [_device_block(names[id(device)], wire, device) for device in with_driver]
     if not devices:
         return ""
     head = f"# what answered a scan; {FILL_IN}: what it cannot know\n"
@@ -99,7 +99,7 @@ def _device_block(name: str, wire: ScannedWire, device: Answered) -> str:
 
 
 def _expected(field: dict[str, Any], example: Any) -> str:
-    """Return a text on the values that a setting takes, by its JSON schema; for a list, an example."""
+    """Return a text on the values that a setting takes according to its JSON schema; for a list, an example."""
     field = next((option for option in field.get("anyOf", ()) if option.get("type") != "null"), field)
     if "enum" in field:
         return " or ".join(map(str, field["enum"]))
@@ -111,7 +111,7 @@ def _expected(field: dict[str, Any], example: Any) -> str:
 
 
 def _bus_settings(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
-    """Return the settings of a bus for a bench file; those of a line are the ones at which its device answered."""
+    """Return the settings of a bus for a bench file; for a serial line, the settings at which the device answered."""
     bus: Bus | LineBus = answered[0].line or wire.buses[0]
     settings = bus.model_dump(exclude_defaults=isinstance(bus, CanBus))
     if isinstance(bus, CanBus):
@@ -123,6 +123,7 @@ def _bus_settings(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, 
 
 
 def _probes_of(answered: Sequence[Answered]) -> list[Probe | None]:
+    """Return the probe of the driver of each device."""
     return [registry.load(device.driver).probe for device in answered]
 
 
@@ -132,7 +133,7 @@ def _flow_style(value: dict[str, Any] | list[Any]) -> str:
 
 
 def _names(scanned: Scanned) -> dict[int, str]:
-    """Return a name for each device that has a driver, by the `id` of its `Answered`."""
+    """Return unique names of the devices with a driver, by the `id` of the `Answered`."""
     names: dict[int, str] = {}
     for _wire, report in scanned:
         for device in report.answered:
@@ -144,19 +145,19 @@ def _names(scanned: Scanned) -> dict[int, str]:
 
 
 def _driver(device: Answered) -> str:
-    """Return the name of the driver for a device; empty if no driver is for it."""
+    """Return the name of the driver of a device; empty if there is none."""
     return device.driver if device.sighting.settings is not None else ""
 
 
 def _missing_settings(device: Answered) -> list[str]:
-    """Return the keys of a device in a bench file that the scan leaves open."""
+    """Return the keys of a device in a bench file whose values a scan cannot find."""
     if not _driver(device):
         return []
     return ["role", *settings_left_open(registry.load(device.driver), device.sighting)]
 
 
 def _address(wire: ScannedWire, device: Answered) -> str:
-    """Return the address of a device on its bus; for a line, the settings at which it answered."""
+    """Return the address of a device on its bus; on a serial line, the settings at which it answered."""
     if device.line is not None:
         return how(device.line)
     address = device.sighting.address or 0
@@ -164,7 +165,7 @@ def _address(wire: ScannedWire, device: Answered) -> str:
 
 
 def _description(device: Answered) -> list[str]:
-    """Return texts on the identity of a device, and as the last one its settings in a bench file."""
+    """Return texts on the identity of a device; the last one has its settings in a bench file."""
     identity, settings = device.sighting.identity, device.sighting.settings
     texts = [
         identity.model or "does not say what it is",

@@ -1,4 +1,4 @@
-"""Keys of each kind of YAML file, from its pydantic model: JSON Schema for editors, tables for the manual."""
+"""The keys of each kind of YAML file, from its pydantic model: as JSON Schema for editors, as tables for the manual."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -10,7 +10,7 @@ from leactl import yamlfile
 JsonSchema = dict[str, Any]
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 REFERENCE = {"type": "string", "pattern": "^\\$[a-z][A-Za-z0-9_]*$", "description": "a parameter of the protocol"}
-# units by the ending of a key's name; the first ending that fits counts
+# unit by the ending of the name of a key; the first ending that matches applies
 UNITS = {
     "A_per_s": "A/s",
     "V_per_s": "V/s",
@@ -33,14 +33,14 @@ UNITS = {
     "m": "m",
     "s": "s",
 }
-STEP = "Step"  # the block that has every kind of step
-LISTED = "InAmperes"
-# blocks of interlocks that differ from the listed one only in the unit; the tables leave them out
-REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
+STEP = "Step"  # name of the block of all kinds of steps
+SHOWN_INTERLOCK = "InAmperes"
+# blocks of interlocks that differ from SHOWN_INTERLOCK in the unit alone; the tables leave them out
+SIMILAR_INTERLOCKS = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
 
 
 def _protocol() -> JsonSchema:
-    """Return the schema of a protocol: its head, its kinds of steps and of signals, and references to parameters."""
+    """Return the schema of a protocol: its head, the kinds of steps and signals; values may refer to parameters."""
     from leactl.protocol.schema import Head
     from leactl.protocol.signals import SIGNALS
     from leactl.protocol.steps import KINDS
@@ -76,7 +76,7 @@ def _protocol() -> JsonSchema:
 
 
 def _or_parameter(value: JsonSchema) -> JsonSchema:
-    """Return a schema that also accepts a reference to a parameter for a value, or for items of a list."""
+    """Return a schema that accepts a reference to a parameter in place of the value, or of an item of a list."""
     for choice in (value, *value.get("anyOf", ())):
         if "items" in choice:
             choice["items"] = {"anyOf": [choice["items"], REFERENCE]}
@@ -84,9 +84,9 @@ def _or_parameter(value: JsonSchema) -> JsonSchema:
 
 
 def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
-    """Add a model's schema and the schemas that it needs to the blocks; return a reference to it.
+    """Add the schema of a model, and the schemas that it refers to, to the blocks; return a reference to it.
 
-    A schema without properties is returned itself.
+    A schema without properties is not added but returned.
     """
     blocks.update(block.pop("$defs", {}))
     if "properties" not in block:
@@ -125,7 +125,7 @@ def _mapping() -> JsonSchema:
     return Mapping.model_json_schema()
 
 
-# how the schema of each kind of file is made, and the file of key_meanings/ that says what its keys mean
+# by kind of file: function that returns its schema, and name of its file in key_meanings/
 KINDS: dict[str, tuple[Callable[[], JsonSchema], str]] = {
     "protocol": (_protocol, "protocol_bench"),
     "bench": (_bench, "protocol_bench"),
@@ -143,13 +143,13 @@ def schema_of(kind: str) -> JsonSchema:
     ------
     KeyError : a key has no meaning in key_meanings/.
     """
-    make, meanings = KINDS[kind]
-    schema = _with_choices(make())
+    make_schema, meanings_file = KINDS[kind]
+    schema = _with_choices(make_schema())
     for name, block in _blocks(schema):
-        if name == STEP:  # its keys are the kinds of steps, each described by its own block
+        if name == STEP:  # its keys are the kinds of steps, which their blocks describe
             continue
         for key, value in block.get("properties", {}).items():
-            value["description"] = _meaning(meanings, name, key)
+            value["description"] = _meaning(meanings_file, name, key)
             value.pop("title", None)
     return {"$schema": DIALECT, **schema}
 
@@ -159,7 +159,7 @@ def tables_of(kind: str) -> str:
     schema = schema_of(kind)
     lines: list[str] = []
     for name, block in _blocks(schema):
-        if name in (*REPEATED, STEP) or "properties" not in block:
+        if name in (*SIMILAR_INTERLOCKS, STEP) or "properties" not in block:
             continue
         lines += ["", f"### {name}", "", " ".join(block.get("description", "").split()), ""]
         lines += ["| key | unit | accepted | default | meaning |", "|---|---|---|---|---|"]
@@ -173,27 +173,27 @@ def tables_of(kind: str) -> str:
 
 
 def _with_choices(schema: JsonSchema) -> JsonSchema:
-    """Return the schema with each reference to a named list of choices replaced by these choices."""
+    """Return the schema with each reference to an enumeration replaced by its choices."""
     choices = {name: block for name, block in schema.get("$defs", {}).items() if "enum" in block}
 
-    def written_out(node: Any) -> Any:
+    def expanded(node: Any) -> Any:
         if isinstance(node, list):
-            return [written_out(item) for item in node]
+            return [expanded(item) for item in node]
         if not isinstance(node, dict):
             return node
-        name = str(node.get("$ref", "")).rpartition("/")[2]
-        if name in choices:
-            return {"type": "string", "enum": choices[name]["enum"]}
+        block_name = str(node.get("$ref", "")).rpartition("/")[2]
+        if block_name in choices:
+            return {"type": "string", "enum": choices[block_name]["enum"]}
         return {
-            key: written_out(value) for key, value in node.items() if not (key in choices and value in choices.values())
+            key: expanded(value) for key, value in node.items() if not (key in choices and value in choices.values())
         }
 
-    expanded: JsonSchema = written_out(schema)
-    return expanded
+    without_references: JsonSchema = expanded(schema)
+    return without_references
 
 
 def _blocks(schema: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
-    """Yield the title and the schema of the file itself, then those of its blocks."""
+    """Yield title and schema of the file, then name and schema of each block."""
     yield schema["title"], schema
     yield from schema.get("$defs", {}).items()
 
@@ -209,7 +209,7 @@ def _meaning(file: str, block: str, key: str) -> str:
     """Return the meaning of a key in a block: that of `Block.key`, else of the key, each also without its unit."""
     stem = next((key.removesuffix(f"_{suffix}") for suffix in UNITS if key.endswith(f"_{suffix}")), key)
     meanings = _meanings(file)
-    listed = f"{LISTED}.{stem}" if block in REPEATED else f"{block}.{stem}"
+    listed = f"{SHOWN_INTERLOCK}.{stem}" if block in SIMILAR_INTERLOCKS else f"{block}.{stem}"
     for name in (f"{block}.{key}", f"{block}.{stem}", listed, key, stem):
         if name in meanings:
             return meanings[name]

@@ -1,7 +1,7 @@
 """Results as text: a table for each actuator and condition with the paper's figures, the notes, and a plot.
 
-The text has no colours, so that a pipe and a log take it as a terminal does. Characters that the stream cannot show are
-replaced by ASCII.
+The text has no colours, so that it reads the same in a pipe, a log and a terminal. Characters that the stream cannot
+show are replaced by ASCII.
 """
 
 import locale
@@ -21,13 +21,13 @@ from leactl.report.plot import draw
 
 ASCII = str.maketrans({"±": "+-", "…": "..."})
 WIDEST = 100  # characters; a wider plot shows no more
-SMALLEST = 40
+SMALLEST = 40  # characters
 TEXT_WIDTH = 80  # characters of texts that have the same width on every terminal
-FEWEST_COLUMNS = 20  # for the text of a list's line; with fewer columns it stays on one line
+FEWEST_COLUMNS = 20  # for the text of an entry of a list; with fewer columns the entry is not wrapped
 
 
 def print_result(result: Result, plot: bool = True) -> None:
-    """Print a result as wide as the terminal, or 80 columns wide into a pipe."""
+    """Print a result in the width of the terminal, or in 80 columns into a pipe."""
     width = terminal_columns()
     sys.stdout.write(render(result, width, encoding_of_stdout(), plot))
 
@@ -43,9 +43,12 @@ def encoding_of_stdout() -> str:
 
 
 def encoding_of(stream: IO[str]) -> str:
-    """Return the encoding of a stream; the locale's in UTF-8 mode, since the terminal may know ASCII alone."""
-    unasked = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
-    return locale.getencoding() if unasked else getattr(stream, "encoding", None) or "ascii"
+    """Return the encoding of a stream.
+
+    In a UTF-8 mode that the user did not ask for, it is that of the locale: the terminal may show ASCII alone.
+    """
+    is_implicit_utf8 = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
+    return locale.getencoding() if is_implicit_utf8 else getattr(stream, "encoding", None) or "ascii"
 
 
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
@@ -69,7 +72,7 @@ def encodable(text: str, encoding: str) -> str:
 
 
 def shows_all(encoding: str) -> bool:
-    """Return whether a stream of this encoding takes the characters of tables and plots."""
+    """Return whether a stream of this encoding can show the characters of tables and plots."""
     try:
         "±⣿│┤└─┴".encode(encoding)
     except (UnicodeEncodeError, LookupError):
@@ -78,15 +81,15 @@ def shows_all(encoding: str) -> bool:
 
 
 def table(result: Result, group: tuple[str, str]) -> str:
-    """Return the estimates of one actuator and condition, with the paper's figure below each that has one."""
+    """Return a table of the estimates of one actuator and condition, with the figure of the paper below an estimate."""
     paper = paper_figures(result.experiment, group[1])
     rows, parent = [], ""
     for estimate in result.results:
         if (estimate.actuator, estimate.condition) != group:
             continue
-        child = bool(parent) and estimate.name.startswith(f"{parent}_")
-        parent = parent if child else estimate.name
-        name = f"  {estimate.name.removeprefix(parent + '_')}" if child else estimate.name
+        is_part = bool(parent) and estimate.name.startswith(f"{parent}_")
+        parent = parent if is_part else estimate.name
+        name = f"  {estimate.name.removeprefix(parent + '_')}" if is_part else estimate.name
         rows.append(
             (name, value_text(estimate), interval_text(estimate), estimate.units if estimate.units != "1" else "")
         )
@@ -130,7 +133,7 @@ def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def paper_figures(experiment: str, condition: str) -> Mapping[str, str]:
-    """Return the paper's figures of an experiment under a condition, by result; empty where it has none."""
+    """Return the figures of the paper for an experiment and condition, by result; empty if the paper has none."""
     by_condition = figures_by_condition(experiment)
     return {**by_condition.get("any", {}), **by_condition.get(condition, {})}
 
@@ -152,14 +155,14 @@ def units_in_paper() -> Mapping[str, str]:
 
 
 def value_text(estimate: Estimate) -> str:
-    """Return value ± standard uncertainty, both to the uncertainty's second significant digit (GUM, 7.2.6)."""
+    """Return value ± standard uncertainty, both rounded to two significant digits of the uncertainty (GUM, 7.2.6)."""
     if not math.isfinite(estimate.std):
         return without_uncertainty(estimate.value)
     return f"{number(estimate.value, estimate.std)} ± {number(estimate.std, estimate.std)}"
 
 
 def interval_text(estimate: Estimate) -> str:
-    """Return the 95 % interval, a bound where one side is open; empty where there is none."""
+    """Return the 95 % interval as text; a lower bound if its upper end is infinite; empty without an interval."""
     if estimate.low > 0.0 and math.isinf(estimate.high):
         return f"> {estimate.low:.6g}"
     if not (math.isfinite(estimate.low) and math.isfinite(estimate.high)):
@@ -168,7 +171,7 @@ def interval_text(estimate: Estimate) -> str:
 
 
 def number(value: float, std: float) -> str:
-    """Return a value to the second significant digit of its uncertainty."""
+    """Return a value rounded to two significant digits of its uncertainty."""
     if not (0.0 < std < math.inf and math.isfinite(value)):
         return f"{value:.6g}"
     exponent = math.floor(math.log10(float(f"{std:.1e}")))
@@ -178,7 +181,7 @@ def number(value: float, std: float) -> str:
 
 
 def without_uncertainty(value: float) -> str:
-    """Return a value to four decimals, or to as many as distinguish it from 1."""
+    """Return a value without an uncertainty, with four decimals, or with as many as distinguish it from 1."""
     if not math.isfinite(value):
         return "not known"
     digits = next((count for count in range(4, 12) if value == 1.0 or float(f"{value:.{count}f}") != 1.0), 12)
@@ -192,9 +195,9 @@ def wrapped(head: str, items: Any, width: int) -> str:
 
 
 def list_line(head: str, text: str) -> str:
-    """Return one entry of a list: a single line into a pipe; in a terminal, text that is too long is wrapped.
+    """Return one entry of a list: a single line into a pipe; in a terminal, a line that is too long is wrapped.
 
-    Wrapped text is indented by the length of `head`.
+    The wrapped lines are indented by the length of `head`.
     """
     line = f"{head}{text}".rstrip()
     if not sys.stdout.isatty():

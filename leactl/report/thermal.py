@@ -1,4 +1,4 @@
-"""Thermal limits, state and forecasts as text that fits 80 columns."""
+"""Thermal limits, fits, states, forecasts and commissionings of windings as text that fits 80 columns."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,57 +11,60 @@ from leactl.safety.thermal.capability import Carried, ContinuousLimits, Peak
 if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
 
-MOST_CORRELATIONS = 3  # the largest are shown
-HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
+MOST_CORRELATIONS = 3  # that are shown; the largest ones
+LIMITS_HEADING = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
 def limits_text(motor: Motor, ambient: float, continuous: Sequence[ContinuousLimits], peaks: Sequence[Peak]) -> str:
-    """Return the continuous and peak currents [A] and torques [N*m] of one motor."""
+    """Return a table of continuous and peak currents [A] and torques [N*m] of one motor at an ambient [degC]."""
     lines = [
         f"{motor.name}: hottest phase at {motor.limits.winding_temperature:g} degC, ambient {ambient:g} degC",
         "guaranteed: by every actuator inside the motor file's tolerances",
         "",
-        HEAD,
+        LIMITS_HEADING,
     ]
     for state in continuous:
-        lines += [_row(f"continuous, {state.motion} [A]", state.current), _row("    [N*m]", state.torque)]
+        lines.append(_limits_row(f"continuous, {state.motion} [A]", state.current))
+        lines.append(_limits_row("    [N*m]", state.torque))
     for peak in peaks:
-        lines += [_row(f"{peak.duration_s:g} s at standstill [A]", peak.current), _row("    [N*m]", peak.torque)]
+        lines.append(_limits_row(f"{peak.duration_s:g} s at standstill [A]", peak.current))
+        lines.append(_limits_row("    [N*m]", peak.torque))
     return "\n".join(lines)
 
 
-def _row(label: str, values: Carried) -> str:
+def _limits_row(label: str, values: Carried) -> str:
+    """Return one row under LIMITS_HEADING: guaranteed, nominal and favourable value."""
     return f"{label:<28}{values.guaranteed:12.2f}{values.nominal:12.2f}{values.favourable:12.2f}"
 
 
-def fit_text(fitted: ActuatorFit) -> str:
+def fit_text(actuator_fit: ActuatorFit) -> str:
     """Return fitted parameters with standard errors, their largest correlations, a `tolerances:` block and notes."""
-    fit = fitted.fit
-    lines = [
-        wrapped(
-            f"{fitted.actuator or 'actuator not told'}, {len(fitted.runs)} run{'s' * (len(fitted.runs) > 1)}:",
-            fitted.runs,
-            TEXT_WIDTH,
-        ),
-    ]
+    fit, runs = actuator_fit.fit, actuator_fit.runs
+    head = f"{actuator_fit.actuator or 'actuator not told'}, {len(runs)} run{'s' * (len(runs) > 1)}:"
+    lines = [wrapped(head, runs, TEXT_WIDTH)]
     lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
     lines += [
         f"{row.parameter:<36}{row.nominal:11.5g}{row.fitted:11.5g}{row.std:10.2g}  {row.units}"
         for row in fit.parameters
     ]
-    size = len(fit.parameters)
-    pairs = [(abs(fit.correlation[i, k]), i, k) for i in range(size) for k in range(i)]
+    count = len(fit.parameters)
+    pairs = [(abs(fit.correlation[i, k]), i, k) for i in range(count) for k in range(i)]
     for _, i, k in sorted(pairs, reverse=True)[:MOST_CORRELATIONS]:
-        first, second = (fit.parameters[n].parameter.removeprefix("thermal.") for n in (k, i))
+        first, second = (fit.parameters[index].parameter.removeprefix("thermal.") for index in (k, i))
         lines.append(f"  correlation {fit.correlation[i, k]:+.2f} of {first} and {second}")
     lines += ["tolerances:  # of the motor file, three standard errors; others as they were"]
     lines += [f"  {name}: {value:g}" for name, value in fit.tolerances.items()]
-    lines += [wrapped("note:", [note], TEXT_WIDTH) for note in fitted.notes]
+    lines += [wrapped("note:", [note], TEXT_WIDTH) for note in actuator_fit.notes]
     return "\n".join(lines)
 
 
 def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return an upper bound of each winding's temperature [degC]."""
+    """Return upper bounds of the temperatures [degC] of each winding of a bench, and how they are known.
+
+    Parameters
+    ----------
+    rows : one for each role, as `leactl thermal state --json` prints them.
+    """
     lines = [f"{bench}: at most, in degC", f"{'role':<6}{'phase':>8}{'winding':>9}{'housing':>9}{'limit':>7}  known by"]
     for row in rows:
         numbers = f"{row['hottest_phase_degC']:8.1f}{row['winding_degC']:9.1f}{row['housing_degC']:9.1f}"
@@ -70,16 +73,22 @@ def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def forecast_text(body: Mapping[str, Any]) -> str:
-    """Return the peak temperatures [degC] of a plan, and the waits that would keep it below the limit."""
+    """Return the peak temperatures [degC] of a protocol, and the waits that would keep it below the limit.
+
+    Parameters
+    ----------
+    body : the document that `leactl thermal plan --json` prints.
+    """
     lines = [f"{body['protocol']}: hottest phases at most, limit {body['limit_degC']:g} degC"]
     lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
-    if (least := body["turning_from_Hz"]) is not None:
-        lines.append(f"  rate_Hz is below about {least:g}: over a tenth of a turning rotor's heat counts as standing")
-    passes = body["passes"]
-    if passes is None:
+    if (rate_hz := body["turning_from_Hz"]) is not None:
+        lines.append(f"  rate_Hz is below about {rate_hz:g}: over a tenth of a turning rotor's heat counts as standing")
+    crossing = body["passes"]
+    if crossing is None:
         lines.append("may be run as it is")
         return "\n".join(lines)
-    lines.append(f"the {passes['role']} winding may pass it in step '{passes['step']}', after {passes['time_s']:g} s")
+    step, time_s = crossing["step"], crossing["time_s"]
+    lines.append(f"the {crossing['role']} winding may pass it in step '{step}', after {time_s:g} s")
     for wait in body["cooldowns"]:
         lines.append(f"  a wait of {wait['duration_s']:g} s at {wait['start_s']:g} s helps (--insert-cooldown)")
     if not body["cooldowns"]:
@@ -88,7 +97,13 @@ def forecast_text(body: Mapping[str, Any]) -> str:
 
 
 def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str) -> dict[str, Any]:
-    """Return how far the commissioning of an actuator came, as JSON takes it; temperatures are upper bounds [degC]."""
+    """Return the progress of a commissioning as JSON takes it; temperatures are upper bounds [degC].
+
+    Parameters
+    ----------
+    protocol : name of the heated protocol that is to be admitted.
+    actuator : label of the actuator.
+    """
     tolerances = commissioned.motor.tolerances
     passing = commissioned.forecast.passing
     return {
@@ -110,7 +125,12 @@ def commissioned_body(commissioned: "Commissioned", protocol: str, actuator: str
 
 
 def commissioned_text(body: Mapping[str, Any]) -> str:
-    """Return the runs that heated the actuator, the tolerances that its motor file has now, and the next step."""
+    """Return the runs that heated the actuator, the tolerances that its motor file has now, and the next step.
+
+    Parameters
+    ----------
+    body : as `commissioned_body` returns it.
+    """
     state = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
     lines = [f"{body['actuator']}: protocol '{body['protocol']}' {state}"]
     lines += [f"  {run['heating_s']:6.0f} s of heating  {run['run']}" for run in body["runs"]]

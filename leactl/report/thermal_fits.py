@@ -1,4 +1,4 @@
-"""Thermal networks by actuator, fitted to those of many runs that have the channels a network needs."""
+"""Fits of the thermal network of each actuator to its runs; runs without the channels for a fit are left out."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -17,7 +17,7 @@ from leactl.runfile.read.reader import Run
 
 @dataclass(frozen=True)
 class ActuatorFit:
-    """The thermal network of one actuator."""
+    """The thermal network of one actuator, fitted to its runs."""
 
     actuator: str
     runs: tuple[str, ...]
@@ -41,8 +41,8 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
 
     Returns
     -------
-    A fit for each actuator, and a line for each file that was left out: runs without the channels that a network needs,
-    and files in folders that are no runs.
+    A fit for each actuator, and a line for each file that was left out: a run without the channels that a fit needs,
+    or a file in a named folder that is no run.
 
     Raises
     ------
@@ -71,11 +71,11 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
         groups: dict[str, list[Run]] = {}
         for run in usable:
             groups.setdefault(str(run.attributes.get("actuator", "")), []).append(run)
-        return [fitted(actuator, runs, motor) for actuator, runs in groups.items()], left_out
+        return [actuator_fit(actuator, runs, motor) for actuator, runs in groups.items()], left_out
 
 
-def fitted(actuator: str, runs: Sequence[Run], motor: Motor) -> ActuatorFit:
-    """Fit the network of one actuator to its runs; doubts on their channels come first among the notes."""
+def actuator_fit(actuator: str, runs: Sequence[Run], motor: Motor) -> ActuatorFit:
+    """Fit the thermal network of one actuator to its runs; notes on doubtful channels come before those of the fit."""
     notes = [note for run in runs for note in (*channel_doubts(run), *remarks_on(run))]
     fit = thermal_fit(runs, motor)
     return ActuatorFit(actuator, tuple(str(run.path) for run in runs), fit, tuple(dict.fromkeys([*notes, *fit.notes])))

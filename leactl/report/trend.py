@@ -1,4 +1,4 @@
-"""A result over many runs as text that fits 80 columns."""
+"""The trend of a result over many runs as text that fits 80 columns."""
 
 import textwrap
 
@@ -10,7 +10,7 @@ from leactl.report.terminal import TEXT_WIDTH, aligned, number, shows_all, value
 
 
 def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
-    """Return whether the result changed, a row for each run, and a plot."""
+    """Return a sentence on whether the result has changed, a row for each run, and a plot."""
     group = ", ".join(filter(None, (trend.actuator, trend.condition)))
     head = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {change_sentence(trend)}"
     lines = [*textwrap.wrap(head, TEXT_WIDTH, subsequent_indent="  "), ""]

@@ -1,4 +1,4 @@
 """Text tables of other programs: encoding, delimiter, headings, numbers and the order of the rows.
 
-Settings decide first; what they leave out is detected, and a file with two readings is refused.
+Settings that are stated apply; the others are detected. A file that can be read in two ways is refused.
 """

@@ -1,4 +1,4 @@
-"""Columns of a text table whose format is stated, read row by row: only the columns that are asked for take memory."""
+"""Reads columns of a text table in a stated format, row by row; only the requested columns take memory."""
 
 import sys
 from array import array
@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from leactl.errors import InputError
 from leactl.tables.number_format import SPACES, Character, NumberFormat, TableFormat
-from leactl.tables.text_table import MOST_FAULTS, cell_place, open_text, rows_of, strip_cells, width_fault
+from leactl.tables.text_table import MOST_FAULTS, cell_location, open_text, rows_of, strip_cells, width_fault
 
 Array = npt.NDArray[np.float64]
 Line = Annotated[int, Field(strict=True, ge=0)]
@@ -27,8 +27,8 @@ class CsvForm(TableFormat):
     thousands: Literal["", ",", ".", " ", "'"] = ""
     comment: str = "#"
     encoding: str = "utf-8-sig"
-    header_line: Line = 1  # counted from 1; 0: none, columns go by index
-    data_line: Line | None = None  # where numbers begin; the line after the header by default
+    header_line: Line = 1  # counted from 1; 0 for no header: columns have indices alone
+    data_line: Line | None = None  # first line of numbers, counted from 1; None for the line after the header
     missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "N/A", "#N/A", "null")  # cells of missed samples
 
     @model_validator(mode="after")
@@ -39,24 +39,26 @@ class CsvForm(TableFormat):
 
 
 class Columns:
-    """Columns of numbers of one table, and columns of labels.
+    """The requested columns of one table: columns of numbers, and columns of labels.
 
     Parameters
     ----------
-    wanted : names, or indices from 0; None keeps every column as text. Names that the header lacks are left out.
-    labels : columns that are kept as text.
-    options : prefix of the options in messages; empty if nobody can set them.
-    every_row : whether rows without a value count.
-    strict : whether a quote has to end with its cell.
-    most_rows : rows after which the reading ends.
+    wanted : names, or indices from 0, of columns of numbers; None reads every column as text. Names that the header
+        lacks are left out.
+    labels : names, or indices from 0, of columns that are read as text.
+    options : prefix of the names of settings in messages, such as `csv.`; empty if the user cannot set them.
+    every_row : whether rows without any value count.
+    strict : whether a cell that begins with a quote has to end with one.
+    most_rows : number of rows after which reading ends.
 
     Raises
     ------
-    InputError : unreadable, not in the stated format, or rows of another width; `most_faults` lines at most.
+    InputError : the file cannot be read, is not in the stated format, or has rows of another width; at most
+        `most_faults` lines.
     """
 
-    words: ClassVar[Mapping[str, float]] = {}  # in lower case, that are numbers
-    has_text: ClassVar[bool] = False  # whether a column is text if its first cell is neither a number nor a missing one
+    words: ClassVar[Mapping[str, float]] = {}  # numbers of words in lower case, such as true
+    has_text: ClassVar[bool] = False  # whether a column whose first cell is not a number is read as text
 
     def __init__(
         self,
@@ -73,54 +75,58 @@ class Columns:
         most_faults: int = MOST_FAULTS,
     ) -> None:
         self.path, self.names, self.lines = path, list[str](), array("q")
-        self._kept: dict[int, list[str] | array[float]] = {}
-        self._labels: dict[int, list[str]] = {}
+        self._columns: dict[int, list[str] | array[float]] = {}  # by index
+        self._labels: dict[int, list[str]] = {}  # by index
         self._faults, self._most_faults, self._missing = list[str](), most_faults, frozenset(form.missing)
         self._decimal, self._format = form.decimal, NumberFormat(form.decimal, form.thousands)
         self._advice = f"; if it marks a missed sample, add it to {options}missing" if options else ""
-        first, comment, width = form.data_line or form.header_line + 1, form.comment, 0
+        first_line, comment, width = form.data_line or form.header_line + 1, form.comment, 0
         with open_text(path, form.encoding, most_bytes, f"; {options}encoding decides" if options else "") as file:
             for line, cells in rows_of(path, file, form.delimiter, strict):
                 if line == form.header_line:
                     self.names = [cell.strip() for cell in cells]
                     if form.delimiter == " " and self.names[:1] == [comment]:
-                        self.names = self.names[1:]  # `# t q` of numpy.savetxt
-                if line < first or not (cells if every_row else any(cells)):
+                        self.names = self.names[1:]  # numpy.savetxt writes `# t q`
+                if line < first_line or not (cells if every_row else any(cells)):
                     continue
                 if comment and cells[0].startswith(comment) and cells[0].strip() not in self._missing:
                     continue
                 if not width:
-                    width = self._choose(wanted, labels, line, cells)
+                    width = self._choose_columns(wanted, labels, line, cells)
                 if len(cells) != width and (fault := width_fault(path, line, cells, width)):
                     self._faults.append(fault)
                 else:
-                    self._keep(line, cells)
+                    self._append_row(line, cells)
                 if len(self._faults) >= most_faults or len(self.lines) == most_rows:
                     break
         if self._faults:
-            raise InputError(self._faults[:most_faults])  # a row may have several
+            raise InputError(self._faults[:most_faults])  # one row may have several faults
 
-    def _choose(
+    def _choose_columns(
         self, wanted: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
     ) -> int:
-        """Choose the columns to keep and return how many cells a row has: as the header, where columns go by name."""
-        width, named = len(cells), len(strip_cells(self.names))
-        if named and any(isinstance(name, str) for name in (*(wanted or ()), *labels)):
-            expected = min(max(width, named), len(self.names))
+        """Choose the columns to read, and return the number of cells of a row.
+
+        Where a column is requested by name, a row has as many cells as the header, else as many as the first row.
+        """
+        width, name_count = len(cells), len(strip_cells(self.names))
+        if name_count and any(isinstance(name, str) for name in (*(wanted or ()), *labels)):
+            expected = min(max(width, name_count), len(self.names))
             if fault := width_fault(self.path, line, cells, expected):
                 raise InputError(fault)
             width = min(width, expected)
         if wanted is None:
-            self._kept = {at: [] for at in range(width)}
+            self._columns = {index: [] for index in range(width)}
         else:
-            self._kept = {at: array("d") for name in wanted if (at := self.position(name)) in range(width)}
-        self._labels = {at: [] for name in labels if (at := self.position(name)) in range(width)}
+            self._columns = {index: array("d") for name in wanted if (index := self.position(name)) in range(width)}
+        self._labels = {index: [] for name in labels if (index := self.position(name)) in range(width)}
         return width
 
-    def _keep(self, line: int, cells: list[str]) -> None:
+    def _append_row(self, line: int, cells: list[str]) -> None:
+        """Append the cells of a row to the columns; a cell that is no number becomes NaN and a fault."""
         self.lines.append(line)
-        for at, column in self._kept.items():
-            cell = cells[at].strip()
+        for index, column in self._columns.items():
+            cell = cells[index].strip()
             if isinstance(column, list):
                 column.append(cell)
                 continue
@@ -129,27 +135,27 @@ class Columns:
             except ValueError:
                 if column or not self.has_text:
                     column.append(np.nan)
-                    place = self.place(self.names[at] if at < len(self.names) else at, -1)
-                    self._faults.append(f"{place}: {cell!r} is not a number{self._advice}")
+                    location = self.place(self.names[index] if index < len(self.names) else index, -1)
+                    self._faults.append(f"{location}: {cell!r} is not a number{self._advice}")
                 else:
-                    self._kept[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
-        for at, texts in self._labels.items():
-            texts.append(sys.intern(cells[at].strip()))  # a few texts stand in millions of rows
+                    self._columns[index] = [cell]  # a column of text: run metadata, or calendar stamps
+        for index, texts in self._labels.items():
+            texts.append(sys.intern(cells[index].strip()))  # millions of rows share a few texts
 
     def number(self, cell: str) -> float:
-        """The number that a cell stands for.
+        """Return the number in a cell, read in the stated format.
 
         Raises
         ------
-        ValueError : it is no number.
+        ValueError : the cell is not a number.
         """
         value = None
-        # float() takes underscores, and a point where a comma was expected
-        strange = "_" in cell or (self._decimal == "," and "." in cell)
+        # float() accepts underscores, and a point where the decimal mark is a comma
+        only_python_reads_it = "_" in cell or (self._decimal == "," and "." in cell)
         with suppress(ValueError):
             if self._format.thousands:
                 value = self._format.value(cell.translate(SPACES))
-            elif not strange:
+            elif not only_python_reads_it:
                 return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
         value = self.words.get(cell.lower()) if value is None else value
         if value is None:
@@ -157,31 +163,30 @@ class Columns:
         return value
 
     def position(self, name: str | int) -> int:
-        """Index of the first column of a name; -1 if there is none."""
+        """Return the index of the first column of a name, -1 if there is none; an index is returned as it is."""
         return name if isinstance(name, int) else self.names.index(name) if name in self.names else -1
 
     def place(self, name: str | int, row: int) -> str:
-        """File, line and column of a cell for messages."""
-        return cell_place(self.path, self.lines[row], name)
+        """Return file, line and column of a cell, for messages."""
+        return cell_location(self.path, self.lines[row], name)
 
     def column(self, name: str | int) -> Array | list[str]:
-        """A column that was asked for and that the table has."""
-        values = self._kept[self.position(name)]
+        """Return a requested column: text as a list, numbers as an array."""
+        values = self._columns[self.position(name)]
         return values if isinstance(values, list) else np.frombuffer(values, np.float64)
 
     def numbers(self, names: Sequence[str], largest: float) -> Array:
-        """Columns (rows, columns) of which each cell is a number and the first increases from row to row.
+        """Return columns of numbers as an array (rows, columns); the first column, the time, increases strictly.
 
         Raises
         ------
-        InputError : a number is NaN or larger in magnitude than `largest`, or one of the first column is not after the
-            one before.
+        InputError : a number is NaN or larger in magnitude than `largest`, or the first column does not increase.
         """
         table: Array = np.stack([np.asarray(self.column(name), np.float64) for name in names], axis=1)
         expected = f"a number of at most {largest:g} in magnitude was expected"
         faults = [
-            f"{self.place(names[at], row)}: {table[row, at]:g}: {expected}"
-            for row, at in np.argwhere(~(np.abs(table) <= largest))[: self._most_faults].tolist()
+            f"{self.place(names[column], row)}: {table[row, column]:g}: {expected}"
+            for row, column in np.argwhere(~(np.abs(table) <= largest))[: self._most_faults].tolist()
         ] or [
             f"{self.place(names[0], row)}: {table[row, 0]:g} is not after {table[row - 1, 0]:g}"
             for row in (np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[: self._most_faults] + 1).tolist()

@@ -1,7 +1,7 @@
-"""Settings of a text table, and the numbers of its cells: decimal and thousands marks are inferred only if unambiguous.
+"""Settings of a text table, and its numbers; decimal and thousands marks are detected only if they are unambiguous.
 
-A cell such as `1,234` has two readings. A number format has to read all cells of a file; if several formats do and give
-different values, the file is refused, and the message names the setting that decides.
+A cell such as `1,234` can be read in two ways. A number format has to read all cells of a file. If several formats read
+all cells and give different values, the file is refused, and the message names the setting that decides.
 """
 
 import re
@@ -24,7 +24,7 @@ CELL = re.compile(
     r"(?P<unit>[^\d\s.,'+<>-][^\d<>]*)?"
 )
 THOUSANDS = (",", ".", " ", "'")
-Where = Callable[[str, int], str]  # heading and row
+CellLocator = Callable[[str, int], str]  # returns file, line and column of a cell by heading and row
 Mark = Annotated[str, StringConstraints(strict=True)]
 Character = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)]
 
@@ -77,7 +77,7 @@ class NumberFormat(NamedTuple):
     thousands: str
 
     def value(self, text: str) -> float | None:
-        """The number that a text stands for; None if it is no number in this format."""
+        """Return the number in a text; None if the text is not a number in this format."""
         mantissa, _, exponent = text.replace("E", "e").partition("e")
         sign = -1.0 if mantissa.startswith("-") else 1.0
         whole, mark, fraction = mantissa[mantissa.startswith(("+", "-")) :].strip().partition(self.decimal)
@@ -97,24 +97,24 @@ class NumberFormat(NamedTuple):
 
 
 class NumberCell(NamedTuple):
-    """Parts of a cell; `number` is empty for a missing sample."""
+    """The parts of a cell; `number` is empty for a missing sample."""
 
     number: str
     unit: str = ""
-    outside: str = ""  # ">" or "<" before the number: beyond the sensor's range
+    outside: str = ""  # ">" or "<" before the number: the value is beyond the range of the sensor
 
 
 class Numbers(NamedTuple):
     """The numbers of one column."""
 
     values: Array  # NaN where missing or out of range
-    units: tuple[str, ...]  # units in its cells; "" for cells without one
-    missing: int
-    outside: dict[str, int]  # count of each over-range cell
+    units: tuple[str, ...]  # distinct units in the cells; "" for cells without a unit
+    missing: int  # number of missing samples
+    outside: dict[str, int]  # number of cells with each over-range text, such as ">150"
 
 
 def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
-    """Split a cell into its parts; None if it is neither a number nor a mark for a missing sample."""
+    """Split a cell into its parts; return None if it is neither a number nor one of the marks for a missing sample."""
     plain = text.translate(SPACES).strip()
     if plain in missing:
         return NumberCell("")
@@ -127,16 +127,16 @@ def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
 def read_numbers(
     columns: Mapping[str, Sequence[str]],
     form: TableFormat,
-    cell_name: Where,
+    cell_name: CellLocator,
     bounds: Mapping[str, tuple[float, float]],
 ) -> tuple[dict[str, Numbers], NumberFormat]:
-    """Read columns of text that have one number format.
+    """Read columns of text that share one number format; return their numbers by heading, and the format.
 
     Parameters
     ----------
     columns : cells by heading.
-    cell_name : function of heading and row that returns file, line and column for messages.
-    bounds : lowest and highest possible value of a column, by heading, which excludes some formats.
+    cell_name : returns file, line and column of a cell for messages.
+    bounds : lowest and highest possible value of a column, by heading; a format that gives a value outside is excluded.
 
     Raises
     ------
@@ -156,82 +156,100 @@ def read_numbers(
                 faults.append(f"{cell_name(heading, cells.index(text))}: {message}")
     if faults:
         raise InputError(faults)
-    attempts = [(mark, *read_in_format(mark, cells_by_text, bounds)) for mark in possible_formats(form, cells_by_text)]
-    readings = [(convention, values) for convention, values, misfit in attempts if not misfit]
-    if not readings:  # the first failing cell of the format that reads most cells
-        convention, _, misfit = max(attempts, key=lambda attempt: sum(map(len, attempt[1].values())))
-        heading, text, why = misfit
-        where = cell_name(heading, columns[heading].index(text))
+    attempts = [
+        (number_format, *read_in_format(number_format, cells_by_text, bounds))
+        for number_format in possible_formats(form, cells_by_text)
+    ]
+    readings = [(number_format, values) for number_format, values, fault in attempts if not fault]
+    if not readings:  # report the first faulty cell of the format that reads most cells
+        number_format, _, fault = max(attempts, key=lambda attempt: sum(map(len, attempt[1].values())))
+        heading, text, reason = fault
+        location = cell_name(heading, columns[heading].index(text))
         advice = "no decimal and thousands mark reads every number of the file"
-        raise InputError(f"{where}: {text!r} {why} with {convention}; {advice}")
-    convention, values = readings[0]
-    for other, different in readings[1:]:
-        refuse_ambiguity(columns, cell_name, (convention, values), (other, different))
+        raise InputError(f"{location}: {text!r} {reason} with {number_format}; {advice}")
+    number_format, values = readings[0]
+    for second_reading in readings[1:]:
+        refuse_ambiguity(columns, cell_name, readings[0], second_reading)
     return {
         heading: column_of_numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
-    }, convention
+    }, number_format
 
 
 def possible_formats(
     form: TableFormat, cells_by_text: Mapping[str, Mapping[str, NumberCell]]
 ) -> Iterator[NumberFormat]:
-    """Number formats that the settings allow and whose thousands mark occurs in a cell."""
-    used = set("".join(cell.number for cells in cells_by_text.values() for cell in cells.values()))
+    """Yield the number formats that the settings allow; a detected thousands mark has to occur in a cell."""
+    characters = set("".join(cell.number for cells in cells_by_text.values() for cell in cells.values()))
     for decimal in (".", ",") if form.decimal is None else (form.decimal,):
         for thousands in ("", *THOUSANDS) if form.thousands is None else (form.thousands,):
-            if thousands != decimal and (thousands in used or not thousands or form.thousands is not None):
+            if thousands != decimal and (thousands in characters or not thousands or form.thousands is not None):
                 yield NumberFormat(decimal, thousands)
 
 
 def read_in_format(
-    convention: NumberFormat,
+    number_format: NumberFormat,
     cells_by_text: Mapping[str, Mapping[str, NumberCell]],
     bounds: Mapping[str, tuple[float, float]],
 ) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:
-    """Values of the distinct cells in one format, and heading, text and fault of the first cell that it cannot read."""
-    read: dict[str, dict[str, float]] = {}
+    """Read the distinct cells of each column in one format.
+
+    Returns
+    -------
+    The values by heading and text, up to the first cell that the format cannot read; and heading, text and fault of
+    that cell, empty if all cells are read.
+    """
+    values: dict[str, dict[str, float]] = {}
     for heading, cells in cells_by_text.items():
         low, high = bounds.get(heading, (-np.inf, np.inf))
-        column = read[heading] = {}
+        column = values[heading] = {}
         for text, cell in cells.items():
-            value = convention.value(cell.number) if cell.number else np.nan
+            value = number_format.value(cell.number) if cell.number else np.nan
             if value is None:
-                return read, (heading, text, "is no number")
+                return values, (heading, text, "is no number")
             if cell.number and not low <= value <= high:
-                return read, (heading, text, f"is {value:g}, outside {low:g} to {high:g},")
+                return values, (heading, text, f"is {value:g}, outside {low:g} to {high:g},")
             column[text] = value
-    return read, ()
+    return values, ()
 
 
 def refuse_ambiguity(
     columns: Mapping[str, Sequence[str]],
-    cell_name: Where,
+    cell_name: CellLocator,
     first: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
-    other: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
+    second: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
 ) -> None:
-    """Raise InputError if two formats give different values, with the first cell where they differ."""
+    """Refuse a file that two number formats read with different values.
+
+    Parameters
+    ----------
+    first, second : a format, and the values that it gives by heading and text.
+
+    Raises
+    ------
+    InputError : the first cell where the values differ, and the setting that decides.
+    """
     for heading, cells in columns.items():
         for text, value in first[1][heading].items():
-            second = other[1][heading][text]
-            if value != second and not np.isnan(value):
-                where = cell_name(heading, cells.index(text))
-                key = "decimal" if first[0].decimal != other[0].decimal else "thousands"
-                raise InputError(f"{where}: {text!r} reads {value:.15g} or {second:.15g}; {key} decides")
+            second_value = second[1][heading][text]
+            if value != second_value and not np.isnan(value):
+                location = cell_name(heading, cells.index(text))
+                key = "decimal" if first[0].decimal != second[0].decimal else "thousands"
+                raise InputError(f"{location}: {text!r} reads {value:.15g} or {second_value:.15g}; {key} decides")
 
 
 def column_of_numbers(
     cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]
 ) -> Numbers:
-    """Build a column; over-range cells become NaN and are counted."""
-    marks = {text for text, cell in cells_by_text.items() if cell.outside}
+    """Return the numbers of a column; over-range cells become NaN and are counted."""
+    over_range_texts = {text for text, cell in cells_by_text.items() if cell.outside}
     missing_texts = {text for text, cell in cells_by_text.items() if not cell.number}
-    known = {text: np.nan if text in marks else value for text, value in values.items()}
+    value_of = {text: np.nan if text in over_range_texts else value for text, value in values.items()}
     outside: dict[str, int] = {}
     missing = 0
-    if marks or missing_texts:
+    if over_range_texts or missing_texts:
         for text in cells:
-            if text in marks:
+            if text in over_range_texts:
                 outside[text.strip()] = outside.get(text.strip(), 0) + 1
             missing += text in missing_texts
     units = tuple(sorted({cell.unit for cell in cells_by_text.values() if cell.number}))
-    return Numbers(np.array([known[text] for text in cells], np.float64), units, missing, outside)
+    return Numbers(np.array([value_of[text] for text in cells], np.float64), units, missing, outside)

@@ -1,6 +1,6 @@
-"""Put the rows of a record in order of time: doubled rows, backward stamps and missing frames.
+"""Order of the rows of a record in time: finds doubled rows, stamps that go back, and missing frames.
 
-No row is invented or moved: a row is kept or left out, and a remark says which.
+Rows are never added or moved. A row stays or is left out, and a remark says which rows are left out.
 """
 
 from collections.abc import Callable
@@ -12,16 +12,16 @@ import numpy.typing as npt
 from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
-GAP = 1.5  # of the usual interval
-FEWEST = 10  # rows or seconds that a rule is read from
-COARSE = 0.2  # share of repeated stamps above which the stamps are taken to be coarser than the frames
+GAP_FACTOR = 1.5  # an interval longer than this multiple of the median interval is a gap
+FEWEST_STEPS = 10  # between stamps, from which repeats or a slope are judged
+COARSE_SHARE = 0.2  # share of repeated stamps above which the stamps count as coarser than the frames
 
 
 class Ordered(NamedTuple):
-    """Rows that increase strictly in time."""
+    """Rows whose times increase strictly."""
 
-    time: Array
-    values: Array
+    time: Array  # (n,), s
+    values: Array  # (n, channels)
     remarks: list[str]
 
 
@@ -33,18 +33,20 @@ def order_rows(
     resolution: float = 0.0,
     frame_rate: float | None = None,
 ) -> Ordered:
-    """Put rows in strictly increasing order of time, with remarks on what was left out.
+    """Return the rows whose times increase strictly, with remarks on rows that are left out and on gaps.
 
     Parameters
     ----------
-    time : (n,), s, as read.
+    time : (n,), s, stamps as they were read.
     values : (n, channels).
-    where : function of a row that returns file and line for messages.
+    where : returns file and line of a row, for messages.
+    backward : whether a stamp that goes back is a fault, or its row is left out.
+    resolution : s, smallest step of the stamps.
     frame_rate : Hz, of a camera whose stamps are coarser than its frames.
 
     Raises
     ------
-    InputError : a row without a stamp, a backward stamp, or one stamp for rows with different values.
+    InputError : a row has no stamp, a stamp goes back, or rows with different values share a stamp.
     """
     without_stamp = np.flatnonzero(~np.isfinite(time))
     if len(without_stamp):
@@ -65,7 +67,7 @@ def order_rows(
         remarks.append(f"{len(backward_rows)} rows whose stamps go back, from {where(int(backward_rows[0]))}: left out")
         time, values = np.delete(time, backward_rows), np.delete(values, backward_rows, axis=0)
     repeats = np.diff(time) == 0
-    if len(repeats) >= FEWEST and repeats.mean() > COARSE:
+    if len(repeats) >= FEWEST_STEPS and repeats.mean() > COARSE_SHARE:
         time = times_by_count(time, resolution, frame_rate, where)
         remarks.append(f"{int(repeats.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
         repeats = np.zeros(len(repeats), bool)
@@ -89,29 +91,30 @@ def order_rows(
 
 
 def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
-    """Mask (n - 1,) of rows that equal the row before in every column; rows of only NaN do not count."""
+    """Return a mask (n - 1,) of the rows that equal the one before in every column; rows of NaN alone do not count."""
     before, after = values[:-1], values[1:]
     equal: npt.NDArray[np.bool_] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
     return equal & np.isfinite(after).any(axis=1)
 
 
 def times_by_count(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
-    """Replace stamps of a coarse resolution by counting frames at a constant rate.
+    """Return times by counting frames at a constant rate, for stamps that are coarser than the frames.
 
     Raises
     ------
-    InputError : no frame rate is given, or the counted times leave the resolution of the stamps: frames are missing.
+    InputError : no frame rate is given, the rows do not come at that rate, or the counted times differ from the stamps
+        by more than their resolution: frames are missing.
     """
     if frame_rate is None:
         raise InputError(f"{where(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
     count = np.arange(len(time), dtype=np.float64)
-    turns = np.flatnonzero(np.diff(time) > 0) + 1  # the frame that comes first under a new stamp is the youngest there
+    first_rows = np.flatnonzero(np.diff(time) > 0) + 1  # of each stamp: closest to the moment at which it changed
     slope = 1.0 / frame_rate
-    if len(turns) >= FEWEST:
-        slope = float(np.polyfit(count[turns], time[turns], 1)[0])
-    if not len(turns) or abs(slope * frame_rate - 1.0) > 0.01:
+    if len(first_rows) >= FEWEST_STEPS:
+        slope = float(np.polyfit(count[first_rows], time[first_rows], 1)[0])
+    if not len(first_rows) or abs(slope * frame_rate - 1.0) > 0.01:
         raise InputError(f"{where(1)}: {1.0 / slope:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}")
-    start = float(np.mean(time[turns] + 0.5 * slope - slope * count[turns]))
+    start = float(np.mean(time[first_rows] + 0.5 * slope - slope * count[first_rows]))
     placed: Array = start + slope * count
     beyond = np.flatnonzero(np.abs(placed - time - 0.5 * resolution) > 0.5 * resolution + 1.5 / frame_rate)
     if len(beyond):
@@ -123,15 +126,15 @@ def times_by_count(time: Array, resolution: float, frame_rate: float | None, whe
 
 
 def gap_remarks(time: Array) -> list[str]:
-    """Remarks on the usual interval, and on gaps with the estimated number of missing frames."""
+    """Return remarks on the median interval, and on gaps with the estimated number of missing frames."""
     if len(time) < 3:
         return []
     steps = np.diff(time)
-    usual = float(np.median(steps))
-    wide = np.flatnonzero(steps > GAP * usual)
-    if not len(wide):
-        return [f"one row each {usual:.4g} s"]
-    missing = int(np.sum(np.round(steps[wide] / usual) - 1))
-    longest = wide[int(np.argmax(steps[wide]))]
+    median_step = float(np.median(steps))
+    gaps = np.flatnonzero(steps > GAP_FACTOR * median_step)
+    if not len(gaps):
+        return [f"one row each {median_step:.4g} s"]
+    missing = int(np.sum(np.round(steps[gaps] / median_step) - 1))
+    longest = gaps[int(np.argmax(steps[gaps]))]
     longest_gap = f"the longest {steps[longest]:.4g} s, {time[longest] - time[0]:.6g} s after the first row"
-    return [f"one row each {usual:.4g} s", f"{len(wide)} gaps, about {missing} frames missing, {longest_gap}"]
+    return [f"one row each {median_step:.4g} s", f"{len(gaps)} gaps, about {missing} frames missing, {longest_gap}"]

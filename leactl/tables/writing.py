@@ -1,4 +1,4 @@
-"""Write text tables in the dialects of other programs, for their emulators."""
+"""Writes text tables in the dialects of other programs, for the emulators of these programs."""
 
 import csv
 import math
@@ -21,42 +21,42 @@ class TableDialect:
     decimal: str = "."
     thousands: str = ""
     decimals: int = 2
-    missing: str = "--"
+    missing: str = "--"  # text of a missing sample
     line_end: str = "\r\n"
-    sep_line: bool = False
-    trailing: bool = False  # a delimiter at the end of each row
+    sep_line: bool = False  # whether `sep=,` stands before the table
+    trailing: bool = False  # whether each row ends in a delimiter
 
     @classmethod
     def of(cls, form: TableFormat, decimals: int = 2) -> Self:
-        """The dialect that settings state, with the usual marks where they state none."""
+        """Return the dialect of the settings of a table; a setting that is None has the default of the dialect."""
         stated = form.model_dump(include={"encoding", "delimiter", "decimal", "thousands"}, exclude_none=True)
         return cls(decimals=decimals, **stated)
 
     def number(self, value: float) -> str:
-        """A number in this dialect; NaN becomes the mark for a missing sample."""
+        """Return a number in this dialect; NaN becomes the text of a missing sample."""
         if math.isnan(value):
             return self.missing
         return f"{value:,.{self.decimals}f}".translate({ord(","): self.thousands, ord("."): self.decimal})
 
     def row(self, cells: Sequence[str]) -> str:
-        """One line of a table; a cell that contains a delimiter or a quote is quoted."""
+        """Return one line of a table; a cell that contains a delimiter or a quote is quoted."""
         line = StringIO()
         writer = csv.writer(line, delimiter=self.delimiter, lineterminator=self.line_end)
         writer.writerow([*cells, ""] if self.trailing else cells)
         return line.getvalue()
 
     def head(self) -> str:
-        """The `sep=` line before the table, if the dialect has one."""
+        """Return the `sep=` line before the table; empty if the dialect has none."""
         return f"sep={self.delimiter}{self.line_end}" if self.sep_line else ""
 
     def encoded(self, text: str, begins: bool) -> bytes:
-        """Encode a part of the file; the first part (`begins`) gets the byte order mark, if the dialect has one."""
+        """Return a part of the file as bytes; the first part (`begins`) gets the byte order mark of the dialect."""
         mark = "\ufeff" if begins and self.byte_order_mark else ""
         return (mark + text).encode(self.encoding)
 
 
 def new_export(folder: Path, name: str) -> Path:
-    """An unused path `name-1.csv`, `name-2.csv` and so on in a folder, which is created if absent."""
+    """Return the first unused path of `name-1.csv`, `name-2.csv` and so on in a folder, which is created if absent."""
     folder.mkdir(parents=True, exist_ok=True)
     number = 1
     while (path := folder / f"{name}-{number}.csv").exists():

@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from leactl import errors
 from leactl.cli.helptext import MEANINGS, UNCUT
-from leactl.cli.main import READER_GONE, app
+from leactl.cli.main import BROKEN_PIPE_STATUS, app
 from leactl.protocol.protocolfile import load
 from leactl.runner.campaign.campaignfile import names as campaigns
 
@@ -106,7 +106,7 @@ def test_the_page_of_exit_statuses_has_those_of_the_code():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "exit-statuses.md").read_text()
     rows = {int(status): meaning for status, meaning in re.findall(r"^\| (\d+) \| (.*) \|$", page, re.MULTILINE)}
     meanings = {error.exit_status: meaning for error, meaning in MEANINGS.items()}
-    assert rows.pop(READER_GONE).startswith("the reader of the output went away")
+    assert rows.pop(BROKEN_PIPE_STATUS).startswith("the reader of the output went away")
     assert rows == {0: "done", **meanings}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from leactl.errors import DeviceError, InputError, Stopped
-from leactl.report.datasheet.make import Wanted, make
+from leactl.report.datasheet.make import DatasheetOutputs, make
 from leactl.report.pdf import print_pdf
 from leactl.report.steps import Steps
 from tests.analysis.synthetic import Bench
@@ -73,7 +73,9 @@ def test_what_cannot_be_done_is_one_line_each_and_writes_nothing(here, given, ho
     (here / "broken.h5").write_text("none")
     html = Path(how["html"]) if "html" in how else None
     with pytest.raises(InputError) as raised:
-        make([Path(one) for one in given], [], {}, Wanted(html, how.get("pdf", False), how.get("json", False)))
+        make(
+            [Path(one) for one in given], [], {}, DatasheetOutputs(html, how.get("pdf", False), how.get("json", False))
+        )
     assert raised.value.faults[0].startswith(fault)
     assert not (here / "out.html").exists()
 

@@ -21,9 +21,9 @@ from leactl.analysis.analyze import names as experiments
 from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
-from leactl.report.datasheet.make import Wanted, make, refuse_shared
+from leactl.report.datasheet.make import DatasheetOutputs, make, refuse_shared
 from leactl.report.datasheet.page import page
-from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet, read_runs, refuse_untaken
+from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet, check_options, read_runs
 from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.terminal import figures_by_condition, interval_text, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
@@ -194,7 +194,7 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path / "plugged")
     monkeypatch.setattr(registry, "foreign", lambda: {"shakes": EntryPoint("shakes", "shakes", registry.GROUP)})
     path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
-    refuse_untaken({"gain": 2.0})
+    check_options({"gain": 2.0})
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")
     row = next(row for row in table(root) if row[0] == "shake rate")
     assert row == ["shake rate", "design", "a1", "6.00 ± 0.10", "2.80 .. 3.20", "Hz", "", "R1"]
@@ -203,7 +203,7 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     assert words(section.find("p")) == "Shakes: how often the thing shakes."
     assert words(section.find(".//figcaption")) == "shake over time, a1, design; R1"
     with pytest.raises(InputError, match="--set gaim: no analysis takes it"):
-        refuse_untaken({"gaim": 2.0})
+        check_options({"gaim": 2.0})
 
 
 def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
@@ -357,7 +357,7 @@ def test_instruments_are_listed_with_their_runs_and_what_was_overdue(tmp_path, c
     with_sensor(
         paths[2], "2026-02-03T00:01:00Z", **(old | {"calibrated": "2026-02-02", "calibration_due": "2027-02-02"})
     )
-    sheet = make(paths, [], {}, Wanted(tmp_path / "sheet.html", False, False))
+    sheet = make(paths, [], {}, DatasheetOutputs(tmp_path / "sheet.html", False, False))
     labels = {entry.path: entry.label for entry in sheet.sets[0].entries}
     first, second, third = (labels[path] for path in paths)
     rows = table(ElementTree.fromstring((tmp_path / "sheet.html").read_text()), "instruments")

@@ -1,4 +1,4 @@
-"""Readings that are followed: which row is new, what is missing, and who is told to be silent."""
+"""Readings that are followed: which row is new, which value is missing, and which device is named as silent."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from leactl.errors import MissingChannel
 from leactl.quantities import ChannelSpec
-from leactl.report.follow import Looks
+from leactl.report.follow import ReadingSampler
 from leactl.runner.progress import Progress
 
 STREAMS = {
@@ -27,40 +27,40 @@ def progress():
 
 
 def test_channels_have_names_of_their_own_and_setpoints_are_left_out():
-    assert Looks("mine", STREAMS, []).names == ("iq", "loop/vbus", "load_supply/vbus", "housing")
-    assert Looks("mine", STREAMS, ["iq_ref", "bus_voltage:load"]).names == ("iq_ref", "vbus")
+    assert ReadingSampler("mine", STREAMS, []).names == ("iq", "loop/vbus", "load_supply/vbus", "housing")
+    assert ReadingSampler("mine", STREAMS, ["iq_ref", "bus_voltage:load"]).names == ("iq_ref", "vbus")
 
 
 def test_a_word_that_chooses_no_channel_is_refused():
     with pytest.raises(
         MissingChannel, match=r"^no channel 'housin'; did you mean 'housing'; bench 'mine' has loop/iq_ref, "
     ):
-        Looks("mine", STREAMS, ["housin"])
+        ReadingSampler("mine", STREAMS, ["housin"])
 
 
 def test_a_row_counts_once_and_what_did_not_come_is_nan(progress):
-    looks, camera = Looks("mine", STREAMS, ["iq", "housing"]), [31.5]
-    assert np.isnan(looks.take(progress).values).all()
+    sampler, camera = ReadingSampler("mine", STREAMS, ["iq", "housing"]), [31.5]
+    assert np.isnan(sampler.sample(progress).values).all()
     progress.values, progress.own, progress.time_s = [0.0, 1.5, 30.0], {"camera": camera}, 1.0
-    rows = looks.take(progress)
+    rows = sampler.sample(progress)
     assert (rows.time.tolist(), rows.values.tolist(), rows.units) == ([1.0], [[1.5, 31.5]], ("A", "degC"))
     progress.values, progress.own, progress.time_s = [0.0, math.nan, 30.0], {"camera": camera}, 2.0
-    assert np.isnan(looks.take(progress).values).all()
+    assert np.isnan(sampler.sample(progress).values).all()
     progress.own = {"camera": [31.5]}  # a reading that is equal to the one before
-    np.testing.assert_array_equal(looks.take(progress).values, [[math.nan, 31.5]])
+    np.testing.assert_array_equal(sampler.sample(progress).values, [[math.nan, 31.5]])
 
 
 def test_a_silent_device_is_named_once(progress):
-    looks = Looks("mine", STREAMS, ["iq", "housing"])
-    told = []
+    sampler = ReadingSampler("mine", STREAMS, ["iq", "housing"])
+    warnings = []
     for second in range(20):
         progress.time_s, progress.values = float(second), [0.0, 1.5, 30.0]
-        looks.take(progress)
-        told += [(second, text) for text in looks.fallen_silent(progress.time_s, 1.0)]
-    assert told == [(5, "camera: no reading for 5 s; its columns are nan until one comes")]
+        sampler.sample(progress)
+        warnings += [(second, text) for text in sampler.newly_silent(progress.time_s, 1.0)]
+    assert warnings == [(5, "camera: no reading for 5 s; its columns are nan until one comes")]
 
 
 def test_a_device_is_given_the_time_between_two_looks(progress):
-    looks = Looks("mine", STREAMS, ["housing"])
-    assert list(looks.fallen_silent(59.0, 60.0)) == []
-    assert len(list(looks.fallen_silent(60.0, 60.0))) == 1
+    sampler = ReadingSampler("mine", STREAMS, ["housing"])
+    assert list(sampler.newly_silent(59.0, 60.0)) == []
+    assert len(list(sampler.newly_silent(60.0, 60.0))) == 1

@@ -199,7 +199,7 @@ def test_silence_grows_from_the_newest_row_on(client):
 
 def test_a_number_that_is_none_asks_for_all(page):
     site = Site("", "t", ["h"])
-    site.shown.take({"row": [1]})
+    site.state.take({"row": [1]})
     for since in ("x", "-1", "9" * 20, "%00", ""):
         request = f"GET /state?since={since} HTTP/1.1\r\nHost: h\r\nAuthorization: Bearer t\r\n\r\n"
         assert json.loads(HttpExchange(request.encode(), site).answer.split(b"\r\n\r\n")[1])["rows"] == [[1]]
@@ -283,7 +283,7 @@ def sockets(process="self"):
 
 
 def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
-    sound, calls = feed.standing, itertools.count()
+    sound, calls = feed.run_state, itertools.count()
 
     def breaking(progress, cause):
         if progress.title == "spin on emulated" and next(calls):  # and not that of another page
@@ -294,7 +294,7 @@ def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
         client.until(lambda _state: page.fault)
         client.ask("/stop", "POST")
 
-    monkeypatch.setattr(feed, "standing", breaking)
+    monkeypatch.setattr(feed, "run_state", breaking)
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(
             sets=("hold_s=600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
@@ -376,7 +376,7 @@ def test_a_full_pipe_costs_lines_and_nothing_waits_or_grows(spin, monkeypatch):
         os.kill(page._server.pid, signal.SIGSTOP)
         with suppress(BlockingIOError):
             while True:
-                os.write(page._to, b" " * 65536)
+                os.write(page._server_input, b" " * 65536)
 
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(watch=lambda progress: shown(page, progress, fill), stops=[page.stop_cause])

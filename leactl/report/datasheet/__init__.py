@@ -1,1 +1,1 @@
-"""A datasheet of actuators from their runs: what was measured, how surely and from what, beside the paper's figures."""
+"""Datasheets of actuators from their runs: results with uncertainties and sources, beside the figures of the paper."""

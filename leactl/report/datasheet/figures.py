@@ -1,4 +1,4 @@
-"""The figures of a datasheet: every plot of an analysis, conditions over each other, sets of runs side by side."""
+"""The figures of a datasheet: the plots of the analyses, with conditions overlaid and sets of runs side by side."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -13,14 +13,14 @@ from leactl.report.datasheet.rows import DatasheetRow, ordered_conditions
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.intervals import Interval, IntervalChart, intervals
 
-COLOURS = 6  # that the colour-blind can tell apart; see datasheet.css
+COLOURS = 6  # that the colour-blind can tell apart; classes s0 to s5 of datasheet.css
 MARKS = ("dot", "ring", "square")
-MOST_KINDS = 2  # of points in a plot, up to which several conditions share it
-MOST_GREY = 2  # names of lines without points; more of them, as of contours, stand on their lines
-DENSE = 40  # points of a kind; more are drawn small, or as a line where no line was fitted to them
-AS_WRITTEN = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
-PRINTED = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
-UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED)})(?![\w])")
+MOST_SHARED_KINDS = 2  # kinds of points (labels of their series), up to which several conditions share one figure
+MOST_LEGEND_LINES = 2  # names of lines without points; if there are more, as of contours, names stand on the lines
+DENSE = 40  # points of a series; more are drawn small, or as a line if no line was fitted to them
+SPELLINGS = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
+PRINTED_UNITS = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
+UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED_UNITS)})(?![\w])")
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Figure:
     """One chart before its axes are known."""
 
     caption: str
-    plot: Plot  # any of those drawn, for its labels
+    plot: Plot  # the first of the overlaid plots, for the labels of the axes
     layers: tuple[Layer, ...]
-    keys: tuple[Key, ...]  # of the legend; none for those of the layers
+    keys: tuple[Key, ...]  # entries of the legend; empty for one entry for each layer
     entries: tuple[RunEntry, ...]
 
 
@@ -43,7 +43,12 @@ class LinkedChart(NamedTuple):
 
 
 def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[LinkedChart]:
-    """Return the charts of every plot of one experiment; plots of two sets of runs share their axes."""
+    """Return the charts of all plots of one experiment; the charts of two sets of runs have the same axes.
+
+    Parameters
+    ----------
+    motors : the motor of each set.
+    """
     answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     all_answers = [answer for answers in answers_by_set for answer in answers]
     measured = {answer.condition for answer in all_answers}
@@ -55,46 +60,49 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> l
     for index in range(count):
         drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
         for set_index, drawings in enumerate(drawings_by_set):
-            other_sets = drawings_by_set[:set_index] + drawings_by_set[set_index + 1 :]
-            other_layers = [layer for others in other_sets for drawing in others for layer in drawing.layers]
+            other_drawings = drawings_by_set[:set_index] + drawings_by_set[set_index + 1 :]
+            other_layers = [layer for drawn in other_drawings for drawing in drawn for layer in drawing.layers]
             caption_prefix = f"{sets[set_index].name}: " if len(sets) > 1 else ""
             charts += [linked_chart(drawing, other_layers, caption_prefix) for drawing in drawings]
     return charts
 
 
 def linked_chart(drawing: Figure, included_in_axes: Sequence[Layer], caption_prefix: str) -> LinkedChart:
-    """Return a chart with its caption and its runs; the axes contain the layers `included_in_axes` too."""
+    """Return the chart of a figure with its caption and runs; its axes also contain the layers `included_in_axes`."""
     labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
     drawn = chart(drawing.layers, *labels, included_in_axes, drawing.keys, drawing.plot.x_log)
     return LinkedChart(f"{caption_prefix}{drawing.caption}", drawing.entries, drawn)
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
-    """Return plot `index` of the answers; an actuator's conditions share one drawing where they stay readable."""
+    """Return figures of plot `index` of the answers.
+
+    The conditions of an actuator share one figure if they have the same axes, few series of points, and a colour each.
+    """
     drawable = [answer for answer in answers if index < len(answer.result.plots)]
-    drawn = []
+    drawings = []
     for actuator in dict.fromkeys(answer.actuator for answer in drawable):
         of_actuator = [answer for answer in drawable if answer.actuator == actuator]
         kinds = {series.label for answer in of_actuator for series in answer.result.plots[index].points}
         labels = {(answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in of_actuator}
-        together = len(kinds) <= MOST_KINDS and len(labels) == 1 and 1 < len(of_actuator) <= COLOURS
+        together = len(kinds) <= MOST_SHARED_KINDS and len(labels) == 1 and 1 < len(of_actuator) <= COLOURS
         for group in [of_actuator] if together else [[answer] for answer in of_actuator]:
             plots = [answer.result.plots[index] for answer in group]
             entries = tuple(entry for answer in group for entry in answer.entries)
             layers, keys = overlaid_layers(group, plots, colours) if together else (plot_layers(plots[0]), [])
             caption = (subject(plots[0]), actuator, "" if together else group[0].condition)
-            drawn.append(Figure(", ".join(filter(None, caption)), plots[0], tuple(layers), tuple(keys), entries))
-    return drawn
+            drawings.append(Figure(", ".join(filter(None, caption)), plots[0], tuple(layers), tuple(keys), entries))
+    return drawings
 
 
 def plot_layers(plot: Plot) -> list[Layer]:
-    """Return one answer's layers: a colour for each kind of points and its fitted lines, grey for other lines."""
+    """Return the layers of one plot: a colour for each series of points and its fitted lines, grey for other lines."""
     if plot.bands:
         return map_layers(plot)
     colours = {series.label: f"s{index % COLOURS}" for index, series in enumerate(plot.points)}
     marks = {series.label: MARKS[index % len(MARKS)] for index, series in enumerate(plot.points)}
     layers: list[Layer] = []
-    many_names = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
+    many_names = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_LEGEND_LINES
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
@@ -106,7 +114,7 @@ def plot_layers(plot: Plot) -> list[Layer]:
 
 
 def map_layers(plot: Plot) -> list[Layer]:
-    """Return a map's layers: coloured bands, contours that carry their level, and a mark at each measured point."""
+    """Return the layers of a map: coloured bands, contours labelled with their level, a mark at each measured point."""
     bands: list[Layer] = [
         Area(band.label, f"b{index}", band.polygons) for index, band in enumerate(plot.bands) if band.polygons
     ]
@@ -123,7 +131,7 @@ def subject(plot: Plot) -> str:
 def overlaid_layers(
     answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
-    """Return layers and legend of several conditions: a colour for each condition, a mark for each kind of points."""
+    """Return layers and legend of overlaid conditions: a colour for each condition, a mark for each kind of points."""
     kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
     layers: list[Layer] = []
     for answer, plot in zip(answers, plots, strict=True):
@@ -147,25 +155,25 @@ def overlaid_layers(
 
 
 def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
-    """Return points as marks; many points that follow each other without a fitted line become a line themselves.
+    """Return the layer of a series of points: marks, or a line through more than DENSE points in ascending order of x.
 
-    A horizontal line does not count as fitted: it marks a threshold or a mean.
+    Points to which a line was fitted stay marks. A horizontal line does not count: it is a threshold or a mean.
     """
     x, y = arrays(series)
-    fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
-    if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
+    has_fit = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
+    if len(x) > DENSE and not has_fit and bool(np.all(np.diff(x) > 0.0)):
         return LineMarks(name, f"line {colour}", x, y)
     dense = max(len(drawn.x) for drawn in plot.points) > DENSE
     return PointMarks(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
 
 
 def points_first(layers: Sequence[Layer]) -> list[Layer]:
-    """Sort layers so that lines are drawn over the points, which would hide them."""
+    """Return the layers with points before lines: later layers are drawn on top, and points would hide lines."""
     return sorted(layers, key=lambda layer: isinstance(layer, LineMarks))
 
 
 def kind_of(line: Series, kinds: dict[str, str] | dict[str, None]) -> str:
-    """Return the longest label of points with which a line's label begins; empty where none fits."""
+    """Return the kind of points that a line belongs to: the longest name that its label begins with; empty if none."""
     return max((kind for kind in kinds if line.label.startswith(kind)), key=len, default="")
 
 
@@ -175,10 +183,10 @@ def arrays(series: Series) -> tuple[np.ndarray, np.ndarray]:
 
 
 def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> list[tuple[str, IntervalChart]]:
-    """Return a name and a chart of intervals below each other for each result that has several rows or sets."""
+    """Return a name and a chart of 95 % intervals for each result with several intervals, over conditions or sets."""
     charts = []
     for name in dict.fromkeys(row.name for row in rows):
-        same_result = [row for row in rows if row.name == name]
+        rows_of_result = [row for row in rows if row.name == name]
         strips = [
             Interval(
                 ", ".join(
@@ -193,29 +201,29 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
                 cell.estimate.high,
                 row.paper,
             )
-            for row in same_result
+            for row in rows_of_result
             for set_index, cell in enumerate(row.cells)
             if cell.estimate is not None and np.isfinite(cell.estimate.std)
         ]
         if len(strips) > 1:
-            label = pretty(f"{plain(name)} [{same_result[0].units}]")
+            label = pretty(f"{plain(name)} [{rows_of_result[0].units}]")
             charts.append((plain(name), intervals(strips, label)))
     return charts
 
 
 def plain(name: str) -> str:
-    """Return the name of a result or an experiment with spaces: `back_emf_constant` as `back EMF constant`."""
+    """Return the name of a result or an experiment in words: `back_emf_constant` as `back EMF constant`."""
     words = re.split("[_-]", name)
-    return " ".join(AS_WRITTEN.get(word, word) for word in words)
+    return " ".join(SPELLINGS.get(word, word) for word in words)
 
 
 def heading(name: str) -> str:
-    """Return a name with spaces and a capital letter."""
+    """Return a name in words that begin with a capital letter."""
     text = plain(name)
     return text[:1].upper() + text[1:]
 
 
 def pretty(text: str) -> str:
-    """Return a text with its units as printed: `N*m/s^2` as `N·m/s²`, and no unit for a ratio."""
+    """Return a text with units as they are printed: `N*m/s^2` as `N·m/s²`, and without the unit `[1]` of a ratio."""
     printed = text.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
-    return UNIT.sub(lambda match: PRINTED[match[0]], printed)
+    return UNIT.sub(lambda match: PRINTED_UNITS[match[0]], printed)

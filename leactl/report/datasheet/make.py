@@ -1,4 +1,4 @@
-"""From paths to the files of a datasheet: check the command line, analyse for minutes, then write the files."""
+"""Makes a datasheet from run files: checks the command line, analyses the runs, then writes HTML and PDF."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from pathlib import Path
 from leactl.errors import InputError
 from leactl.report.datasheet.instruments import warnings_of
 from leactl.report.datasheet.page import page
-from leactl.report.datasheet.runset import RunSet, read_runs, refuse_untaken
+from leactl.report.datasheet.runset import RunSet, check_options, read_runs
 from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.outputs import check_files
 from leactl.report.pdf import browser, print_pdf
@@ -17,45 +17,55 @@ from leactl.runfile.publish import replacement
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """The outputs that the command line asks for."""
+class DatasheetOutputs:
+    """The outputs of a datasheet that the command line asks for."""
 
-    html: Path | None
-    pdf: bool
-    json: bool
+    html: Path | None  # file of the page
+    pdf: bool  # whether the page is printed too
+    json: bool  # whether the command prints JSON
 
     @property
-    def printed(self) -> Path | None:
-        """Return the path of the PDF, which lies beside the page; None where no PDF is wanted."""
+    def pdf_file(self) -> Path | None:
+        """Return the path of the PDF, in the folder of the page; None without a PDF."""
         return self.html.with_suffix(".pdf") if self.pdf and self.html is not None else None
 
-    def refuse(self, inputs: Sequence[Path]) -> None:
-        """Refuse outputs that could not be written.
+    def check(self, inputs: Sequence[Path]) -> None:
+        """Check that all outputs can be written, before minutes are spent on the analyses.
 
         Raises
         ------
-        InputError : no output is named, a page without .html, a file that cannot be written, or no browser for a PDF.
+        InputError : no output is named, the name of the page does not end in .html or .htm, a file cannot be written or
+            is an input, or no browser is installed that prints a PDF.
         """
         if self.html is None and (self.pdf or not self.json):
             raise InputError("--html OUT.html: where the datasheet goes is missing; --json alone prints its table")
         if self.html is not None and self.html.suffix.lower() not in (".html", ".htm"):
             raise InputError(f"--html {self.html}: a name that ends in .html was expected")
-        check_files([path for path in (self.html, self.printed) if path is not None], inputs)
+        check_files([path for path in (self.html, self.pdf_file) if path is not None], inputs)
         if self.pdf:
             browser()
 
 
-def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, float], wanted: Wanted) -> Datasheet:
-    """Analyse one set of runs, or compare two, and write the wanted files; runs that were not analysed go to stderr.
+def make(
+    runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, float], outputs: DatasheetOutputs
+) -> Datasheet:
+    """Analyse one set of runs, or compare two, and write the outputs.
+
+    Runs that were not analysed and instruments that were overdue for calibration are reported on stderr.
+
+    Parameters
+    ----------
+    runs : run files or folders of the first set.
+    compared : run files or folders of the second set; empty for a datasheet of one set.
+    options : options of analyses by name; each analysis gets those that it takes.
 
     Raises
     ------
-    InputError : see `read_runs` and `Wanted.refuse`; an option that no analysis takes; no run that could be analysed;
-        or
-        a run in both sets.
+    InputError : see `read_runs` and `DatasheetOutputs.check`; an option that no analysis takes; no run that could be
+        analysed; or a run in both sets.
     """
-    refuse_untaken(options)
-    wanted.refuse([*runs, *compared])
+    check_options(options)
+    outputs.check([*runs, *compared])
     with Steps() as step:
         prefixes = ("A", "B") if compared else ("R",)
         groups = (runs, compared) if compared else (runs,)
@@ -64,11 +74,11 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
         sheet = Datasheet(with_distinct_names(sets))
         sheet.refuse_empty()
         step("writing")
-        if wanted.html is not None:
-            with replacement(wanted.html) as path:
-                path.write_text(page(sheet, wanted.html), encoding="utf-8")
-            if wanted.printed is not None:
-                print_pdf(wanted.html, wanted.printed)
+        if outputs.html is not None:
+            with replacement(outputs.html) as path:
+                path.write_text(page(sheet, outputs.html), encoding="utf-8")
+            if outputs.pdf_file is not None:
+                print_pdf(outputs.html, outputs.pdf_file)
     for line in warnings_of(sheet.sets):
         print(f"leactl: warning: {line}", file=sys.stderr)
     for entry in (entry for run_set in sheet.sets for entry in run_set.entries if entry.fault):
@@ -77,19 +87,19 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
 
 
 def refuse_shared(sets: Sequence[RunSet]) -> None:
-    """Refuse a run that is in two sets, since it would be compared with itself.
+    """Raise if a run is in two sets: it would be compared with itself.
 
     Raises
     ------
     InputError : a line for each shared run.
     """
-    seen: dict[str, tuple[int, Path]] = {}
+    first_use: dict[str, tuple[int, Path]] = {}  # by identity: number of the set, path
     faults = []
     for number, run_set in enumerate(sets):
         for entry in run_set.entries:
-            where, first = seen.setdefault(entry.identity, (number, entry.path))
-            if where != number:
-                faults.append(f"{entry.path}: the same run as {first} of the other set; give each run once")
+            first_number, first_path = first_use.setdefault(entry.identity, (number, entry.path))
+            if first_number != number:
+                faults.append(f"{entry.path}: the same run as {first_path} of the other set; give each run once")
     if faults:
         raise InputError(faults)
 

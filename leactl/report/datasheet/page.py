@@ -1,4 +1,4 @@
-"""A datasheet as one HTML file: table, figures, runs; nothing is loaded from anywhere, so it can be mailed and printed.
+"""A datasheet as one HTML file: table, figures, runs. The page loads nothing, so that it can be mailed and printed.
 
 The same runs at the same paths give the same page to the byte.
 """
@@ -29,9 +29,9 @@ from leactl.report.motors import ComparedMotor, OperatingConditions, cell, figur
 from leactl.report.terminal import interval_text, value_text
 from leactl.report.terminal import paper_figures as paper
 
-UNIT_OF_SUFFIX = {"_rad_s": "rad/s", "_Nm": "N*m", "_V": "V", "_A": "A", "_W": "W", "_1": "1"}  # of a name's end
-UNHELD_CELL = "-"
-MOTOR_FILE_FIGURES = (
+UNIT_OF_SUFFIX = {"_rad_s": "rad/s", "_Nm": "N*m", "_V": "V", "_A": "A", "_W": "W", "_1": "1"}  # of names in maps
+UNHELD_CELL = "-"  # of a setpoint that the bench did not hold
+MOTOR_FILE_FIGURES = (  # that the table of motor files shows
     "winding",
     "pole_pairs",
     "mass",
@@ -69,7 +69,7 @@ def page(sheet: Datasheet, out: Path) -> str:
 
 
 def facts(run_set: RunSet) -> list[tuple[str, str]]:
-    """Return the number of runs, their actuators, conditions and benches, and the days of recording."""
+    """Return names and values of facts on a set: number of runs, actuators, conditions, benches, days of recording."""
     days = sorted(entry.about["created"][:10] for entry in run_set.entries if entry.about.get("created"))
     rows = [
         ("runs", str(len(run_set.entries))),
@@ -81,12 +81,17 @@ def facts(run_set: RunSet) -> list[tuple[str, str]]:
 
 
 def distinct_values(run_set: RunSet, key: str) -> list[str]:
-    """Return the values of one describing attribute over the runs, each once, without empty ones."""
+    """Return the distinct values of an attribute of the runs, such as `actuator`, without empty ones."""
     return list(dict.fromkeys(value for entry in run_set.entries if (value := entry.about.get(key, ""))))
 
 
 def section_content(sets: Sequence[RunSet], section: Section, anchor: str) -> dict[str, Any]:
-    """Return the table and the experiments of one motor; `anchor` opens the targets of its links."""
+    """Return the table and the experiments of one motor, or of two that are compared.
+
+    Parameters
+    ----------
+    anchor : first part of the ids that links inside the page go to.
+    """
     experiments = []
     for experiment in section.rows:
         answers = [
@@ -113,11 +118,11 @@ def experiment_content(
     notes: list[str] = []
     for run_set, motor in zip(sets, section.motors, strict=True):
         if (verdict := run_set.verdicts.get((motor, experiment))) is not None:
-            whose = f"{run_set.name}: " if len(sets) > 1 else ""
-            tabled = {row.name for row in section.rows[experiment]}
-            of_rows = [comparison for comparison in verdict.comparisons if comparison.name in tabled]
-            comparisons.append(comparison_content(of_rows, whose, run_set.entries))
-            notes += [f"{whose}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
+            prefix = f"{run_set.name}: " if len(sets) > 1 else ""
+            names_in_table = {row.name for row in section.rows[experiment]}
+            shown_comparisons = [comparison for comparison in verdict.comparisons if comparison.name in names_in_table]
+            comparisons.append(comparison_content(shown_comparisons, prefix, run_set.entries))
+            notes += [f"{prefix}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
     entries = [entry for answer in answers for entry in answer.entries]
     for answer in answers:
         notes += [note for note in answer.result.notes if note not in notes]
@@ -135,21 +140,26 @@ def experiment_content(
 
 
 def comparison_content(
-    comparisons: Sequence[Comparison], whose: str, entries: Sequence[RunEntry]
+    comparisons: Sequence[Comparison], prefix: str, entries: Sequence[RunEntry]
 ) -> dict[str, list[str]]:
-    """Return a sentence for each compared result, and the remarks; a remark on all results is written once."""
+    """Return a sentence for each compared result, and the remarks; a remark on all results is written once.
+
+    Parameters
+    ----------
+    prefix : text before each sentence and remark, which names the set of runs where there are two.
+    """
     results_of_note: dict[str, list[str]] = {}
     for comparison in comparisons:
         for note in comparison.notes:
             results_of_note.setdefault(with_labels(note, entries), []).append(plain(comparison.name))
     remarks = [
-        note if len(named) == len(comparisons) else f"{', '.join(named)}: {note}"
-        for note, named in results_of_note.items()
+        note if len(results) == len(comparisons) else f"{', '.join(results)}: {note}"
+        for note, results in results_of_note.items()
     ]
     sentences = [comparison.sentence.replace(comparison.name, plain(comparison.name)) for comparison in comparisons]
     return {
-        "sentences": [f"{whose}{pretty(sentence)}" for sentence in sentences],
-        "remarks": [f"{whose}{pretty(remark)}" for remark in remarks],
+        "sentences": [f"{prefix}{pretty(sentence)}" for sentence in sentences],
+        "remarks": [f"{prefix}{pretty(remark)}" for remark in remarks],
     }
 
 
@@ -178,39 +188,39 @@ def results_table(answer: GroupResult) -> dict[str, Any]:
 
 
 def run_row(entry: RunEntry, out: Path) -> dict[str, Any]:
-    """Return the row of a file with a link to it and whether it was analysed; a list is of lines below each other."""
+    """Return the row of a run file: link, facts, and why it was not analysed; a list has lines below each other."""
     about = entry.about
-    by = ", ".join(filter(None, ("emulated" if entry.simulated else "", about.get("software", ""))))
+    recorder = ", ".join(filter(None, ("emulated" if entry.simulated else "", about.get("software", ""))))
     return {
         "label": entry.label,
         "name": about.get("run_id") or entry.path.name,
         "target": link_target(entry.path, out),
         "experiment": plain(entry.experiment),
         "facts": [about.get(key, "") for key in ("actuator", "condition", "mechanical")],
-        "bench": [about.get("bench", ""), by],
+        "bench": [about.get("bench", ""), recorder],
         "recorded": [about.get("created", "").replace("T", " ")[:16], about.get("status", "")],
         "fault": entry.fault,
     }
 
 
 def instrument_row(use: InstrumentUse) -> dict[str, Any]:
-    """Return the row of an instrument with its runs, and those that came after its calibration was due."""
+    """Return the row of an instrument: its facts, its runs, and the runs after its calibration was due."""
     return {
         "device": use.device,
-        "facts": [use.known.get(name, "") for name in ("model", "serial", "firmware", "calibrated")],
-        "due": use.known.get("calibration_due", ""),
+        "facts": [use.known_facts.get(name, "") for name in ("model", "serial", "firmware", "calibrated")],
+        "due": use.known_facts.get("calibration_due", ""),
         "overdue": use.overdue,
         "entries": use.entries,
     }
 
 
 def link_target(path: Path, out: Path) -> str:
-    """Return the URL of a file relative to the page, so that both can be moved together."""
+    """Return the URL of a file relative to the page `out`, so that both can be moved together."""
     return quote(os.fsencode(os.path.relpath(path.resolve(), out.resolve().parent)))
 
 
 def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> dict[str, Any] | None:
-    """Return a column for each motor whose motor file the runs carry; None where they carry none."""
+    """Return a table of motor-file figures, a column for each motor; None if no run carries a motor file."""
     sheets = [sheet for motor in dict.fromkeys(motors) if (sheet := fullest_motor_file(sets, motor)) is not None]
     if not sheets:
         return None
@@ -223,7 +233,7 @@ def motor_file_table(sets: Sequence[RunSet], motors: Sequence[str]) -> dict[str,
 
 
 def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
-    """Return the motor file with the most keys that runs of this motor carry; None where they carry none."""
+    """Return, of the motor files that runs of this motor carry, the one with most keys; None if no run carries one."""
     sheets = []
     for model in dict.fromkeys(entry.model for run_set in sets for entry in run_set.entries if entry.motor == motor):
         try:
@@ -234,7 +244,7 @@ def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
 
 
 def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
-    """Return the table of a map's first quantity; the axis with more setpoints goes down."""
+    """Return the table of the first quantity of a map over its two axes; the axis with more setpoints goes down."""
     (quantity, values_by_row), axes = next(iter(grid.values.items())), list(grid.axes.items())
     cells = np.array(values_by_row)
     if len(axes[1][1]) > len(axes[0][1]):
@@ -256,13 +266,13 @@ def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
 
 
 def with_unit(name: str) -> str:
-    """Return a quantity with its unit, by the suffix of its name: `speed_rad_s` as `speed [rad/s]`."""
+    """Return a quantity with the unit that the suffix of its name gives: `speed_rad_s` as `speed [rad/s]`."""
     suffix = next((ending for ending in UNIT_OF_SUFFIX if name.endswith(ending)), "")
     return pretty(f"{plain(name.removesuffix(suffix))} [{UNIT_OF_SUFFIX[suffix]}]") if suffix else plain(name)
 
 
 def map_cell(value: float) -> str:
-    """Return three digits of a value; a dash for NaN, where the bench did not hold the setpoint."""
+    """Return a value with three significant digits; UNHELD_CELL for NaN, where the bench did not hold the setpoint."""
     if not math.isfinite(value):
         return UNHELD_CELL
     return f"{value + 0.0:#.3g}".rstrip(".")  # no negative zero

@@ -1,4 +1,4 @@
-"""The table of a datasheet: a row for each result, condition and actuator, a cell for each set of runs."""
+"""Rows of a datasheet: one for each result, condition and actuator, with a cell for each set of runs."""
 
 import math
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ class DatasheetCell:
     estimate: Estimate | None
     entries: tuple[RunEntry, ...] = ()
     lacks: str = ""
-    actuators: tuple[str, ...] = ()  # that it is of
-    whose: str = ""  # which those are, where it is compared and the set has others
+    actuators: tuple[str, ...] = ()  # that the estimate is of
+    whose: str = ""  # names them, where the set has further actuators; empty else
 
     @property
     def actuator(self) -> str:
-        """Return the actuator's name, or the number of actuators that were pooled; empty where none was measured."""
+        """Return the name of the actuator, or the number of pooled actuators as text; empty without an estimate."""
         return f"{len(self.actuators)} actuators" if len(self.actuators) > 1 else "".join(self.actuators)
 
 
@@ -37,26 +37,26 @@ class DatasheetRow:
     experiment: str
     name: str
     condition: str
-    actuator: str  # or how many were pooled
+    actuator: str  # its name, or the number of pooled actuators as text
     cells: tuple[DatasheetCell, ...]
-    paper: str  # its figure of the LEA; empty where it has none
+    paper: str  # figure of the paper for the LEA; empty where the paper has none
 
     @property
     def units(self) -> str:
-        """Return the units of the first estimate; those of the paper's figure where there is no estimate."""
+        """Return the units of the first estimate, or else those of the paper's figure."""
         measured = (cell.estimate.units for cell in self.cells if cell.estimate is not None)
         return next(measured, units_in_paper().get(self.name, ""))
 
     @property
     def difference(self) -> Estimate | None:
-        """Return the second set's estimate less the first's; None where either is not known."""
-        known = [cell.estimate for cell in self.cells if cell.estimate is not None]
-        if len(known) < 2 or not all(math.isfinite(estimate.value) for estimate in known):
+        """Return the estimate of the second set minus that of the first; None unless both are known."""
+        estimates = [cell.estimate for cell in self.cells if cell.estimate is not None]
+        if len(estimates) < 2 or not all(math.isfinite(estimate.value) for estimate in estimates):
             return None
-        return difference(known[0], known[1])
+        return difference(estimates[0], estimates[1])
 
     def as_json(self, sets: Sequence[RunSet]) -> dict[str, Any]:
-        """Return the row as JSON takes it; what is not known is null."""
+        """Return the row as JSON takes it; unknown values are null."""
         difference = self.difference if len(self.cells) > 1 else None
         row = {
             "experiment": self.experiment,
@@ -80,104 +80,123 @@ class DatasheetRow:
 
 
 def estimate_json(estimate: Estimate | None) -> dict[str, float | None]:
-    """Return value, std, low and high of an estimate; all are None without one."""
-    row = {} if estimate is None else estimate.as_json()
-    return {key: row.get(key) for key in ("value", "std", "low", "high")}
+    """Return value, std, low and high of an estimate; all are None without an estimate."""
+    fields = {} if estimate is None else estimate.as_json()
+    return {key: fields.get(key) for key in ("value", "std", "low", "high")}
 
 
 def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[DatasheetRow]:
-    """Return the rows of one experiment; motor k is that of set k.
+    """Return the rows of one experiment.
 
-    One set has a row for each actuator, and a pooled row where several have the result. Two sets have pooled cells
-    alone, side by side.
+    With one set, a result has a row for each actuator, and a pooled row where several actuators have it. With two sets,
+    a result has one row with the pooled cell of each set.
+
+    Parameters
+    ----------
+    motors : the motor of each set.
     """
-    answers = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
-    faulty = [
+    answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
+    faulty_by_set = [
         [entry for entry in run_set.entries if entry.fault and (entry.motor, entry.experiment) == (motor, experiment)]
         for run_set, motor in zip(sets, motors, strict=True)
     ]
-    all_answers = [answer for answers_of_set in answers for answer in answers_of_set]
+    all_answers = [answer for answers in answers_by_set for answer in answers]
     table_rows = []
     for name in result_names(experiment, all_answers):
         for condition in conditions(experiment, all_answers, name):
             paper = paper_figures(experiment, condition).get(name, "")
-            cells = [
-                cells_of(answers_of_set, entries, name, condition)
-                for answers_of_set, entries in zip(answers, faulty, strict=True)
+            cells_by_set = [
+                cells_of(answers, faulty, name, condition)
+                for answers, faulty in zip(answers_by_set, faulty_by_set, strict=True)
             ]
-            shown: list[tuple[DatasheetCell, ...]]
+            cells_of_rows: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
-                pooled = pooled_cell(cells[0])
-                shown = [(cell,) for cell in [*cells[0], *([pooled] if len(pooled.actuators) > 1 else [])]]
+                pooled = pooled_cell(cells_by_set[0])
+                cells_of_rows = [
+                    (cell,) for cell in [*cells_by_set[0], *([pooled] if len(pooled.actuators) > 1 else [])]
+                ]
             else:
-                shown = [
+                cells_of_rows = [
                     tuple(
-                        with_actuator_names(pooled_cell(cells_of_set), run_set, motor)
-                        for cells_of_set, run_set, motor in zip(cells, sets, motors, strict=True)
+                        with_actuator_names(pooled_cell(cells), run_set, motor)
+                        for cells, run_set, motor in zip(cells_by_set, sets, motors, strict=True)
                     )
                 ]
-            table_rows += [DatasheetRow(experiment, name, condition, shared_actuator(row), row, paper) for row in shown]
+            table_rows += [
+                DatasheetRow(experiment, name, condition, shared_actuator(cells), cells, paper)
+                for cells in cells_of_rows
+            ]
     return table_rows
 
 
 def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
-    """Return the names of an experiment's rows: the paper's results, or those with an interval where it has none.
+    """Return the names of the results of an experiment that have rows.
 
-    A part of another result, such as that of one direction alone, is in the list of all results only.
+    These are the results of the paper. For an experiment that is not in the paper, they are all results with an
+    interval, without parts of another result, such as that of one direction alone.
     """
     in_paper = dict.fromkeys(name for paper_row in figures_by_condition(experiment).values() for name in paper_row)
     if in_paper:
         return list(in_paper)
-    known: dict[str, None] = {}
+    with_interval: dict[str, None] = {}
     for answer in answers:
         parents: list[str] = []
         for estimate in answer.result.results:
-            part = any(estimate.name.startswith(f"{parent}_") for parent in parents)
-            parents += [] if part else [estimate.name]
-            if not part and not math.isnan(estimate.low):
-                known[estimate.name] = None
-    return list(known)
+            is_part = any(estimate.name.startswith(f"{parent}_") for parent in parents)
+            parents += [] if is_part else [estimate.name]
+            if not is_part and not math.isnan(estimate.low):
+                with_interval[estimate.name] = None
+    return list(with_interval)
 
 
 def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
-    """Return the conditions of a result, the paper's first in its order; one empty name where there is none."""
-    in_paper = [
+    """Return the conditions of a result, those of the paper first, in its order; one empty name without a condition."""
+    paper_conditions = [
         label
         for label, paper_values in figures_by_condition(experiment).items()
         if label != "any" and name in paper_values
     ]
-    measured = {answer.condition for answer in answers} | set(in_paper)
+    measured = {answer.condition for answer in answers} | set(paper_conditions)
     return [label for label in ordered_conditions(answers) if label in measured] or [""]
 
 
 def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
-    """Return the paper's conditions in its order, then others: the same order for every set of runs."""
-    papers = [label for each in names() for label in figures_by_condition(each) if label != "any"]
-    return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
+    """Return the conditions of all experiments of the paper, then the other conditions of the answers.
+
+    The order is the same for every set of runs.
+    """
+    paper_conditions = [label for experiment in names() for label in figures_by_condition(experiment) if label != "any"]
+    return list(dict.fromkeys([*paper_conditions, *(answer.condition for answer in answers)]))
 
 
 def cells_of(
     answers: Sequence[GroupResult], faulty: Sequence[RunEntry], name: str, condition: str
 ) -> list[DatasheetCell]:
-    """Return a cell for each actuator that was measured, or one empty cell where none was."""
+    """Return a cell of one result for each actuator that has it, or one cell without an estimate that says why.
+
+    Parameters
+    ----------
+    answers : results of one set of runs under all conditions.
+    faulty : runs of the set that could not be analysed.
+    """
     of_condition = [answer for answer in answers if answer.condition == condition]
     estimates = [
         (answer, estimate) for answer in of_condition for estimate in answer.result.results if estimate.name == name
     ]
     if not estimates:
-        lost = tuple(entry for entry in faulty if condition in ("", entry.group[1]))
-        return [DatasheetCell(None, lost, "not analysed" if lost else NOT_MEASURED)]
+        not_analysed = tuple(entry for entry in faulty if condition in ("", entry.group[1]))
+        return [DatasheetCell(None, not_analysed, "not analysed" if not_analysed else NOT_MEASURED)]
     return [DatasheetCell(estimate, answer.entries, actuators=(answer.actuator,)) for answer, estimate in estimates]
 
 
 def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
-    """Pool the cells of several actuators: the mean of their values, or bounds that hold for all where none has one."""
-    pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
-    valued = [(cell, estimate) for cell, estimate in pairs if math.isfinite(estimate.value)]
+    """Pool the cells of several actuators: the mean of their values, or, without values, bounds that hold for all."""
+    measured = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
+    valued = [(cell, estimate) for cell, estimate in measured if math.isfinite(estimate.value)]
     bounded = [
-        (cell, estimate) for cell, estimate in pairs if not (math.isnan(estimate.low) and math.isnan(estimate.high))
+        (cell, estimate) for cell, estimate in measured if not (math.isnan(estimate.low) and math.isnan(estimate.high))
     ]
-    chosen = valued or bounded or pairs
+    chosen = valued or bounded or measured
     if len(chosen) < 2:
         return chosen[0][0] if chosen else cells[0]
     pooled = (over_actuators if valued else widest)([estimate for _, estimate in chosen])
@@ -186,7 +205,7 @@ def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
 
 
 def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> DatasheetCell:
-    """Return the cell with its actuators named in `whose` where the set has other actuators too."""
+    """Return the cell; if the set has further actuators of this motor, the cell names its own in `whose`."""
     actuators = {entry.group[0] for entry in run_set.entries if entry.experiment and entry.motor == motor}
     if not cell.actuators or actuators <= set(cell.actuators):
         return cell
@@ -194,7 +213,7 @@ def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> Dat
 
 
 def shared_actuator(cells: Sequence[DatasheetCell]) -> str:
-    """Return the actuator that all cells with an estimate are of; empty where they differ."""
+    """Return the actuator that all cells with an estimate share; empty if they differ."""
     actuators = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
     return next(iter(actuators)) if len(actuators) == 1 else ""
 

@@ -1,4 +1,4 @@
-"""A set of runs and the results of their analyses; each file is an entry, also one that cannot be analysed."""
+"""Sets of runs with the results of their analyses; a file that cannot be analysed is an entry with its fault."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -18,20 +18,20 @@ from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import altered
 
 DESCRIBING_ATTRIBUTES = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
-MOST_NAMED = 3  # folders in the name of a set of runs
-Tell = Callable[[str], None]
+MOST_FOLDERS_IN_NAME = 3  # of a set of runs
+StepReporter = Callable[[str], None]
 
 
 @dataclass
 class RunEntry:
-    """One file; `fault` says why it was not analysed and is empty where it was."""
+    """One run file; `fault` says why it was not analysed, and is empty if it was."""
 
     path: Path
     label: str = ""  # short name in the datasheet
-    model: str = ""  # the text that the run carries
-    motor: str = ""  # its name in that model
+    model: str = ""  # text of the model file in the run
+    motor: str = ""  # name of the motor in the model
     experiment: str = ""
-    about: dict[str, str] = field(default_factory=dict)
+    about: dict[str, str] = field(default_factory=dict)  # values of DESCRIBING_ATTRIBUTES, and mechanical set-up
     instruments: dict[str, dict[str, str]] = field(default_factory=dict)  # properties of each device
     simulated: bool = False
     fault: str = ""
@@ -43,7 +43,7 @@ class RunEntry:
 
     @property
     def group(self) -> tuple[str, str]:
-        """Return actuator and condition."""
+        """Return actuator and condition: runs that share both are analysed together."""
         return self.about.get("actuator", ""), self.about.get("condition", "")
 
 
@@ -61,7 +61,7 @@ class GroupResult:
 
 @dataclass(frozen=True)
 class ConditionVerdict:
-    """Whether the results of an experiment differ between conditions; `refused` says why some were not compared."""
+    """Comparisons of the results of an experiment between conditions; `refused` says why some were not compared."""
 
     comparisons: tuple[Comparison, ...]
     refused: tuple[str, ...]
@@ -78,7 +78,7 @@ class RunSet:
 
     @property
     def motors(self) -> list[str]:
-        """Return the motors of its runs in order; a run that names none has an empty name."""
+        """Return the names of the motors of its runs; that of a run without a motor name is empty."""
         return list(dict.fromkeys(entry.motor for entry in self.entries if entry.experiment))
 
     def answers_of(self, motor: str, experiment: str) -> list[GroupResult]:
@@ -86,20 +86,20 @@ class RunSet:
         return [answer for answer in self.answers if (answer.motor, answer.experiment) == (motor, experiment)]
 
 
-def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], tell: Tell) -> RunSet:
+def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], report_step: StepReporter) -> RunSet:
     """Read runs and folders of runs and analyse them, repeats combined, by actuator and condition.
 
     Parameters
     ----------
     prefix : first letter of the runs' labels.
     options : options of analyses by name; each analysis gets those that it takes.
-    tell : is called with the name of each step that begins.
+    report_step : is called with the name of each step that begins.
 
     Raises
     ------
     InputError : no path, a path that does not exist, or a folder without runs.
     """
-    tell("reading")
+    report_step("reading")
     entries = [entry_of(path) for path in run_files(paths)]
     entries.sort(key=order_key)
     copies = Counter(entry.identity for entry in entries)
@@ -117,9 +117,9 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
         (entry for entry in entries if not entry.fault),
         key=lambda entry: (entry.motor, entry.experiment),
     )
-    for (motor, experiment), alike in groupby(usable, key=lambda entry: (entry.motor, entry.experiment)):
-        tell(experiment)
-        members = list(alike)
+    for (motor, experiment), group_entries in groupby(usable, key=lambda entry: (entry.motor, entry.experiment)):
+        report_step(experiment)
+        members = list(group_entries)
         group_results = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
         answers += group_results
         if len({answer.condition for answer in group_results}) > 1:
@@ -130,19 +130,22 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
 
 
 def order_key(entry: RunEntry) -> tuple[bool, str, bool, str]:
-    """Return the key that sorts runs by time; files without an identifier come last, unfinished copies after others."""
+    """Return the key that sorts runs by time.
+
+    Files without an identifier come last. Of copies of one run, one that was cut off while recording comes last.
+    """
     run_id = entry.about.get("run_id", "")
     return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
 
 
 def name_of_runs(paths: Sequence[Path]) -> str:
-    """Return the names of the folders that the runs lie in."""
+    """Return the name of a set of runs: the names of up to MOST_FOLDERS_IN_NAME folders of its runs."""
     folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in paths)
-    return listed((folder.name for folder in folders), MOST_NAMED)
+    return listed((folder.name for folder in folders), MOST_FOLDERS_IN_NAME)
 
 
 def entry_of(path: Path) -> RunEntry:
-    """Read the attributes of a file; `fault` says why it cannot be analysed."""
+    """Return the entry of a file with its attributes, or with the fault that prevents an analysis."""
     try:
         with Run.open(path) as run:
             model = run.source("model") or ""
@@ -159,7 +162,7 @@ def entry_of(path: Path) -> RunEntry:
 
 
 def checksum_fault(path: Path) -> str:
-    """Return which values of a run do not match their checksums; empty where all do."""
+    """Return a text on the values of a run that do not match their checksums; empty if all match."""
     try:
         return fault_text(InputError(altered(path)), path)
     except InputError as fault:
@@ -167,7 +170,7 @@ def checksum_fault(path: Path) -> str:
 
 
 def motor_of(model: str) -> str:
-    """Return the motor's name in the model text that a run carries; empty where there is none that can be read."""
+    """Return the name of the motor in the text of a model file; empty if the text has none or cannot be parsed."""
     try:
         data = yamlfile.parse(model).data if model else None
     except InputError:
@@ -190,7 +193,11 @@ def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
 
 
 def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
-    """Analyse the runs of one experiment, actuator and condition; a run that prevents it is left out with its fault."""
+    """Analyse the runs of one experiment, actuator and condition together.
+
+    If that fails, each run that cannot be analysed by itself gets its fault, and the others are analysed again. The
+    result is None if no run is left.
+    """
     first = entries[0]
     accepted = options_of(first.experiment, options)
     try:
@@ -198,17 +205,17 @@ def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> Grou
     except InputError as joint_fault:
         for entry in entries:
             entry.fault = fault_of(entry, accepted) if len(entries) > 1 else fault_text(joint_fault, entry.path)
-        sound = [entry for entry in entries if not entry.fault]
-        if len(sound) == len(entries):
+        analysable = [entry for entry in entries if not entry.fault]
+        if len(analysable) == len(entries):
             for entry in entries:
                 entry.fault = fault_text(joint_fault, entry.path)
-            sound = []
-        return answer_of(sound, options) if sound else None
+            analysable = []
+        return answer_of(analysable, options) if analysable else None
     return GroupResult(first.motor, first.experiment, *first.group, result, tuple(entries))
 
 
 def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
-    """Return why a run cannot be analysed by itself; empty where it can."""
+    """Return the fault that prevents an analysis of this run alone; empty if it can be analysed."""
     try:
         analyze_runs([entry.path], **options)
     except InputError as fault:
@@ -217,7 +224,7 @@ def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
 
 
 def fault_text(fault: InputError, path: Path) -> str:
-    """Return the lines of a fault without the path in front of each."""
+    """Return the lines of a fault as one line, without the path before each."""
     return "; ".join(line.removeprefix(f"{path}: ") for line in fault.faults)
 
 
@@ -232,13 +239,13 @@ def condition_verdict(entries: Sequence[RunEntry], options: Mapping[str, float])
 
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
-    """Return the options that the analysis of an experiment takes."""
+    """Return those of the options that the analysis of an experiment takes."""
     accepted = taken_by(analysis_of(experiment, experiment))
     return {name: value for name, value in options.items() if name in accepted}
 
 
-def refuse_untaken(options: Mapping[str, float]) -> None:
-    """Refuse options that no analysis takes.
+def check_options(options: Mapping[str, float]) -> None:
+    """Check that an analysis takes each of the options.
 
     Raises
     ------

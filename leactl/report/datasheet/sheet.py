@@ -1,4 +1,4 @@
-"""The contents of a datasheet: sections by motor, rows of results, notes; and all of it as JSON."""
+"""The contents of a datasheet: sections by motor with rows of results, notes on the whole, and both as JSON."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ class Section:
     """The rows of one motor, or of two that are compared."""
 
     motors: tuple[str, ...]  # one for each set
-    rows: dict[str, list[DatasheetRow]]  # by experiment, those that were not measured among them
+    rows: dict[str, list[DatasheetRow]]  # by experiment; also of experiments that the paper has and no run measured
     unlisted: list[str]  # experiments without a run and without a figure in the paper
 
     @property
     def title(self) -> str:
-        """Return the names of its motors."""
+        """Return the distinct names of the motors of the section."""
         return " and ".join(dict.fromkeys(motor or NO_MOTOR for motor in self.motors))
 
 
@@ -37,7 +37,7 @@ class Datasheet:
 
     @cached_property
     def sections(self) -> list[Section]:
-        """Return a section for each motor; two sets of one motor each are compared even where the motors differ."""
+        """Return a section for each motor; two sets with one motor each share one section even if the motors differ."""
         motors_of_sets = [run_set.motors for run_set in self.sets]
         if all(len(motors) == 1 for motors in motors_of_sets):
             pairs = [tuple(motors[0] for motors in motors_of_sets)]
@@ -50,7 +50,7 @@ class Datasheet:
 
     @property
     def notes(self) -> list[str]:
-        """Return notes on the whole sheet: mixed motors, emulated runs, overdue instruments, runs not analysed."""
+        """Return notes on the whole sheet: motors, emulated runs, late calibrations, runs not analysed, differences."""
         notes = []
         motors = list(dict.fromkeys(motor or NO_MOTOR for run_set in self.sets for motor in run_set.motors))
         if len(motors) > 1:
@@ -76,11 +76,11 @@ class Datasheet:
         return notes
 
     def refuse_empty(self) -> None:
-        """Refuse a sheet in which no run was analysed.
+        """Raise if no run of the sheet was analysed.
 
         Raises
         ------
-        InputError : a line for each run that says why it was not analysed.
+        InputError : no run was analysed; a line for each run says why.
         """
         if not any(run_set.answers for run_set in self.sets):
             raise InputError([f"{entry.path}: {entry.fault}" for run_set in self.sets for entry in run_set.entries])
@@ -132,37 +132,36 @@ class Datasheet:
 
 
 def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[str]:
-    """Return a line for each experiment that both sets measured, but under no condition in common."""
+    """Return a note on each experiment that both sets measured, but under different conditions alone."""
     lines = []
     for experiment in section.rows:
-        measured = [
+        conditions_by_set = [
             dict.fromkeys(answer.condition or "no condition" for answer in run_set.answers_of(motor, experiment))
             for run_set, motor in zip(sets, section.motors, strict=True)
         ]
-        if all(measured) and not set.intersection(*map(set, measured)):
-            each = " and ".join(
+        if all(conditions_by_set) and not set.intersection(*map(set, conditions_by_set)):
+            both = " and ".join(
                 f"{run_set.name} under {', '.join(conditions)}"
-                for run_set, conditions in zip(sets, measured, strict=True)
+                for run_set, conditions in zip(sets, conditions_by_set, strict=True)
             )
-            lines.append(f"{experiment}: not compared, measured in {each}; `leactl run --condition` names a condition")
+            lines.append(f"{experiment}: not compared, measured in {both}; `leactl run --condition` names a condition")
     return lines
 
 
 def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
-    """Return the rows of every experiment that was measured or that the paper has.
+    """Return the section with the rows of every experiment that was measured or that the paper has.
 
-    Experiments with an estimate come first, then those whose runs could not be analysed, then those not measured; among
-    each, the paper's come first.
+    Experiments with an estimate come first, then those whose runs could not be analysed, then those not measured. In
+    each of these parts, experiments of the paper come first.
     """
     in_order = sorted(names(), key=lambda name: (not figures_by_condition(name), name))
-    by_experiment = {name: sorted(rows(sets, motors, name), key=_unknown) for name in in_order}
-    measured = {name: table_rows for name, table_rows in by_experiment.items() if table_rows}
-    return Section(
-        motors, dict(sorted(measured.items(), key=lambda pair: min(map(_unknown, pair[1])))), unlisted(sets, motors)
-    )
+    by_experiment = {name: sorted(rows(sets, motors, name), key=_missing_rank) for name in in_order}
+    with_rows = {name: table_rows for name, table_rows in by_experiment.items() if table_rows}
+    by_rank = sorted(with_rows.items(), key=lambda pair: min(map(_missing_rank, pair[1])))
+    return Section(motors, dict(by_rank), unlisted(sets, motors))
 
 
-def _unknown(row: DatasheetRow) -> int:
+def _missing_rank(row: DatasheetRow) -> int:
     """Return 0 for a row with an estimate, 1 where no run could be analysed, 2 where nothing was measured."""
     if any(cell.estimate is not None for cell in row.cells):
         return 0

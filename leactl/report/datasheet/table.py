@@ -1,4 +1,4 @@
-"""The table of a datasheet as its template takes it: experiments below each other, sets of runs beside each other."""
+"""The table of a datasheet as its template takes it: a group of rows for each experiment, a column for each set."""
 
 import math
 from collections.abc import Sequence
@@ -14,13 +14,18 @@ from leactl.report.terminal import interval_text, value_text
 
 def columns(sets: Sequence[RunSet]) -> list[str]:
     """Return the headings of the table."""
-    several = [*(run_set.name for run_set in sets), "difference"]
-    values = several if len(sets) > 1 else ["actuator", "value ± std", "95 % interval"]
+    columns_of_sets = [*(run_set.name for run_set in sets), "difference"]
+    values = columns_of_sets if len(sets) > 1 else ["actuator", "value ± std", "95 % interval"]
     return ["quantity", "condition", *values, "units", "LEA in the paper", "from"]
 
 
 def groups(sets: Sequence[RunSet], section: Section, anchor: str) -> list[dict[str, Any]]:
-    """Return the rows by experiment; the name of a measured experiment links to its figures."""
+    """Return the rows of each experiment; the title of a measured experiment links to its figures.
+
+    Parameters
+    ----------
+    anchor : first part of the ids of the link targets, as in `section_content`.
+    """
     return [
         {
             "title": heading(experiment),
@@ -37,7 +42,7 @@ def measured(row: DatasheetRow) -> bool:
 
 
 def row_content(sets: Sequence[RunSet], row: DatasheetRow) -> dict[str, Any]:
-    """Return the texts of one row; a list is of lines below each other."""
+    """Return the texts of one row; a list has lines below each other."""
     return {
         "name": plain(row.name),
         "known": measured(row),
@@ -55,14 +60,14 @@ def row_content(sets: Sequence[RunSet], row: DatasheetRow) -> dict[str, Any]:
 
 
 def value_and_interval(cell: DatasheetCell) -> list[str]:
-    """Return a cell's value and 95 % interval as text, or why it has none."""
+    """Return the value and the 95 % interval of a cell as texts, or why it has no value."""
     if cell.estimate is None:
         return [cell.lacks, ""]
     return [value_text(cell.estimate), interval_text(cell.estimate)]
 
 
 def difference_content(difference: Estimate | None) -> dict[str, Any] | None:
-    """Return the difference of two sets, strong where its interval excludes zero; None without an uncertainty."""
+    """Return the difference of two sets as text, marked strong if its interval excludes zero; None without a std."""
     if difference is None or not math.isfinite(difference.std):
         return None
     return {

@@ -1,7 +1,10 @@
-"""A run's page in a browser: `leactl run --web`. What stands here the command, the run and the page's process share."""
+"""A run's page in a browser: `leactl run --web`.
+
+These constants are shared by the command, the run's process (`feed`) and the process that serves the page (`server`).
+"""
 
 from typing import Final
 
-FREE_PORT_HERE: Final = "127.0.0.1:0"  # the address of a page for which none is given
-STOP: Final = b"!"  # what the run's process reads of a STOP
-LAST_LOOK_S: Final = 1.5  # that an open page has to ask for the end of the run
+FREE_PORT_HERE: Final = "127.0.0.1:0"  # the default ADDRESS:PORT: loopback, and a port that the system chooses
+STOP: Final = b"!"  # the byte that the server writes to the run's process for each press of STOP
+LAST_REQUEST_S: Final = 1.5  # after the end of the run, in which an open page can still ask how it ended

@@ -1,10 +1,11 @@
-"""The run's side of its page: a process that serves it, a thread that feeds that process, and the STOP that comes back.
+"""The run's side of its page: starts the process that serves the page, sends it the run's state, and receives STOP.
 
-Why no client can harm the run: clients speak to `server`, a process of lower priority that holds nothing of the run.
-The run's process accepts no connection and parses no request. Four times a second a thread of it copies what the loop
-publishes in `Progress`, some 0.1 ms of the interpreter's time, and writes a line into a pipe that never blocks: a line
-that has no room is left out. The loop waits for neither. What comes back is one byte, which the thread turns into a
-cause to stop; the loop looks at that once a cycle, as at the stop keys, and ends the run through its supervisor.
+No client can harm the run: clients connect to `server`, a process of lower priority that holds nothing of the run. The
+run's process accepts no connection and parses no request. Four times a second a thread of the run's process copies the
+`Progress` that the control loop publishes, which takes some 0.1 ms of the interpreter's time, and writes a line into a
+pipe that never blocks; while the pipe is full, no further line is written. The control loop waits for neither. STOP
+comes back as one byte, which the thread turns into a cause to stop; the loop checks that cause once a cycle, as it
+checks the stop keys, and ends the run through its supervisor.
 """
 
 import errno
@@ -28,16 +29,16 @@ from typing import Any, Final, Self
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.report.html import render
-from leactl.report.web import FREE_PORT_HERE, LAST_LOOK_S, STOP
+from leactl.report.web import FREE_PORT_HERE, LAST_REQUEST_S, STOP
 from leactl.runner.progress import Progress
 
 CAUSE: Final = "stopped by the operator: STOP in the run's page"
 LINES_A_SECOND: Final = 4
-MOST_WARNINGS: Final = 50  # the newest, that are shown
-PATIENCE_S: Final = 2.0  # that the server may take to end beyond its last look
-WAITING: Final = 16  # connections that are not accepted yet
+MOST_WARNINGS: Final = 50  # that the page shows; the newest ones
+PATIENCE_S: Final = 2.0  # that the server may take to end, beyond LAST_REQUEST_S
+LISTEN_BACKLOG: Final = 16  # connections that the system queues before they are accepted
 ADDRESS: Final = re.compile(r"\[?(?P<host>[^\[\]]+)\]?:(?P<port>[0-9]{1,5})")
-DRAWN_FIRST: Final = ("torque", "velocity", "q_axis_current")  # of the test actuator
+DRAWN_BY_DEFAULT: Final = ("torque", "velocity", "q_axis_current")  # channels of the test actuator
 REASONS: Final = {
     errno.EADDRINUSE: "another program has this port; 0 takes a free one",
     errno.EADDRNOTAVAIL: "not an address of this machine",
@@ -49,45 +50,50 @@ class RunPage:
     """The page of one run: `with RunPage(address, bench) as page: ...` around it."""
 
     def __init__(self, address: str, bench: str) -> None:
-        """Read the address, ADDRESS:PORT, and name the bench that the page says how to stop.
+        """Parse the address to serve the page at; the page is served inside the `with` block only.
+
+        Parameters
+        ----------
+        address : ADDRESS:PORT as `--web` takes it; port 0 is a free one.
+        bench : name of the bench, for the stop command that the page prints.
 
         Raises
         ------
-        InputError : the address is none of one machine, or this system has no such page.
+        InputError : the address is not the IP address of one machine with a port, or this system is not POSIX.
         """
-        self._host, self._port = _address(address)
-        self._given, self._bench = address, bench
+        self._host, self._port = _parsed_address(address)
+        self._address_text, self._bench = address, bench
         self._token = secrets.token_urlsafe(24)
         self._progress: Progress | None = None
         self._cause = ""
         self._ended: Mapping[str, str] | None = None
         self._ending = threading.Event()
-        self.fault = ""  # why the page has not been fed to its end
-        self.url = ""  # with the token in it
+        self.fault = ""  # why the page did not get the state of the run up to its end; empty if it did
+        self.url = ""  # of the page, with the token
         self._thread = threading.Thread(target=self._feed_until_end, name="leactl-page", daemon=True)
 
     @property
     def is_of_this_machine_alone(self) -> bool:
-        """Whether no other machine can reach the page."""
+        """Return whether no other machine can reach the page."""
         return self._host.is_loopback
 
     def __enter__(self) -> Self:
-        """Serve the page from now on.
+        """Start the server process and the thread that sends it the state of the run.
 
         Raises
         ------
-        InputError : the address is not this machine's, or its port is taken.
+        InputError : the address is not one of this machine, or its port cannot be taken.
         """
         page = render("live.html", ("axes.js", "web/page.js"), bench=self._bench)
         family = socket.AF_INET if self._host.version == 4 else socket.AF_INET6
         try:
-            listener = socket.create_server((str(self._host), self._port), family=family, backlog=WAITING)
+            listener = socket.create_server((str(self._host), self._port), family=family, backlog=LISTEN_BACKLOG)
         except OSError as error:
             reason = REASONS.get(error.errno or 0, error.strerror)
-            raise InputError(f"--web {self._given}: {reason}") from None
+            raise InputError(f"--web {self._address_text}: {reason}") from None
         with listener:
             port = listener.getsockname()[1]
-            # no Ctrl-C reaches it, and the token is in no list of processes
+            # Ctrl-C does not reach a new session; the token goes by stdin, so that no list of processes shows it
             self._server = subprocess.Popen(
                 [sys.executable, "-P", "-m", "leactl.report.web.server", str(listener.fileno())],
                 stdin=subprocess.PIPE,
@@ -95,7 +101,7 @@ class RunPage:
                 stderr=subprocess.DEVNULL,
                 pass_fds=(listener.fileno(),),
                 start_new_session=True,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(place or str(Path.cwd()) for place in sys.path)},
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)},
             )
         host = f"[{self._host}]" if self._host.version == 6 else str(self._host)
         self.url = f"http://{host}:{port}/?token={self._token}"
@@ -103,8 +109,8 @@ class RunPage:
         hosts = [f"{name}:{port}" for name in names] + (names if port == 80 else [])
         assert self._server.stdin is not None
         assert self._server.stdout is not None
-        self._to, self._from = self._server.stdin.fileno(), self._server.stdout.fileno()
-        os.set_blocking(self._to, False)
+        self._server_input, self._server_output = self._server.stdin.fileno(), self._server.stdout.fileno()
+        os.set_blocking(self._server_input, False)
         self._unsent = _line({"page": page, "token": self._token, "hosts": hosts})
         self._thread.start()
         return self
@@ -119,21 +125,21 @@ class RunPage:
                 with suppress(OSError):
                     pipe.close()
         try:
-            self._server.wait(LAST_LOOK_S + PATIENCE_S)
+            self._server.wait(LAST_REQUEST_S + PATIENCE_S)
         except subprocess.TimeoutExpired:
             self._server.kill()
             self._server.wait()
 
     def show(self, progress: Progress) -> None:
-        """Show this run from now on."""
+        """Show the run that publishes this progress."""
         self._progress = progress
 
     def stop_cause(self) -> str:
-        """Return the cause to stop for, once STOP was pressed; else an empty text."""
+        """Return the cause to stop the run, once STOP was pressed; empty before."""
         return self._cause
 
     def end(self, status: str, reason: str, run: str) -> None:
-        """Show how the run ended, last of all."""
+        """Show how the run ended: status, reason and path of the run file; nothing is shown after that."""
         self._ended = {"status": status, "reason": reason, "run": run}
         self._ending.set()
 
@@ -145,68 +151,76 @@ class RunPage:
                 self._feed()
             except BrokenPipeError:
                 raise
-            except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
-                self._note(f"{type(error).__name__}: {error}")
-                while not self._ending.is_set():  # STOP is heard all the same
-                    self._hear(1.0 / LINES_A_SECOND)
-            self._tell_end()
+            except Exception as error:  # noqa: BLE001 (a fault of the page must not end the run)
+                self._note_fault(f"{type(error).__name__}: {error}")
+                while not self._ending.is_set():  # STOP still has to work
+                    self._wait_for_stop(1.0 / LINES_A_SECOND)
+            self._send_ending()
         except OSError:
-            self._note("its server has ended")
+            self._note_fault("its server has ended")
 
-    def _note(self, why: str) -> None:
-        self.fault = self.fault or f"the run's page is no longer fed: {why}"
+    def _note_fault(self, reason: str) -> None:
+        """Store the first fault of the page, for the command and for the run's file."""
+        self.fault = self.fault or f"the run's page is no longer fed: {reason}"
         if self._progress is not None:
             self._progress.view_fault = self.fault
 
     def _feed(self) -> None:
+        """Send the channels once, then the run's state and its newest row, until the run ends."""
         progress, time_s = None, -math.inf
         while not self._ending.is_set():
-            self._hear(1.0 / LINES_A_SECOND)
+            self._wait_for_stop(1.0 / LINES_A_SECOND)
             if progress is None:
                 progress = self._progress
                 if progress is not None:
                     self._unsent += _line({"channels": channels(progress.streams)})
             if not self._send() or progress is None:
                 continue
-            line: dict[str, Any] = {"standing": standing(progress, self._cause)}
+            line: dict[str, Any] = {"run_state": run_state(progress, self._cause)}
             if progress.time_s > time_s:
                 time_s = progress.time_s
-                line["row"] = [round(time_s, 6), *newest(progress)]
+                line["row"] = [round(time_s, 6), *newest_values(progress)]
             self._unsent += _line(line)
             self._send()
         if progress is not None:
-            self._unsent += _line({"standing": standing(progress, self._cause)})
+            self._unsent += _line({"run_state": run_state(progress, self._cause)})
 
-    def _tell_end(self) -> None:
+    def _send_ending(self) -> None:
+        """Send how the run ended; wait up to PATIENCE_S / 2 at a time for room in the pipe, then give up."""
         self._unsent += _line({"ended": self._ended})
         while not self._send():
-            if not select.select([], [self._to], [], PATIENCE_S / 2)[1]:
+            if not select.select([], [self._server_input], [], PATIENCE_S / 2)[1]:
                 self.fault = "the run's page is not told how the run ended: its server takes nothing"
                 return
 
-    def _hear(self, seconds: float) -> None:
-        """Wait so long, or until STOP is pressed."""
+    def _wait_for_stop(self, seconds: float) -> None:
+        """Wait for a press of STOP, at most `seconds`; after a press, wait for the end of the run instead.
+
+        Raises
+        ------
+        BrokenPipeError : the server has ended.
+        """
         if self._cause:
             self._ending.wait(seconds)
-        elif select.select([self._from], [], [], seconds)[0]:
-            if os.read(self._from, len(STOP)) != STOP:
+        elif select.select([self._server_output], [], [], seconds)[0]:
+            if os.read(self._server_output, len(STOP)) != STOP:
                 raise BrokenPipeError
             self._cause = CAUSE
 
     def _send(self) -> bool:
-        """Write what waits as far as the pipe takes it; whether that is all."""
+        """Write the unsent bytes as far as the pipe takes them; return whether all are written."""
         with suppress(BlockingIOError):
             while self._unsent:
-                self._unsent = self._unsent[os.write(self._to, self._unsent) :]
+                self._unsent = self._unsent[os.write(self._server_input, self._unsent) :]
         return not self._unsent
 
 
-def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
-    """Read the address of one machine and a port.
+def _parsed_address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
+    """Return the IP address of one machine and the port that ADDRESS:PORT names.
 
     Raises
     ------
-    InputError : it is neither, or this system has no such page.
+    InputError : the text is no such address, or this system is not POSIX.
     """
     if os.name != "posix" or not hasattr(os, "set_blocking"):  # Windows lets no process inherit a listening socket
         raise InputError("--web: the page of a run is served on POSIX systems alone")
@@ -227,14 +241,14 @@ def _address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, 
 
 
 def channels(streams: Mapping[str, Sequence[ChannelSpec]]) -> list[dict[str, Any]]:
-    """Return each channel as the page shows it, stream by stream: name, unit, and the chart that draws it."""
+    """Return, stream by stream, each channel as `page.js` takes it: name, unit, title of its chart, kind of curve."""
     return [
         {
             "name": spec.name if stream == "loop" else f"{stream}/{spec.name}",
             "unit": "" if spec.unit == "1" else spec.unit,
             "chart": ", ".join(filter(None, [_quantity(spec), spec.role, spec.location])),
             "is_setpoint": spec.quantity.endswith("_reference"),
-            "drawn": spec.role == "test" and _quantity(spec).replace(" ", "_") in DRAWN_FIRST,
+            "drawn": spec.role == "test" and _quantity(spec).replace(" ", "_") in DRAWN_BY_DEFAULT,
         }
         for stream, specs in streams.items()
         for spec in specs
@@ -242,12 +256,12 @@ def channels(streams: Mapping[str, Sequence[ChannelSpec]]) -> list[dict[str, Any
 
 
 def _quantity(spec: ChannelSpec) -> str:
-    """Return the quantity that a setpoint and its reading share."""
+    """Return the quantity of a channel in words; a setpoint has that of its reading."""
     return spec.quantity.removesuffix("_reference").replace("_", " ")
 
 
-def newest(progress: Progress) -> list[float | None]:
-    """Return the newest value of each channel, in the order of `channels`; None where there is no number yet."""
+def newest_values(progress: Progress) -> list[float | None]:
+    """Return the newest value of each channel, in the order of `channels`; None where the channel has no number."""
     rows = {"loop": progress.values, **progress.own}
     values: list[float | None] = []
     for stream, specs in progress.streams.items():
@@ -256,8 +270,8 @@ def newest(progress: Progress) -> list[float | None]:
     return values
 
 
-def standing(progress: Progress, stop_cause: str) -> dict[str, Any]:
-    """Return how a run stands, as the page shows it."""
+def run_state(progress: Progress, stop_cause: str) -> dict[str, Any]:
+    """Return step, times, warnings and winding temperatures of a run, as `page.js` takes them."""
     estimates, bounds = progress.windings
     to_limit = progress.time_to_limit()
     return {
@@ -286,9 +300,9 @@ def standing(progress: Progress, stop_cause: str) -> dict[str, Any]:
 
 
 def _number(value: float) -> float | None:
-    """Return a value with seven digits, more than float32 has, as JSON takes it."""
+    """Return a value rounded to seven significant digits, more than float32 has; None if it is not finite."""
     return float(f"{value:.7g}") if math.isfinite(value) else None
 
 
-def _line(what: Mapping[str, Any]) -> bytes:
-    return json.dumps(what).encode() + b"\n"
+def _line(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message).encode() + b"\n"

@@ -1,8 +1,9 @@
-"""The page's own process: `python -m leactl.report.web.server LISTENER`, started by `leactl.report.web.feed`.
+"""The process that serves a run's page: `python -m leactl.report.web.server LISTENER`, started by `web.feed`.
 
-stdin brings a line of JSON at a time: first the page, its token and its hosts, then what the run shows. A STOP becomes
-one byte on stdout. Clients may do what they like: no work of theirs is done in the run's process, and here connections,
-bytes, time and requests per second are bounded. The end of stdin is the end of the run, and soon of this process.
+LISTENER is the descriptor of a listening socket. stdin carries lines of JSON: the first has the page, its token and its
+hosts, the others have the state of the run. A press of STOP is written to stdout as one byte. Requests of clients cost
+the run's process nothing, and this process bounds their connections, bytes, time and number per second. When stdin
+ends, the run has ended, and this process ends soon after.
 """
 
 import asyncio
@@ -22,22 +23,22 @@ from http.server import BaseHTTPRequestHandler
 from typing import Any, Final
 from urllib.parse import parse_qs
 
-from leactl.report.web import LAST_LOOK_S, STOP
+from leactl.report.web import LAST_REQUEST_S, STOP
 
-MOST_ROWS: Final = 240  # a minute at the pace of the feed
-MOST_OPEN: Final = 32  # connections; one more closes the oldest
-MOST_A_SECOND: Final = 40  # connections that are accepted; a page makes two a second
+MOST_ROWS: Final = 240  # that are kept: a minute of them, at four a second
+MOST_OPEN: Final = 32  # connections at a time; one more closes the oldest
+MOST_ACCEPTED_PER_S: Final = 40  # connections; a page makes two a second
 MOST_BYTES: Final = 16384  # of a request
-MOST_PARTS_AFTER: Final = 4  # of that size, that are read and dropped behind an answer
+MOST_DRAINING_READS: Final = 4  # of MOST_BYTES each, whose bytes are dropped once the answer is sent
 DEADLINE_S: Final = 5.0  # from a connection's start to its end
-PART_PAUSE_S: Final = 0.05  # before more of a request is read that came in parts
+PART_PAUSE_S: Final = 0.05  # between two reads of a request that comes in parts
 NICENESS: Final = 10  # the control loop comes first where cores are short
-WATCHED_S: Final = 3.0  # since a page asked last, within which somebody is taken to look at it
+WATCHED_S: Final = 3.0  # since the last request with the token; a page that asked within that time counts as open
 MOST_LINE: Final = 1 << 20  # bytes of a line on stdin
-NO_WORD: Final = "nothing comes from the run any more; its terminal or its file tell how it ended"
+UNKNOWN_ENDING: Final = "nothing comes from the run any more; its terminal or its file tell how it ended"
 HEADERS: Final = {
     "Cache-Control": "no-store",
-    # beside the page's own policy: a page of somebody else that holds this one could have its STOP pressed
+    # in addition to the page's own policy: another site that frames this page could have STOP pressed
     "Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -47,58 +48,58 @@ HEADERS: Final = {
 
 
 class PageState:
-    """What the run has shown by now."""
+    """The state of the run that the feed has sent so far: step and times, channels, newest rows, ending."""
 
     def __init__(self) -> None:
-        self.standing: Mapping[str, Any] = {}  # step, times, windings, warnings: as `feed.standing` has them
+        self.run_state: Mapping[str, Any] = {}  # step, times, windings, warnings, as `feed.run_state` returns them
         self.channels: Sequence[Mapping[str, Any]] = ()
         self.ended: Mapping[str, str] | None = None  # status, reason and file
         self._rows: deque[Sequence[float | None]] = deque(maxlen=MOST_ROWS)
-        self._count = 0  # of rows that came, kept or not
-        self._row_at = time.monotonic()  # a row comes while the loop makes cycles
+        self._row_count = 0  # of all rows that were sent, of which the newest MOST_ROWS are kept
+        self._row_time_s = time.monotonic()  # of the newest row; rows come as long as the control loop runs
 
     def take(self, line: Mapping[str, Any]) -> None:
-        """Take a line of the feed."""
-        self.standing = line.get("standing", self.standing)
+        """Update the state by one line of the feed; a key that the line lacks stays as it is."""
+        self.run_state = line.get("run_state", self.run_state)
         self.channels = line.get("channels", self.channels)
         self.ended = line.get("ended", self.ended)
         if "row" in line:
             self._rows.append(line["row"])
-            self._count += 1
-            self._row_at = time.monotonic()
+            self._row_count += 1
+            self._row_time_s = time.monotonic()
 
     def as_json(self, since: int) -> dict[str, Any]:
-        """Return all that a page lacks that has the rows up to `since`; the channels where it has none."""
-        lacking = min(max(self._count - since, 0), len(self._rows))
+        """Return the run's state, with the rows from number `since` on that are kept; the channels only if it is 0."""
+        missing_rows = min(max(self._row_count - since, 0), len(self._rows))
         return {
-            **self.standing,
+            **self.run_state,
             "channels": self.channels if since == 0 else None,
-            "rows": list(self._rows)[len(self._rows) - lacking :],
-            "next": self._count,
-            "silent_s": time.monotonic() - self._row_at if self._count else 0.0,
+            "rows": list(self._rows)[len(self._rows) - missing_rows :],
+            "next": self._row_count,
+            "silent_s": time.monotonic() - self._row_time_s if self._row_count else 0.0,
             "ended": self.ended,
         }
 
 
 class Site:
-    """What is served: the page, the run's state, and the way to stop it."""
+    """What requests read and change: the page, its token and hosts, and the state of the run; STOP goes to stdout."""
 
     def __init__(self, page: str, token: str, hosts: Sequence[str]) -> None:
         self.page, self.token, self.hosts = page, token, hosts
-        self.shown = PageState()
-        self.asked_at = float("-inf")  # by a page with the token, on the clock of `time.monotonic`
+        self.state = PageState()
+        self.last_request_s = float("-inf")  # time of the last request with the token, by `time.monotonic`
 
     def stop(self) -> None:
-        """Ask the run to stop; a pipe that is full of such requests needs no further one."""
+        """Ask the run to stop; a pipe that is full holds such requests already."""
         with suppress(BlockingIOError, BrokenPipeError):
             os.write(sys.stdout.fileno(), STOP)
 
 
 class HttpExchange(BaseHTTPRequestHandler):
-    """One request and its answer, both as bytes: the standard library reads and writes HTTP, and no socket."""
+    """Answer one request, both as bytes: the standard library parses and writes the HTTP, without a socket."""
 
     protocol_version = "HTTP/1.1"
-    default_request_version = "HTTP/1.0"  # 0.9, where a request names none, has answers without a status
+    default_request_version = "HTTP/1.0"  # for a request that names no version; answers of HTTP/0.9 have no status
     METHODS: Final = {"/": "GET", "/state": "GET", "/stop": "POST"}
 
     def __init__(self, request: bytes, site: Site) -> None:
@@ -106,36 +107,37 @@ class HttpExchange(BaseHTTPRequestHandler):
         self._site = site
         self.command, self.requestline, self.request_version = "", "", self.protocol_version
         self.raw_requestline = self.rfile.readline()
-        if self.parse_request():  # else it has answered
+        if self.parse_request():  # else the library has called send_error
             self._answer()
         self.answer = written.getvalue()
 
     def _answer(self) -> None:
+        """Write the answer to a parsed request: a refusal, the page, the state as JSON, or that STOP was sent."""
         path, _, query = self.path.partition("?")
         refusal = self._refusal(path, query)
         if refusal is not None:
             self._send(*refusal)
             return
-        site, given = self._site, parse_qs(query)
-        site.asked_at = time.monotonic()
+        site, parameters = self._site, parse_qs(query)
+        site.last_request_s = time.monotonic()
         if path == "/":
             self._send(HTTPStatus.OK, site.page, "text/html")
         elif path == "/stop":
             site.stop()
             self._send(HTTPStatus.ACCEPTED, "{}", "application/json")
         else:
-            since = given.get("since", ["0"])[0]
-            known = int(since) if since.isascii() and since.isdigit() and len(since) < 10 else 0
-            self._send(HTTPStatus.OK, json.dumps(site.shown.as_json(known)), "application/json")
+            since = parameters.get("since", ["0"])[0]
+            first_row = int(since) if since.isascii() and since.isdigit() and len(since) < 10 else 0
+            self._send(HTTPStatus.OK, json.dumps(site.state.as_json(first_row)), "application/json")
 
     def _refusal(self, path: str, query: str) -> tuple[HTTPStatus, str] | None:
-        """Return status and text of a refusal; without the token nothing is said of what there is."""
+        """Return status and text of a refusal, None for a request to answer; the token is checked before the path."""
         if self.headers.get("Host", "").lower() not in self._site.hosts:
             return HTTPStatus.FORBIDDEN, "not the address that this page was opened at"
-        offered = self.headers.get("Authorization", "").removeprefix("Bearer ")
-        if path == "/" and not offered:  # a browser's first request has nothing but its address
-            offered = parse_qs(query).get("token", [""])[0]
-        if not hmac.compare_digest(offered.encode(errors="replace"), self._site.token.encode()):
+        token = self.headers.get("Authorization", "").removeprefix("Bearer ")
+        if path == "/" and not token:  # a browser's first request carries the token in its address alone
+            token = parse_qs(query).get("token", [""])[0]
+        if not hmac.compare_digest(token.encode(errors="replace"), self._site.token.encode()):
             return HTTPStatus.UNAUTHORIZED, "the token of this run is needed; leactl run --web prints it"
         if path not in self.METHODS:
             return HTTPStatus.NOT_FOUND, "no such page"
@@ -146,7 +148,7 @@ class HttpExchange(BaseHTTPRequestHandler):
         return None
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer what is no HTTP by a status alone: the library's text would hold parts of the request."""
+        """Answer a request that is no HTTP by its status alone; the library's text would repeat parts of it."""
         self._send(HTTPStatus(code), HTTPStatus(code).phrase)
 
     def _send(self, status: HTTPStatus, text: str, kind: str = "text/plain") -> None:
@@ -165,31 +167,32 @@ class HttpExchange(BaseHTTPRequestHandler):
 
 
 def answer(request: bytes, site: Site) -> bytes:
-    """Return the answer to the head of a request."""
+    """Return the answer to the head of a request; one of more than MOST_BYTES is refused with status 431."""
     if len(request) > MOST_BYTES:
         return b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     return HttpExchange(request, site).answer
 
 
 async def serve(listener: socket.socket, site: Site) -> None:
-    """Accept connections, so many a second, and answer one request on each."""
+    """Accept up to MOST_ACCEPTED_PER_S connections a second, and answer one request on each."""
     loop = asyncio.get_running_loop()
-    open_: dict[asyncio.Task[None], None] = {}  # the oldest first
+    conversations: dict[asyncio.Task[None], None] = {}  # open ones, the oldest first
     while True:
-        with suppress(OSError):  # of a client that has gone again
+        with suppress(OSError):  # the client has closed the connection already
             connection, _ = await loop.sock_accept(listener)
-            if len(open_) >= MOST_OPEN:
-                next(iter(open_)).cancel()
+            if len(conversations) >= MOST_OPEN:
+                next(iter(conversations)).cancel()
             task = loop.create_task(_converse(connection, site))
-            open_[task] = None
-            task.add_done_callback(lambda done: open_.pop(done, None))
-        await asyncio.sleep(1.0 / MOST_A_SECOND)
+            conversations[task] = None
+            task.add_done_callback(lambda done: conversations.pop(done, None))
+        await asyncio.sleep(1.0 / MOST_ACCEPTED_PER_S)
 
 
 async def _converse(connection: socket.socket, site: Site) -> None:
+    """Read one request from a connection, answer it and close the connection, all within DEADLINE_S."""
     loop, request = asyncio.get_running_loop(), b""
     connection.setblocking(False)
-    with connection, suppress(OSError):  # one that leaves or takes too long is nobody's loss
+    with connection, suppress(OSError):  # the client is gone or too slow; TimeoutError is an OSError
         async with asyncio.timeout(DEADLINE_S):
             while b"\r\n\r\n" not in request and len(request) <= MOST_BYTES:
                 if request:
@@ -200,19 +203,20 @@ async def _converse(connection: socket.socket, site: Site) -> None:
                 request += part
             await loop.sock_sendall(connection, answer(request, site))
             connection.shutdown(socket.SHUT_WR)
-            for _ in range(MOST_PARTS_AFTER):  # what is closed with bytes unread takes the answer away from its reader
+            # a socket that is closed with unread bytes resets the connection, and the client may lose the answer
+            for _ in range(MOST_DRAINING_READS):
                 if not await loop.sock_recv(connection, MOST_BYTES):
                     return
 
 
 async def _follow_the_run(feed: asyncio.StreamReader, site: Site) -> None:
-    """Take what the run shows until it shows no more, and let open pages ask for the end."""
+    """Take the lines of the feed until it ends, then leave an open page LAST_REQUEST_S to ask how the run ended."""
     while line := await feed.readline():
-        site.shown.take(json.loads(line))
-    if site.shown.ended is None:
-        site.shown.take({"ended": {"status": "unknown", "reason": NO_WORD, "run": ""}})
-    if time.monotonic() - site.asked_at < WATCHED_S:
-        await asyncio.sleep(LAST_LOOK_S)
+        site.state.take(json.loads(line))
+    if site.state.ended is None:
+        site.state.take({"ended": {"status": "unknown", "reason": UNKNOWN_ENDING, "run": ""}})
+    if time.monotonic() - site.last_request_s < WATCHED_S:
+        await asyncio.sleep(LAST_REQUEST_S)
 
 
 async def _main(listener: socket.socket) -> None:

@@ -202,7 +202,7 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
             if not begins:
                 continue
         if '"' in line:
-            next(rows_of(path, [line], delimiter, strict=True, before=number - 1))
+            next(rows_of(path, [line], delimiter, strict=True, lines_before=number - 1))
         if not frames[-1].rows:
             frames[-1].line = number
         frames[-1].rows.append(line)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.tables.number_format import NumberFormat, Numbers, Where, read_numbers, split_cell
+from leactl.tables.number_format import CellLocator, NumberFormat, Numbers, read_numbers, split_cell
 from leactl.tables.text_table import MOST_FAULTS, Aside, Table, common_unit, read_table, unit_of
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
@@ -138,7 +138,7 @@ def unit_after_slash(heading: str) -> str | None:
     return unit_named(re.split(r"[/_ ]", heading)[-1]) if re.search(r"/|°|℃|℉|deg[CF]$", heading) else None
 
 
-def checked_celsius(name: str, values: Array, unit: str, location_of: Where) -> Array:
+def checked_celsius(name: str, values: Array, unit: str, location_of: CellLocator) -> Array:
     """Convert the temperatures of a column or a region to degC.
 
     Raises
@@ -168,7 +168,7 @@ def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers])
 
 
 def odd_number_remarks(
-    columns: Mapping[str, Sequence[str]], surrounding: Iterable[str], convention: NumberFormat, location_of: Where
+    columns: Mapping[str, Sequence[str]], surrounding: Iterable[str], convention: NumberFormat, location_of: CellLocator
 ) -> list[str]:
     """Remarks on numbers that are far from those around them and written differently.
 
@@ -205,7 +205,7 @@ def number_in(text: str) -> str:
     return cell.number.lower() if cell else ""
 
 
-def heat_remarks(columns: Mapping[str, Array], unit: str, location_of: Where) -> list[str]:
+def heat_remarks(columns: Mapping[str, Array], unit: str, location_of: CellLocator) -> list[str]:
     """Remark on temperatures [degC] above those of any part of an actuator: all, or some and the first of them.
 
     Parameters

@@ -47,7 +47,7 @@ class CsvSource(Columns):
 
     def column(self, name: str | int, records: str | None = None) -> Array | list[str]:
         """Return a column by header or index."""
-        return super().column(self._known(name, self._kept))
+        return super().column(self._known(name, self._columns))
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
         """Return a column by header or index, as labels."""
@@ -98,7 +98,7 @@ class CsvSource(Columns):
         """
         listed = []
         time: ListedColumn | None = None
-        for at, cells in sorted(self._kept.items()):
+        for at, cells in sorted(self._columns.items()):
             name = self.names[at] if at < len(self.names) else ""
             texts = [str(cell) for cell in cells]
             column = name if self.names.count(name) == 1 and name else at
