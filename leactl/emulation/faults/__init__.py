@@ -1,7 +1,7 @@
-"""Faults that an emulated bench rehearses: each is a module of this package, found by listing it.
+"""Faults that an emulated bench rehearses: the concrete subclasses of `Fault` in the modules of this package.
 
-A module defines one subclass of `Fault` whose fields are its parameters. To add a fault, add a file here; nothing else
-is edited.
+Each has the name that bench files give it, and fields for its parameters. To add a fault, add its class to the module
+of its family, or a module of its own: the package is listed, and nothing else is edited.
 """
 
 import importlib
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def known_faults() -> "dict[str, type[Fault]]":
-    """Map the name of each module to its fault class."""
+    """Map the name of each fault to its class, in the order of the names."""
     from leactl.emulation.faults.contract import Fault
 
     faults: dict[str, type[Fault]] = {}
@@ -30,8 +30,8 @@ def known_faults() -> "dict[str, type[Fault]]":
         for member in vars(module).values():
             is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
             if is_defined_here and issubclass(member, Fault) and not inspect.isabstract(member):
-                faults[entry.name] = member
-    return faults
+                faults[member.fault_name] = member
+    return dict(sorted(faults.items()))
 
 
 def find_fault(name: str) -> "type[Fault]":

@@ -71,6 +71,7 @@ class Drill(NamedTuple):
 class Fault(Block, ABC):
     """A fault; the first sentence of a subclass says what it is on a real bench, its fields are its parameters."""
 
+    fault_name: ClassVar[str]  # in bench files: `fault: NAME`
     example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped bench where that has what it needs
     where_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
     not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`

@@ -1,7 +1,6 @@
 """Effects that are not in the vocabulary, for cases whose correct answer is `unknown`; no diagnosis may name them.
 
-Each file defines one subclass of `PlantEffect` with `drawn`, which makes one with a size between barely visible (0)
-and obvious (1).
+Each is a subclass of `Unlisted`, whose method `drawn` makes one with a size between barely visible (0) and obvious (1).
 """
 
 import importlib
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def unlisted_effects() -> "dict[str, type[Unlisted]]":
-    """Map the name of each file of this package to its effect class."""
+    """Map the name of each effect to its class, in the order of the names."""
     from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 
     effects: dict[str, type[Unlisted]] = {}
@@ -21,6 +20,6 @@ def unlisted_effects() -> "dict[str, type[Unlisted]]":
         module = importlib.import_module(f"{__name__}.{entry.name}")
         for member in vars(module).values():
             if isinstance(member, type) and issubclass(member, Unlisted) and member.__module__ == module.__name__:
-                effects[entry.name] = member
-    effects.pop("drawn")
-    return effects
+                effects[member.effect_name()] = member
+    effects.pop(Unlisted.effect_name())
+    return dict(sorted(effects.items()))

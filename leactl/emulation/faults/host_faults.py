@@ -1,4 +1,4 @@
-"""A host whose clock jumps."""
+"""A host whose clock jumps or whose disk is slow."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -6,12 +6,13 @@ from typing import Annotated
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, Fault, FaultTarget, Undo
+from leactl.emulation.faults.contract import Draw, Drill, Fault, FaultTarget, LastingFault, Positive, Undo
 
 
 class HostClockJump(Fault):
     """The host's clock jumps while the bench's time goes on: a machine that was suspended, or a clock put back."""
 
+    fault_name = "clock_jump"
     example = "{fault: clock_jump, at_s: 2, jump_s: -1}"
     where_served = "the clock is that of the run's own process"
 
@@ -28,3 +29,23 @@ class HostClockJump(Fault):
         """Shift the time that the host's clock shows."""
         bench.host_clock.ahead += self.jump_s
         return lambda: None
+
+
+class SlowDisk(LastingFault):
+    """Every write of the run file waits, by the wall clock: a worn SD card, a network drive, a disk that spins up."""
+
+    fault_name = "slow_disk"
+    example = "{fault: slow_disk, at_s: 2, delay_s: 3}"
+    where_served = "the file is that of the run's own process"
+    not_drilled = "it does not affect the bench: rows reach the disk later, by the wall clock"
+
+    delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
+
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
+        """Delay every write of the run file from now on."""
+        bench.disk_delay_s += self.delay_s
+
+        def end() -> None:
+            bench.disk_delay_s -= self.delay_s
+
+        return end
