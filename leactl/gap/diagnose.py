@@ -12,7 +12,7 @@ from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.null import confirmed_beside_others, measure, set_floors, with_simulator_runs
 from leactl.gap.planning.separating import separating_experiment
-from leactl.gap.replay.stretches import read_records
+from leactl.gap.replay.long_runs import read_records
 from leactl.gap.search import sets
 from leactl.gap.search.confirm import HeldOutGain, held_out_gains
 from leactl.gap.search.evidence import Evidence

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from leactl.gap.diagnose import Case, split
-from leactl.gap.replay.stretches import read_records
+from leactl.gap.replay.long_runs import read_records
 from leactl.gap.signals.record import build
 from leactl.model.nominal import BenchModel, Model
 from leactl.runfile import layout

@@ -51,7 +51,7 @@ def swung(tmp_path, interval=0.005, **truth):
         parts.append(channel(time, "drive_enabled", on))
         blank = recorded(tmp_path, parts, {"drive_gain": gain})
         sets = {name: np.array([value]) for name, value in (SERVO | truth).items()}
-        with patch("leactl.gap.servo.runs.STEPS", 0.0):  # a step a sample, however slow the servo is
+        with patch("leactl.gap.servo.runs.SERVO_STEP", 0.0):  # a step a sample, however slow the servo is
             parts[0] = channel(time, "angle", replay(servo_runs([blank], model), sets)[0, 0], "rad")
         records.append(recorded(tmp_path, parts, {"drive_gain": gain}, f"gain{gain:g}"))
     return records

@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose, without_faults
-from leactl.gap.setup import conventions, drifting, hypotheses, mended, relations, samples, swapping
+from leactl.gap.setup import (
+    clock_faults,
+    conventions,
+    faulty_samples,
+    hypotheses,
+    mended,
+    relations,
+    swapped_channels,
+)
 from leactl.gap.setup.conventions import convention
-from leactl.gap.setup.samples import at_ends, period_of
+from leactl.gap.setup.faulty_samples import at_ends, period_of
 from leactl.gap.signals.record import Clocked
 from leactl.joints.make import draw_machines, draw_runs
 from tests.gap.drawn_machines import case_of, write_cases
@@ -149,14 +157,14 @@ def test_a_reference_that_holds_a_level_is_not_frozen(cases):
 
     levels = replace(given, fitted=[given.fitted[1]], held_out=[given.held_out[1]])
     both = spoilt(levels, joint, ["q_axis_current", "q_axis_current_reference"], held)
-    assert samples.frozen([*both.fitted, *both.held_out], given.model) is None
+    assert faulty_samples.frozen([*both.fitted, *both.held_out], given.model) is None
 
 
 def test_the_page_has_the_numbers_of_the_code():
     page = re.sub(r"\s+", " ", (DOCS / "explanation" / "gap.md").read_text(encoding="utf-8"))
-    assert f"stands still over {100 * samples.FROZEN:.0f} % of a run" in page
-    assert f"| {100 * samples.REPEATED:.0f} % of a measured channel" in page
-    assert f"| {100 * samples.TOPPED:.0f} % of a measured channel stands at its end" in page
+    assert f"stands still over {100 * faulty_samples.FROZEN:.0f} % of a run" in page
+    assert f"| {100 * faulty_samples.REPEATED:.0f} % of a measured channel" in page
+    assert f"| {100 * faulty_samples.TOPPED:.0f} % of a measured channel stands at its end" in page
     assert f"explains {hypotheses.SURPRISE:.0f} squares of standard deviations" in page
     assert f"and {100 * hypotheses.EXPLAINS:.0f} % of what a channel is off by" in page
     assert f"leaves no factor beyond {hypotheses.LEFT:.0f} of them" in page
@@ -170,8 +178,8 @@ def test_the_page_has_the_numbers_of_the_code():
     words += " resistance, {:.0%} of friction, {:.0%} of damping"
     assert words.format(*told).replace("%", " %") in page
     assert usual["inertia"] == usual["resistance"]
-    assert f"later, or earlier, by {2 * drifting.SAMPLE:.0f} samples or more" in page
-    assert (swapping.MOST, swapping.CLEANER, drifting.MOST_LEAPS) == (0.5, 0.1, 4)
+    assert f"later, or earlier, by {2 * clock_faults.SAMPLE:.0f} samples or more" in page
+    assert (swapped_channels.MOST, swapped_channels.CLEANER, clock_faults.MOST_LEAPS) == (0.5, 0.1, 4)
 
 
 def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_logged(tmp_path):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose, read_case, split
-from leactl.gap.replay import stretches
-from leactl.gap.replay.stretches import STRETCHES, fair_share, read_records
+from leactl.gap.replay import long_runs
+from leactl.gap.replay.long_runs import STRETCHES, fair_share, read_records
 from leactl.model.nominal import BenchModel
 from leactl.runfile.hdf5 import text_heaps
 from tests.gap import nights
@@ -51,8 +51,8 @@ def test_a_run_within_its_share_is_read_whole(pair):
 
 
 def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample(pair, monkeypatch):
-    monkeypatch.setattr(stretches, "ROWS", 1 << 14)
-    monkeypatch.setattr(stretches, "SLOW_ROWS", 1 << 10)
+    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "SLOW_ROWS", 1 << 10)
     whole, *several = read_records([pair / "night-1.h5"], BenchModel())[pair / "night-1.h5"]
     assert len(several) == STRETCHES
     assert sum(len(one.fast.time) for one in several) == 1 << 14
@@ -77,7 +77,7 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
 
 
 def test_stretches_of_a_run_are_held_out_together(pair, monkeypatch):
-    monkeypatch.setattr(stretches, "ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
     records = [
         one for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for one in several
     ]
@@ -102,7 +102,7 @@ def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
 
 
 def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, tmp_path, monkeypatch):
-    monkeypatch.setattr(stretches, "ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
     path = tmp_path / "jitters.h5"
     path.write_bytes((pair / "night-1.h5").read_bytes())
     with h5py.File(path, "r+") as file:
@@ -123,7 +123,7 @@ def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, 
 
 
 def test_an_effect_is_named_in_stretches_as_in_the_whole_run(pair, monkeypatch):
-    monkeypatch.setattr(stretches, "ROWS", 1 << 16)
+    monkeypatch.setattr(long_runs, "ROWS", 1 << 16)
     found, causes = named(pair)
     assert causes == ["quadratic_drag"]
     assert found.causes[0].parameters[0].value == pytest.approx(nights.DRAG, rel=0.01)

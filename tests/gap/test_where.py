@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Cause, EffectParameter, Region, Where
-from leactl.gap.replay.compared import Compared
+from leactl.gap.replay.comparison import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.verdict.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, profiles, where
 

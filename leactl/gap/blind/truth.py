@@ -16,7 +16,7 @@ from leactl.effects import library
 from leactl.gap import null
 from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, model_with, read_case
-from leactl.gap.replay.compared import Compared
+from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
 from leactl.gap.search.parameters import calibrated, with_calibration, with_effects

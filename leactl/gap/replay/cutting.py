@@ -9,9 +9,9 @@ from scipy.interpolate import CubicSpline
 
 from leactl.effects.plant import Array, Plant
 from leactl.gap.replay.drive import measured, spread
+from leactl.gap.replay.initial_state import reach
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
-from leactl.gap.replay.starting import reach
 from leactl.gap.signals.rig import fed_by_voltage, load_of
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped

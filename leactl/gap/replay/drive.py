@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.gap.replay.bench_times import LATEST, samples
 from leactl.gap.replay.job import Job
+from leactl.gap.replay.time_steps import LATEST, samples
 from leactl.gap.signals.derived import led, moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.smoothing import smooth

@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.plant import Course, Plant
-from leactl.gap.replay.bench_times import MOST_STEPS, steps_in_sample
-from leactl.gap.replay.servo_times import times_of
+from leactl.gap.replay.time_steps import MOST_STEPS, servo_times, steps_in_sample
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
 
@@ -59,7 +58,7 @@ class Job:
         model, gain = self.plant.model, self.record.setup.get("drive_gain")
         assert model.drive is not None
         load = load_of(self.record, model).inertia
-        shortest, _ = times_of(model, np.array([model.drive.gain if gain is None else gain]), load, load)
+        shortest, _ = servo_times(model, np.array([model.drive.gain if gain is None else gain]), load, load)
         return min(max(SERVO_STEP * shortest, self.clock.interval / MOST_STEPS), self.clock.interval)
 
     @property

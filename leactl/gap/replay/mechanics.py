@@ -25,9 +25,9 @@ from leactl.gap.replay.cutting import (
     target_of,
     voltage_torque,
 )
+from leactl.gap.replay.initial_state import starting_motion
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import LaneMotion, LaneState, stepped
-from leactl.gap.replay.starting import starting_motion
 
 SLOWEST = 0.5  # longest interval between samples, over the time constant of drag: beyond it a start is not measured
 SETTLED_AFTER = 128  # most passes; then a locked rotor that never slides begins a stretch at the first guess

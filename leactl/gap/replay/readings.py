@@ -7,10 +7,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leactl.effects.plant import Array, Becomes, Course
-from leactl.gap.replay.bench_times import REMEMBERED, samples
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
+from leactl.gap.replay.time_steps import REMEMBERED, samples
 from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.gap.signals.stamps import restamped
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.replay.servo_times import FORGETS, STEPS, times_of
+from leactl.gap.replay.time_steps import SERVO_MEMORY, SERVO_STEP, servo_times
 from leactl.gap.search.evidence import PRIORS
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.rig import drive_of, load_of
@@ -80,8 +80,8 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     loads = [load_of(record, model) for record in records]
     gain, inertia = np.array([servo.gain for servo in servos]), np.array([load.inertia for load in loads])
     voltage_logged &= (gain > 0.0)[:, None]
-    fast, slow = times_of(model, gain, float(np.min(inertia)), float(np.max(inertia)))
-    thinning = max(1, math.floor(STEPS * fast / interval))
+    fast, slow = servo_times(model, gain, float(np.min(inertia)), float(np.max(inertia)))
+    thinning = max(1, math.floor(SERVO_STEP * fast / interval))
     return ServoRuns(
         interval * thinning,
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
@@ -99,7 +99,7 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         inertia,
         parameter_scales(model, angles, interval * thinning, interval, float(np.mean(inertia))),
         usual_of(model),
-        math.ceil(FORGETS * slow / (interval * thinning)),
+        math.ceil(SERVO_MEMORY * slow / (interval * thinning)),
     )
 
 

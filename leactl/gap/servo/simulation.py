@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.replay.servo_times import STEPS
+from leactl.gap.replay.time_steps import SERVO_STEP
 from leactl.gap.servo.profile import SLOWNESS, SLUGGISHNESS, SetPoints
 from leactl.gap.servo.runs import ServoRuns
 from leactl.gap.servo.stretches import Stretches, whole_runs
@@ -250,7 +250,7 @@ def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
     lightest = sets["rotor_inertia"] + float(np.min(runs.inertia))
     slowing = constant * (constant + float(np.max(runs.rate_gain))) / (resistance * lightest)
     swinging = np.sqrt(float(np.max(runs.gain)) * constant / (resistance * lightest))
-    needed = runs.interval * float(np.quantile(np.maximum(slowing, swinging), 0.5)) / STEPS
+    needed = runs.interval * float(np.quantile(np.maximum(slowing, swinging), 0.5)) / SERVO_STEP
     return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
 
 

@@ -6,12 +6,12 @@ They are the commonest causes on real benches, and each makes a gap that some ef
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from leactl.gap.setup.clock_faults import out_of_time
 from leactl.gap.setup.contract import SetUpFault
-from leactl.gap.setup.drifting import out_of_time
+from leactl.gap.setup.faulty_samples import clipped, frozen, repeated, wrapped
 from leactl.gap.setup.mending import mended_picture
-from leactl.gap.setup.samples import clipped, frozen, repeated, wrapped
-from leactl.gap.setup.scaling import misscaled
-from leactl.gap.setup.swapping import swapped
+from leactl.gap.setup.signs_and_scales import misscaled
+from leactl.gap.setup.swapped_channels import swapped
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from leactl.gap.binned_means import bin_count, bin_edges, bin_of, means
 from leactl.gap.diagnosis import Picture, ResidualBin
-from leactl.gap.setup.lateness import STRETCHES
+from leactl.gap.setup.delays import STRETCHES
 from leactl.gap.setup.side_by_side import Pair, direct_pairs, modelled_pairs
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.smoothing import slope, smooth

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from leactl.gap.diagnose import Case, Progress, diagnose_mended, read_case, split, without_faults
 from leactl.gap.diagnosis import DiagnosisResult, SimulatedRun, SimulatorAnswer
-from leactl.gap.replay.stretches import read_records
+from leactl.gap.replay.long_runs import read_records
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.comparing import (

@@ -28,7 +28,7 @@ from leactl.gap.binned_means import (
     turned,
 )
 from leactl.gap.diagnosis import Cause, Picture, ResidualBin
-from leactl.gap.replay.compared import Compared
+from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals

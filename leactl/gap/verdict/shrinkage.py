@@ -12,7 +12,7 @@ from leactl.gap.diagnosis import Shrinkage
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bearing import give_of
 from leactl.gap.replay.bench_of_model import plant_of
-from leactl.gap.replay.compared import Compared, compare
+from leactl.gap.replay.comparison import Compared, compare
 from leactl.gap.replay.job import Job
 from leactl.gap.search.confirm import CHANCE, RESAMPLED
 from leactl.gap.signals.record import Record

@@ -19,7 +19,7 @@ from leactl.gap.binned_means import (
     turned,
 )
 from leactl.gap.diagnosis import REPLAY_MISS, Cause, Region, Where
-from leactl.gap.replay.compared import Compared
+from leactl.gap.replay.comparison import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.quantities import UNITS

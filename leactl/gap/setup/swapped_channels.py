@@ -9,8 +9,8 @@ from functools import partial
 from itertools import combinations
 
 from leactl.gap.setup.contract import SetUpFault
+from leactl.gap.setup.delays import lateness
 from leactl.gap.setup.hypotheses import ANGLE, CURRENT, REFERENCE, TORQUE, VELOCITY, usual
-from leactl.gap.setup.lateness import lateness
 from leactl.gap.setup.relations import factors_of
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Key, Record

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.replay.bench_times import STEPS, samples, steps_in_sample
-from leactl.gap.replay.stretches import weight
+from leactl.gap.replay.long_runs import weight
+from leactl.gap.replay.time_steps import STEPS, samples, steps_in_sample
 from leactl.model.nominal import BenchModel
 
 BANDWIDTHS = ("current_loop_bandwidth", "velocity_filter_bandwidth", "torque_filter_bandwidth")

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.replay.bench_times import steps_in_sample
+from leactl.gap.replay.time_steps import steps_in_sample
 from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
 from leactl.gap.signals.scales import TOP, absolute_speeds
 from leactl.gap.signals.smoothing import smooth

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
 from leactl.gap.setup.contract import SetUpFault, with_values
-from leactl.gap.setup.lateness import Lateness, lateness, width_of
+from leactl.gap.setup.delays import Lateness, lateness, width_of
 from leactl.gap.setup.side_by_side import Pair, direct_pairs
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Key, Record

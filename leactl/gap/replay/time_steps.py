@@ -1,0 +1,53 @@
+"""Times by which replays are stepped: multiples of those of a bench or servo, so that those of any size are alike."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.model.nominal import BenchModel, Model
+
+Array = npt.NDArray[np.float64]
+SERVO_STEP = 0.1  # of a servo's shortest time, that a step of its simulation may last
+SERVO_MEMORY = 6.0  # of a servo's longest time, after which it matters no more where it began
+PERIOD = 0.45  # usual interval, in periods of the fastest bandwidth: 6 % of a step is left after it
+STEPS, MOST_STEPS = 4, 80  # in a usual interval and in a sample at least, and in a sample at most
+LATEST = 12  # usual intervals by which a drive may follow late
+REMEMBERED = 200  # usual intervals of the motion before a start that filters may remember
+
+
+def usual_interval(bench: BenchModel, interval: float) -> float:
+    """Interval [s] at which a log shows what the fastest loop or filter of a bench does.
+
+    interval : between the samples of a run [s], which counts where a model names no loop and no filter.
+    """
+    named = (bench.current_loop_bandwidth, bench.velocity_filter_bandwidth, bench.torque_filter_bandwidth)
+    bandwidths = [bandwidth for bandwidth in named if bandwidth is not None]
+    return PERIOD / max(bandwidths) if bandwidths else interval
+
+
+def samples(intervals: int, bench: BenchModel, interval: float) -> int:
+    """Samples in so many usual intervals, at least one."""
+    return max(1, round(intervals * usual_interval(bench, interval) / interval))
+
+
+def steps_in_sample(bench: BenchModel, interval: float) -> int:
+    """Steps of a replay from one sample to the next."""
+    # a rounding error makes no further step
+    steps = math.ceil(STEPS * interval / usual_interval(bench, interval) - 1e-6)
+    return min(max(STEPS, steps), MOST_STEPS)
+
+
+def servo_times(model: Model, gain: Array, lightest: float, heaviest: float) -> tuple[float, float]:
+    """The shortest and the longest time [s] in which servos of a model answer.
+
+    Back-EMF slows the axis down, the gain swings it, and drives it home where back-EMF holds it back.
+    """
+    constant, resistance = model.torque_constant or 0.0, model.phase_resistance or math.inf
+    rotor, drive = model.rotor_inertia or 0.0, model.drive
+    holding = (constant * (constant + (drive.damping if drive else 0.0))) / resistance + (model.viscous_damping or 0.0)
+    slowing = [(rotor + load) / holding if holding else math.inf for load in (lightest, heaviest)]
+    stiff, soft = float(np.max(gain)), float(np.min(gain))
+    swinging = math.sqrt((rotor + lightest) * resistance / (stiff * constant)) if stiff * constant else math.inf
+    homing = holding * resistance / (soft * constant) if soft * constant else 0.0
+    return min(slowing[0], swinging), max(slowing[1], homing)
