@@ -131,6 +131,7 @@ class Effect:
     refined: ClassVar[int] = 1  # how many of a form's numbers are refined, from the first on
     narrow: ClassVar[bool] = False  # whether the first number may lie between two forms that both show nothing
     shaped: ClassVar[bool] = False  # whether its coefficient is a share of a shape, and 1 for the whole effect
+    limits_current: ClassVar[bool] = False  # whether it alone says what the current is wherever it acts
     delays: ClassVar[bool] = False  # whether it is a pure delay, as wrong stamps are
     explains: ClassVar[float] = 0.82  # share of its action on its channels that its columns must explain
     periodic: ClassVar[str] = ""  # place whose column repeats over the angle, where orders are searched

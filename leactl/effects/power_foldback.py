@@ -15,6 +15,7 @@ class PowerFoldback(Effect):
     name = "power_foldback"
     one_sided = True
     shaped = True
+    limits_current = True
     forms = ((0.2,), (0.3,), (0.4,), (0.55,), (0.7,), (0.85,))
     form_scales = ("highest power",)
 

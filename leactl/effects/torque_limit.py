@@ -15,6 +15,7 @@ class TorqueLimit(Effect):
     name = "torque_limit"
     one_sided = True
     shaped = True
+    limits_current = True
     forms = ((0.3,), (0.4,), (0.5,), (0.6,), (0.7,), (0.8,), (0.9,))
     form_scales = ("highest current",)
 

@@ -40,7 +40,7 @@ def _limits_row(label: str, values: Carried) -> str:
 def fit_text(actuator_fit: ActuatorFit) -> str:
     """Return fitted parameters with standard errors, their largest correlations, a `tolerances:` block and notes."""
     fit, runs = actuator_fit.fit, actuator_fit.runs
-    head = f"{actuator_fit.actuator or 'actuator not told'}, {len(runs)} run{'s' * (len(runs) > 1)}:"
+    head = f"{actuator_fit.actuator or 'actuator not named'}, {len(runs)} run{'s' * (len(runs) > 1)}:"
     lines = [wrapped(head, runs, TEXT_WIDTH)]
     lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
     lines += [

@@ -182,8 +182,8 @@ def test_motors_have_a_section_each_and_the_sheet_says_so(tmp_path):
     bench.torque(torque_constant="0.14\nname: u8", kt=0.14)
     bench.friction()
     sheet = of(tmp_path)
-    assert [section.title for section in sheet.sections] == ["motor not told", "lea", "u8"]
-    assert "runs are of 3 motors: motor not told, lea, u8" in sheet.notes[0]
+    assert [section.title for section in sheet.sections] == ["motor not named", "lea", "u8"]
+    assert "runs are of 3 motors: motor not named, lea, u8" in sheet.notes[0]
     values = [section.rows["torque-constant"][0].cells[0].estimate for section in sheet.sections]
     assert [one and round(one.value, 2) for one in values] == [None, 0.49, 0.14]
 

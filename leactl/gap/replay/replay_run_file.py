@@ -75,7 +75,7 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
             values = _column(run, name, spec, made, job, unknown)
             if values is not None:
                 columns.setdefault(name, []).append((spec, values))
-        path = _write(run, columns, document.text, out if out is not None else None, run_file.parent)
+        path = _write(run, columns, document.text, out, run_file.parent)
     written = {_named(spec) for column in columns.values() for spec, _ in column}
     names = list(dict.fromkeys(_named(spec) for _, spec in channels_of_run))
     by_model = {f"{quantity} of {role}" for quantity, role in made}

@@ -91,7 +91,7 @@ def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
     misfit -= right[free] @ values
     columns = np.concatenate([shared, free])
     not_known = np.full((len(columns), len(columns)), np.nan)
-    return Fit(columns, np.concatenate([coefficients, values]), not_known, float(misfit), {})
+    return Fit(columns, np.concatenate([coefficients, values]), not_known, float(misfit))
 
 
 def own(name: Column) -> bool:

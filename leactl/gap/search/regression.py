@@ -221,7 +221,6 @@ class Fit:
     values: Array
     covariance: Array
     misfit: float  # weighted squared residuals, priors included
-    residual: dict[int, float]  # root mean square residual by group of rows
 
 
 class Normal:
@@ -251,7 +250,7 @@ class Normal:
         values = inverse @ (right / scale) / scale
         with np.errstate(over="ignore"):  # a parameter without a prior that no run shows has an infinite variance
             covariance = inverse / np.outer(scale, scale)
-        return Fit(keep, values, covariance, self.total - float(values @ right), {})
+        return Fit(keep, values, covariance, self.total - float(values @ right))
 
     def residual(self, fit: Fit, index: int) -> float:
         """Return the root mean square residual of one group of rows under a fit."""

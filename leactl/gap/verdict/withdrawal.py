@@ -6,13 +6,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
-from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
+from leactl.effects import library
+from leactl.gap.diagnosis import REPLAY_MISS, CalibratedParameter, Cause, Near
 from leactl.gap.search.parameters import at_bound, with_calibration, with_effects
 from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"
 GROWN = 1.001  # ratio of squared distances to held-out runs up to which they are equal: replays differ by as much
+LIMIT_CLOSES = (
+    0.9  # smallest share of the current's gap that a limit of the drive closes; laws that resemble it close less
+)
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -57,11 +61,11 @@ class HeldOutTrials:
         """
         fitted = self.refit([*kept.causes, *stage])
         by_equations = all(cause.effect in self.borne_out_by_equations for cause in stage)
-        trial = self._of(fitted, model_before, bool(kept.causes), by_equations)
+        limits_current = any(library()[cause.effect].limits_current for cause in stage)
+        how = bool(kept.causes), by_equations, limits_current
+        trial = self._of(fitted, model_before, *how)
         if trial.refused_because == GAP_GROWS:
-            trial = self._of(
-                fitted._replace(calibration=kept.calibration), model_before, bool(kept.causes), by_equations
-            )
+            trial = self._of(fitted._replace(calibration=kept.calibration), model_before, *how)
         return trial
 
     def is_needed(self, stage: Sequence[Cause], whole: HeldOutTrial) -> bool:
@@ -71,11 +75,21 @@ class HeldOutTrials:
         comparison = self.simulate(with_fitted(self.model, fitted_without), whole.model)
         return not refusal(comparison, [], beside_others=True, by_equations=False)
 
-    def _of(self, fitted: FittedEffects, model_before: Model, beside_others: bool, by_equations: bool) -> HeldOutTrial:
+    def _of(
+        self,
+        fitted: FittedEffects,
+        model_before: Model,
+        beside_others: bool,
+        by_equations: bool,
+        limits_current: bool,
+    ) -> HeldOutTrial:
         model_after = with_fitted(self.model, fitted)
         comparison = self.simulate(model_before, model_after)
         bounds = at_bounds(fitted.calibration) if self.bounded_fit else []
-        return HeldOutTrial(fitted, model_after, comparison, refusal(comparison, bounds, beside_others, by_equations))
+        reason = refusal(comparison, bounds, beside_others, by_equations)
+        if not reason and limits_current:
+            reason = refusal_of_limit(comparison)
+        return HeldOutTrial(fitted, model_after, comparison, reason)
 
 
 @dataclass(frozen=True)
@@ -235,6 +249,23 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equa
     # runs too short to judge chance have to show at least that it shrinks
     undecided = shrunk.growth.closed is None and shrunk.growth.by_effects[0] >= 0.0
     return "with it no gap of held-out runs shrinks" if undecided else ""
+
+
+def refusal_of_limit(shrunk: Shrunk) -> str:
+    """Return why a limit of the drive is not what holds the current of held-out runs back; empty where it may be.
+
+    Where a limit acts, the current is the limit's, whatever else the model lacks: what resembles it, such as a supply
+    whose voltage ends, closes a part of the gap and stays far off.
+    """
+    for line in shrunk.shrinkage:
+        if line.quantity != "q_axis_current" or line.closed is None:
+            continue
+        if line.augmented_rms > REPLAY_MISS * line.floor_rms and line.closed < LIMIT_CLOSES:
+            share = f"{100 * line.closed:.0f} % of the current's gap"
+            return (
+                f"it closes {share}, {line.mechanical}; a limit of the drive closes {100 * LIMIT_CLOSES:.0f} % or more"
+            )
+    return ""
 
 
 def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:

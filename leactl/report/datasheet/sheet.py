@@ -12,7 +12,7 @@ from leactl.report.datasheet.rows import NOT_MEASURED, DatasheetRow, rows, unlis
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.terminal import figures_by_condition
 
-NO_MOTOR = "motor not told"
+NO_MOTOR = "motor not named"
 
 
 @dataclass(frozen=True)

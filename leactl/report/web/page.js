@@ -203,7 +203,7 @@ function show(state) {
   else if (state.silent_s > SILENT_S)
     showStatus(
       "silent",
-      `Nothing new from the run for ${duration(state.silent_s)}: these values are old. To stop it, ${OTHER_STOPS}.`,
+      `Nothing new from the run for ${duration(state.silent_s)}: these values are old. You can ${OTHER_STOPS}.`,
     );
   else showStatus(state.title ? "live" : "waits for the run", "");
 }
@@ -225,7 +225,7 @@ async function poll() {
   try {
     if (answer === null) {
       if (failures >= MOST_FAILURES)
-        showStatus("not connected", `Connection lost: the run goes on. To stop it, ${OTHER_STOPS}.`);
+        showStatus("not connected", `Connection lost: the run goes on. You can ${OTHER_STOPS}.`);
     } else if (answer.refused)
       showStatus("refused", "This address is of another run: take the one that the terminal shows.");
     else show(answer);
