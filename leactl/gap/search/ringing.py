@@ -24,7 +24,7 @@ LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unres
 STEADY = 0.05  # largest relative variation of a steady speed
 FEWEST = 8  # segments
 DEVIATIONS = 3.0  # standard deviations of a mean spectrum that chance is allowed
-COMMANDED = 3  # samples on either side over which a command determines a current
+FOLLOWED = 3  # samples on either side over which a command determines a current, or a motion its velocity
 LEAP, AROUND = 6.0, 7  # bend of a leap, over a moving command's usual bend, and samples around it that are left out
 STILL = 1e-6  # share of a command's largest bend up to which the command is constant
 COLOURLESS = 10.0  # largest usual unrest with which the spectrum is even enough to show a line
@@ -52,7 +52,7 @@ def ringing(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dict[tupl
             continue
         if evidence.expected(rows) > COLOURLESS:
             continue
-        residual = uncommanded(rows, residuals(evidence.stack, fit, index)) / rows.white
+        residual = unfollowed(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))
         grid_index = (rows.index - rows.index[0]) // step
         on_grid = np.full(grid_index[-1] + 1, np.nan)
@@ -82,24 +82,27 @@ def steady(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_
     return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
 
 
-def uncommanded(rows: Rows, residual: Array) -> Array:
-    """Return the residual of a current without the part that follows its command; NaN around leaps of the command.
+def unfollowed(rows: Rows, residual: Array) -> Array:
+    """Return the residual of a current or a velocity without the part that follows what it is a filter of.
 
-    A slightly wrong loop, stamp or reference between two samples leaves the command's own lines. Other equations keep
-    their residual.
+    A slightly wrong loop, filter or stamp leaves the lines of the motion itself, or of the command; NaN stands around
+    leaps of the command. Other equations keep their residual.
     """
-    following = rows.signals.following
-    if rows.equation != "current" or following is None:
+    followed = {"current": rows.signals.following, "velocity": rows.signals.velocity}.get(rows.equation)
+    if followed is None:
         return residual
-    bend = np.zeros(len(following))
-    bend[1:-1] = np.abs(np.diff(following, 2))
-    moving = bend[bend > STILL * np.max(bend, initial=0.0)]
-    leaps = maximum_filter1d(bend > LEAP * np.median(moving), 2 * AROUND + 1) if len(moving) else bend > 0.0
-    calm = ~leaps[rows.index]
-    lags = [following[np.clip(rows.index + lag, 0, len(following) - 1)] for lag in range(-COMMANDED, COMMANDED + 1)]
+    kept = np.ones(len(residual), np.bool_)
+    if rows.equation == "current":
+        bend = np.zeros(len(followed))
+        bend[1:-1] = np.abs(np.diff(followed, 2))
+        moving = bend[bend > STILL * np.max(bend, initial=0.0)]
+        leaps = maximum_filter1d(bend > LEAP * np.median(moving), 2 * AROUND + 1) if len(moving) else bend > 0.0
+        kept = ~leaps[rows.index]
+    lags = [followed[np.clip(rows.index + lag, 0, len(followed) - 1)] for lag in range(-FOLLOWED, FOLLOWED + 1)]
     table = np.stack(lags, axis=1)
-    weights = np.linalg.lstsq(table[calm], residual[calm], rcond=None)[0]
-    return np.where(calm, residual - table @ weights, np.nan)
+    usable = kept & np.isfinite(table).all(axis=1) & np.isfinite(residual)
+    weights = np.linalg.lstsq(table[usable], residual[usable], rcond=None)[0]
+    return np.where(usable, residual - table @ weights, np.nan)
 
 
 def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
