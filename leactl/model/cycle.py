@@ -31,6 +31,7 @@ CLOSED_WITHOUT_STRIDE_TIME = 0.01  # the same if the period is known from the la
 NOTED_RESIDUAL = 0.02  # residual of the series that is noted, as a share of the angle's range; noise leaves under 0.01
 SLIP_RATIO = 0.5  # one sample is an outlier if the residual falls below this share without it; sharp turns leave 0.7
 STRIDE_TIME_RANGE = (0.05, 60.0)  # s
+CLOSING_SHARE = 0.1  # of a row's step, by which the closing row may miss the end of the cycle: rounding of the file
 NAMES = {
     "phase": ("cycle_percent", "time_s"),
     "angle": ("angle_rad", "angle_deg"),
@@ -130,8 +131,8 @@ def _allowed_harmonics(path: Path, position: Array, requested: int) -> int:
     if allowed < min(LEAST_HARMONICS, requested):
         raise InputError(
             f"{path}: nothing is told from {position[widest_row]:.1%} to"
-            f" {position[widest_row] + gaps[widest_row]:.1%} of the cycle; rows less than {0.5 / LEAST_HARMONICS:.1%}"
-            " apart were expected"
+            f" {position[widest_row] + gaps[widest_row]:.1%} of the cycle; rows less than"
+            f" {0.5 / min(LEAST_HARMONICS, requested):.1%} apart were expected"
         )
     return min(allowed, requested)
 
@@ -198,9 +199,11 @@ def _cycle_positions(path: Path, name: str, phase: Array, stride_time: float | N
         full_cycle, period = 100.0, stride_time
     else:
         full_cycle = period = stride_time if stride_time is not None else float(phase[-1] - phase[0])
+    if not shortest <= period <= longest:
+        raise InputError(f"{path}: a cycle of {period:g} s; from {shortest:g} to {longest:g} s was expected")
     position = (phase - phase[0]) / full_cycle
     step = float(np.median(np.diff(position)))
-    if abs(position[-1] - 1.0) < 1e-6 * len(position):
+    if abs(position[-1] - 1.0) < CLOSING_SHARE * step:
         position[-1] = 1.0
     elif not 0.0 < 1.0 - position[-1] <= 2.0 * step:
         unit = "%" if name == "cycle_percent" else "s"

@@ -4,6 +4,7 @@ Rows are never added or moved. A row stays or is left out, and a remark says whi
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -65,7 +66,9 @@ def order_rows(
         )
     if len(backward_rows):
         remarks.append(f"{len(backward_rows)} rows whose stamps go back, from {where(int(backward_rows[0]))}: left out")
-        time, values = np.delete(time, backward_rows), np.delete(values, backward_rows, axis=0)
+        kept_rows = np.delete(np.arange(len(time)), backward_rows)
+        time, values = time[kept_rows], values[kept_rows]
+        where = partial(_where_kept, where, kept_rows)
     repeats = np.diff(time) == 0
     if len(repeats) >= FEWEST_STEPS and repeats.mean() > COARSE_SHARE:
         time = times_by_count(time, resolution, frame_rate, where)
@@ -74,7 +77,9 @@ def order_rows(
     doubled = np.flatnonzero(repeats) + 1
     repeated_values = repeated_rows(values)
     if len(doubled):
-        different = doubled[~repeated_values[doubled - 1]]
+        empty = ~np.isfinite(values).any(axis=1)  # rows without a reading are alike
+        alike = np.logical_or(repeated_values, empty[1:] & empty[:-1])
+        different = doubled[~alike[doubled - 1]]
         if len(different):
             hint = "are stamps coarser than frames? time.frame_rate_Hz places them"
             raise InputError(f"{where(int(different[0]))}: the stamp stands twice, over different values; {hint}")
@@ -88,6 +93,11 @@ def order_rows(
     if values.shape[1] > 1 and repeated_values.any():
         remarks.append(f"{int(repeated_values.sum())} rows repeat the one before in every column")
     return Ordered(time, values, remarks)
+
+
+def _where_kept(where: Callable[[int], str], kept_rows: npt.NDArray[np.intp], row: int) -> str:
+    """Return file and line of a row of those that were kept."""
+    return where(int(kept_rows[row]))
 
 
 def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
@@ -112,7 +122,9 @@ def times_by_count(time: Array, resolution: float, frame_rate: float | None, whe
     slope = 1.0 / frame_rate
     if len(first_rows) >= FEWEST_STEPS:
         slope = float(np.polyfit(count[first_rows], time[first_rows], 1)[0])
-    if not len(first_rows) or abs(slope * frame_rate - 1.0) > 0.01:
+    if not len(first_rows):
+        raise InputError(f"{where(1)}: all {len(time)} rows have one stamp; stamps that go on were expected")
+    if abs(slope * frame_rate - 1.0) > 0.01:
         raise InputError(f"{where(1)}: {1.0 / slope:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}")
     start = float(np.mean(time[first_rows] + 0.5 * slope - slope * count[first_rows]))
     placed: Array = start + slope * count

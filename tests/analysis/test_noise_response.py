@@ -125,6 +125,17 @@ def test_a_gap_leaves_the_longest_part(tmp_path):
     assert found(result)["bandwidth"].value == pytest.approx(true_bandwidth(8.0), rel=0.03)
 
 
+def two_parts(columns):
+    """Leave 2,000 samples of each stretch, 508 of which settle, and 1,900 that are settled."""
+    row = np.arange(len(columns["time"])) % round(NOISE_S * RATE)
+    columns["angle"][((row >= 2000) & (row < 2003)) | (row >= 3903)] = np.nan
+
+
+def test_the_part_with_most_settled_samples_is_taken(tmp_path):
+    result = analyze_runs([noise_run(tmp_path, noise=0.002, edit=two_parts)])
+    assert found(result)["bandwidth"].value == pytest.approx(true_bandwidth(8.0), rel=0.05)
+
+
 def missing(columns):
     columns["angle"][columns["time"] > 4 * NOISE_S] = np.nan
 

@@ -327,6 +327,12 @@ def test_frames_missing_doubled_frozen_and_gone_back_are_told(tmp_path):
     assert "1 rows repeat the one before in every column" in told(record)
 
 
+def test_a_row_after_one_that_is_left_out_is_told_with_its_own_line(tmp_path):
+    text = stamped("0.00", "0.10", "0.05", "0.20", "0.20", values=[1, 2, 9, 3, 4])
+    with pytest.raises(InputError, match=r"line 6.*stands twice, over different values"):
+        read(tmp_path, text, time={"column": "Time", "units": "s", "backward": "leave_out"})
+
+
 def test_stamps_coarser_than_frames_are_placed_by_counting_or_refused(tmp_path):
     frames = np.arange(90) / 30 + 10.4
     stamps = [f"10:00:{int(t):02d}" for t in frames]

@@ -139,6 +139,11 @@ def cut(table):
     return table[:60]
 
 
+def beyond(table):
+    table[:, 0] *= 1.09
+    return table
+
+
 def jump(table):
     table[50:, 1] += 15.0
     return table
@@ -156,6 +161,12 @@ def jump(table):
         ({}, {"stride_time": None}, "cycle_percent needs --stride-time"),
         ({}, {"stride_time": 0.0}, "stride time 0 s: from 0.05 to 60 s"),
         ({"edit": cut}, {}, "cycle_percent goes from 0 to 59 %: one whole cycle of 100 % was expected"),
+        ({"edit": beyond, "rows": 100_000}, {}, "goes from 0 to 109 %: one whole cycle of 100 % was expected"),
+        (
+            {"header": "time_s,angle_deg,torque_Nm", "end": 90.0},
+            {"stride_time": None},
+            "a cycle of 90 s; from 0.05 to 60",
+        ),
         ({"edit": jump}, {}, "angle ends 0.262 rad from where it began"),
         ({"edit": lambda table: table[::-1]}, {}, "walk.csv: line 3, column 'cycle_percent': 99 is not after 100"),
         ({"edit": lambda table: table * [1, np.nan, 1]}, {}, "walk.csv: line 2, column 'angle_deg': nan: a number"),

@@ -184,7 +184,7 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
     if reference is not None or quantity not in HELD:
         return reference
     demand = np.full(len(channel.time), np.nan)
-    for hold in HoldSelector(HELD[quantity], "", channel.role).holds_of(run):
+    for hold in HoldSelector(HELD[quantity], "", channel.role, unstated_role="test").holds_of(run):
         demand[span(channel, hold.start, hold.stop)] = hold.setpoint
     return demand if np.isfinite(demand).any() else None
 

@@ -56,7 +56,7 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     """
     reference, measured = run.channel(loop.reference, role="test"), run.channel(loop.response, role="test")
     steps = [step for step in run.steps if _is_noise(step, loop.offset)]
-    if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > 1e-6):
+    if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > STAMP_ROUNDING_S):
         raise NotIdentifiable(f"{run.path}: {loop.reference} and {loop.response} are not sampled together")
     holds = [Hold(float(step.parameters[loop.offset]), 0, step.start + step.settle, step.stop) for step in steps]
     clipping_value, clipped = saturated(measured, holds)
@@ -106,8 +106,9 @@ def _record(
         for low, high in zip(stops[:-1] + 1, stops[1:], strict=True)
         for piece in _split_at_leaps(low, high, broken)
     ]
-    piece_start, piece_stop = max(pieces, key=lambda piece: piece[1] - piece[0])
-    settled = time[piece_start:piece_stop] > step.start + step.settle
+    settles_at = int(np.searchsorted(time, step.start + step.settle, side="right"))
+    piece_start, piece_stop = max(pieces, key=lambda piece: piece[1] - max(piece[0], settles_at))
+    settled = np.arange(piece_start, piece_stop) >= settles_at
     if settled.sum() < FEWEST:
         return "too few samples in a row"
     noise_cutoff = step.parameters.get("cutoff_Hz")

@@ -87,6 +87,7 @@ class HoldSelector:
     key: str
     unit: str
     role: str = "test"
+    unstated_role: str = ""  # of a hold that states none; empty: the role that is selected
 
     def holds_of(self, run: Run) -> list[Hold]:
         """Return the steps `hold` of a run that state this setpoint, in order."""
@@ -94,7 +95,8 @@ class HoldSelector:
         for step in run.steps:
             setpoint = step.parameters.get(self.key)
             numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
-            if step.name == "hold" and numeric and step.parameters.get("role", self.role) == self.role:
+            role = step.parameters.get("role", self.unstated_role or self.role)
+            if step.name == "hold" and numeric and role == self.role:
                 direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
                 settled = step.start + step.settle
                 holds.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
